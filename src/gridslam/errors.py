@@ -1,0 +1,44 @@
+"""The exception tree of gridslam. Every error a caller can make or meet derives from `GridslamError`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["ArgumentError", "ConfigurationError", "ConsumedStateError", "GridslamError", "InputError", "OutputError"]
+
+
+class GridslamError(Exception):
+    """Base of all errors raised by gridslam."""
+
+
+class ArgumentError(GridslamError, ValueError):
+    """An argument does not meet the contract: names the argument, what was expected and what came."""
+
+    def __init__(self, argument: str, expected: str, got: object) -> None:
+        super().__init__(f"{argument}: expected {expected}, got {got}")
+        self.argument = argument
+
+
+class ConfigurationError(GridslamError, ValueError):
+    """A preset, parameter or configuration file is unknown, malformed or out of range."""
+
+
+class ConsumedStateError(GridslamError, RuntimeError):
+    """A filter state was used after `step` consumed it."""
+
+    def __init__(self) -> None:
+        super().__init__("this state was consumed by an earlier step; keep one for later with state.snapshot()")
+
+
+class InputError(GridslamError):
+    """A file cannot be used: says which file, which line where there is one, what was expected and what came."""
+
+    def __init__(self, path: str | Path, problem: str, line: int | None = None) -> None:
+        where = f"{path}" if line is None else f"{path}, line {line}"
+        super().__init__(f"{where}: {problem}")
+        self.path = Path(path)
+        self.line = line
+
+
+class OutputError(GridslamError):
+    """A result cannot be written."""

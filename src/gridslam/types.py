@@ -1,0 +1,373 @@
+"""The values that travel between the parts, and the small Protocols by which parts are swapped.
+
+Poses are rows ``[x m, y m, theta rad]`` with theta in [-pi, pi); grids are ``[row = y, column = x]``; a stamp is int64
+nanoseconds; angles are counter-clockwise radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Any, Protocol, final, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+
+__all__ = [
+    "BeamStatus", "Beams", "DistanceMaps", "FloatArray", "IntArray", "LaserScan", "Match", "MotionModel", "MotionSampler", "OccupancyGrid",
+    "Odometry", "Resampler", "ScanGeometry", "SensorModel", "SkipReason", "StepReport", "Trajectory", "Weigher",
+]  # fmt: skip
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def _frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """A read-only copy of `values` with the given dtype and shape (None: any length)."""
+    array = np.array(values, dtype=dtype)
+    if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+        raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
+    array.flags.writeable = False
+    return array
+
+
+class BeamStatus(IntEnum):
+    """What one beam says; decided once, by the adapter that reads the scan."""
+
+    HIT = 0
+    NO_RETURN = 1
+    INVALID = 2
+
+
+@final
+class ScanGeometry:
+    """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
+
+    Parameters
+    ----------
+    bearings : (B,) float64, rad
+        Angle of each beam in the laser's frame, counter-clockwise.
+    base_from_laser : (4, 4) float64, optional
+        SE(3) mounting of the laser (homogeneous; m); identity if not given. A planar mounting comes from `planar`.
+
+    Attributes
+    ----------
+    directions : (B, 2) float64
+        Direction of each beam in the base frame, projected on the ground plane (shorter than 1 for a tilted laser).
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    """
+
+    __slots__ = ("base_from_laser", "bearings", "directions", "origin")
+
+    def __init__(self, bearings: ArrayLike, base_from_laser: ArrayLike | None = None) -> None:
+        self.bearings: FloatArray = _frozen(bearings, np.float64, (None,), "bearings")
+        if not np.isfinite(self.bearings).all():
+            raise ArgumentError("bearings", "finite angles in rad", "a value that is not finite")
+        mounting = np.eye(4) if base_from_laser is None else base_from_laser
+        self.base_from_laser: FloatArray = _frozen(mounting, np.float64, (4, 4), "base_from_laser")
+        rotation = self.base_from_laser[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+            raise ArgumentError("base_from_laser", "a rotation in its upper left 3x3 block", rotation.tolist())
+        in_laser = np.stack([np.cos(self.bearings), np.sin(self.bearings), np.zeros_like(self.bearings)])
+        self.directions: FloatArray = _frozen((rotation @ in_laser)[:2].T, np.float64, (None, 2), "directions")
+        self.origin: FloatArray = _frozen(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
+
+    @classmethod
+    def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
+        """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
+        x, y, theta = np.asarray(base_from_laser, dtype=np.float64)
+        c, s = np.cos(theta), np.sin(theta)
+        return cls(bearings, [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One sweep of a planar lidar. Adapters build it; `from_ranges` validates and copies.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the scan, ns.
+    ranges : (B,) float64, m
+        Measured ranges; meaningful where `status` is HIT.
+    status : (B,) uint8
+        A `BeamStatus` for each beam.
+    geometry : ScanGeometry
+        Bearings and mounting; its length is B.
+    range_min_m, range_max_m : float
+        Limits of the sensor.
+    sensor, frame : str
+        Identifier of the laser and name of its frame.
+    beam_times_s : (B,) float64 or None
+        Time of each beam relative to the stamp.
+    """
+
+    stamp_ns: int
+    ranges: FloatArray
+    status: NDArray[np.uint8]
+    geometry: ScanGeometry
+    range_min_m: float = 0.0
+    range_max_m: float = np.inf
+    sensor: str = "laser"
+    frame: str = "laser"
+    beam_times_s: FloatArray | None = None
+
+    @classmethod
+    def from_ranges(
+        cls,
+        stamp_ns: int,
+        ranges: ArrayLike,
+        geometry: ScanGeometry,
+        *,
+        range_min_m: float = 0.0,
+        range_max_m: float = np.inf,
+        sensor: str = "laser",
+        frame: str = "laser",
+        beam_times_s: ArrayLike | None = None,
+    ) -> LaserScan:
+        """Build a scan from raw ranges (B,) in m, deciding each beam's status.
+
+        NaN, negative and zero ranges and ranges below `range_min_m` are INVALID; infinite ones and those at or above
+        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ.
+        """
+        values = _frozen(ranges, np.float64, (len(geometry.bearings),), "ranges")
+        no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
+        valid = (values > 0) & (values >= range_min_m)
+        status = np.where(valid, np.where(no_return, np.uint8(BeamStatus.NO_RETURN), np.uint8(BeamStatus.HIT)), np.uint8(BeamStatus.INVALID))
+        times = None if beam_times_s is None else _frozen(beam_times_s, np.float64, values.shape, "beam_times_s")
+        return cls(int(stamp_ns), values, _frozen(status, np.uint8, values.shape, "status"), geometry, range_min_m, range_max_m, sensor, frame, times)
+
+    def __len__(self) -> int:
+        """Return the number of beams B."""
+        return len(self.ranges)
+
+    def beams(self, min_m: float, max_m: float) -> Beams:
+        """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame."""
+        usable = np.flatnonzero((self.status == BeamStatus.HIT) & (self.ranges >= min_m) & (self.ranges < max_m))
+        geometry = self.geometry
+        ends = geometry.origin + self.ranges[usable, None] * geometry.directions[usable]
+        return Beams(self, usable, ends, geometry.origin)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
+
+    Attributes
+    ----------
+    scan : LaserScan
+        Where they come from.
+    indices : (K,) int64
+        Which beams of the scan they are.
+    ends : (K, 2) float64, m
+        End points in the base frame.
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    """
+
+    scan: LaserScan
+    indices: IntArray
+    ends: FloatArray
+    origin: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of usable beams K."""
+        return len(self.ends)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """A stamped pose (3,) in the odometry frame, with an optional covariance (3, 3) of the motion since the last one."""
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray | None = None
+
+    @classmethod
+    def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
+        """Validate and copy; raises ArgumentError for a wrong shape or a value that is not finite."""
+        checked = _frozen(pose, np.float64, (3,), "pose")
+        if not np.isfinite(checked).all():
+            raise ArgumentError("pose", "finite x, y, theta", checked.tolist())
+        return cls(int(stamp_ns), checked, None if covariance is None else _frozen(covariance, np.float64, (3, 3), "covariance"))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Stamps (N,) int64 ns, in the order of the measurements (they may go backwards), and poses (N, 3)."""
+
+    stamps_ns: IntArray
+    poses: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check that there is one stamp for each pose."""
+        if self.poses.shape != (len(self.stamps_ns), 3):
+            raise ArgumentError("poses", f"shape ({len(self.stamps_ns)}, 3)", self.poses.shape)
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps_ns)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class OccupancyGrid:
+    """A rectangular map, as it is published and written.
+
+    Attributes
+    ----------
+    log_odds : (H, W) float32, nats
+        Log-odds of occupancy; meaningful where `known`.
+    known : (H, W) bool
+        Whether any beam has told anything about the cell.
+    resolution_m : float
+        Side of a cell.
+    origin : (float, float), m
+        World coordinates of the lower left corner of cell [0, 0].
+    """
+
+    log_odds: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    resolution_m: float
+    origin: tuple[float, float]
+
+    @property
+    def probability(self) -> NDArray[np.float32]:
+        """Occupancy probability (H, W); 0.5 where unknown."""
+        odds = np.where(self.known, self.log_odds, np.float32(0))
+        return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+
+
+class SkipReason(Enum):
+    """Why a scan did not step the particles."""
+
+    BETWEEN_KEY_SCANS = "between key scans"
+    NO_VALID_BEAM = "no valid beam"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Result of matching one scan from K guesses.
+
+    Attributes
+    ----------
+    poses : (K, 3) float64
+        Where the scan fits best.
+    information : (K, 3, 3) float64
+        Information of the measurement alone (no prior) at the poses, in the world frame, 1/m^2, 1/(m rad), 1/rad^2.
+    score : (K,) float64
+        Sum over beams of the robust weights in [0, B]: how many beams agree with the map.
+    """
+
+    poses: FloatArray
+    information: FloatArray
+    score: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class StepReport:
+    """What one step of the filter tells its observers.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Stamp of the scan.
+    pose, covariance : (3,), (3, 3) float64
+        Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
+    key_from_base : (3,) float64
+        The pose seen from the last key scan's pose of the same particle.
+    undetermined : (2,) float64 or None
+        Unit vector in the map frame along which the scan did not determine the position.
+    lost : bool
+        The scan agrees with the map too little to trust the pose.
+    skipped : SkipReason or None
+        Why the particles were not stepped; None at a key scan.
+    best : int
+        Index of the best particle after this step.
+    n_eff : float
+        Effective sample size before resampling.
+    poses, log_weights : (N, 3), (N,) float64 or None
+        Particles at a key scan, before resampling; log weights are normalized.
+    parents : (N,) int64 or None
+        For each particle after the step the index of the one it continues; None where nothing was resampled.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray
+    key_from_base: FloatArray
+    undetermined: FloatArray | None = None
+    lost: bool = False
+    skipped: SkipReason | None = None
+    best: int = 0
+    n_eff: float = field(default=float("nan"))
+    poses: FloatArray | None = None
+    log_weights: FloatArray | None = None
+    parents: IntArray | None = None
+
+
+@runtime_checkable
+class DistanceMaps(Protocol):
+    """Maps that tell distances: one row of a table of maps for each particle (see `gridslam.grid.TileMaps`)."""
+
+    def distances(self, rows: IntArray, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+        """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`, for points (B, 2) of the base frame at poses (K, 3)."""
+
+    def cast_rays(self, rows: IntArray, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float) -> NDArray[np.float32]:
+        """Range in m (K, B) to the first occupied cell along directions (B, 2) from origin (2,), both in the base frame; `max_m` where none."""
+
+    @property
+    def reach_m(self) -> float:
+        """Where `distances` saturates."""
+
+
+@runtime_checkable
+class MotionSampler(Protocol):
+    """A motion model conditioned on one increment: p(x_t | u_t, x_{t-1})."""
+
+    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw one successor (N, 3) for each pose (N, 3)."""
+
+    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean successors (N, 3) and their covariances (N, 3, 3) in the world frame, to first order."""
+
+
+@runtime_checkable
+class MotionModel(Protocol):
+    """Conditions on an increment: the pose (3,) of the robot now seen from where it was."""
+
+    def __call__(self, increment: FloatArray) -> MotionSampler:
+        """Return the sampler for this increment."""
+
+
+@runtime_checkable
+class Weigher(Protocol):
+    """A measurement model conditioned on one scan: log p(z_t | x_t, m) up to a constant."""
+
+    def __call__(self, maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+        """Log likelihoods (K,) of poses (K, 3) in the maps `rows` (K,)."""
+
+
+@runtime_checkable
+class SensorModel(Protocol):
+    """Conditions on the usable beams of a scan."""
+
+    def __call__(self, beams: Beams) -> Weigher:
+        """Return the weigher for this scan."""
+
+
+@runtime_checkable
+class Resampler(Protocol):
+    """Draws which particles survive."""
+
+    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
+        """Indices (size,) of the drawn particles, ascending, for weights (N,) >= 0 that sum to anything positive."""
