@@ -1,1 +1,17 @@
-"""models."""
+"""Motion, measurement and inverse sensor models: conditioned once, then applied to all particles."""
+
+from gridslam.models.endpoint import CauchyAgreement, EndPoint
+from gridslam.models.inverse_sensor import InverseSensorModel
+from gridslam.models.motion import DiffusionMotion, GaussianIncrement, GMappingMotion, OdometryMotion
+from gridslam.models.velocity import VelocityMotion
+
+__all__ = [
+    "CauchyAgreement",
+    "DiffusionMotion",
+    "EndPoint",
+    "GMappingMotion",
+    "GaussianIncrement",
+    "InverseSensorModel",
+    "OdometryMotion",
+    "VelocityMotion",
+]

@@ -1,0 +1,220 @@
+"""Copy-on-write tiled maps: one map for each particle, at the cost of the tiles in which it differs from the others."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError
+from gridslam.grid.arena import Int32Array, TileArena
+from gridslam.grid.frame import cell_corner
+from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
+from gridslam.types import Beams, FloatArray, IntArray, OccupancyGrid
+
+__all__ = ["LOG_ODDS_UNIT", "Evidence", "TileMaps"]
+
+LOG_ODDS_UNIT = 0.01
+"""Nats in one step of a stored log-odds."""
+
+_PAGE_CELLS = TILE * PAGE
+
+
+@final
+class Evidence:
+    """What a beam adds to a cell's log-odds, and the clamps, rounded to steps of `LOG_ODDS_UNIT`.
+
+    Parameters
+    ----------
+    hit, miss, minimum, maximum, occupied_above : float, nats
+        `occupied_above` is the log-odds above which a cell counts as occupied for the distance field.
+    """
+
+    __slots__ = ("occupied_above", "steps")
+
+    def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
+        steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
+        if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] < -UNKNOWN):
+            raise ArgumentError("Evidence", "miss < 0 < hit and clamps within +-327 nats", (hit, miss, minimum, maximum))
+        self.steps: tuple[int, ...] = steps
+        self.occupied_above: int = steps[4]
+
+
+@final
+class TileMaps:
+    """`rows` maps over one arena of tiles. Reading is for all; writing is for the one owner.
+
+    Parameters
+    ----------
+    rows : int
+        Number of maps.
+    resolution_m : float
+        Side of a cell.
+    reach_cells : float
+        Distance at which the field falls to 0, in [1, 15.5] cells.
+    evidence : Evidence
+        The inverse measurement model in log-odds.
+    threads : int
+        Threads of the kernels; never changes a result.
+    """
+
+    __slots__ = ("_arena", "_cone", "_first", "_roots", "evidence", "reach_cells", "resolution_m", "threads")
+
+    def __init__(self, rows: int, *, resolution_m: float, reach_cells: float, evidence: Evidence, threads: int = 1) -> None:
+        if rows < 1:
+            raise ArgumentError("rows", "at least one map", rows)
+        if not resolution_m > 0:
+            raise ArgumentError("resolution_m", "a positive length in m", resolution_m)
+        if not 1 <= reach_cells <= 15.5:  # a cone must fit between the corners of two neighbouring tiles
+            raise ArgumentError("reach_cells", "1 to 15.5 cells", reach_cells)
+        self.resolution_m, self.reach_cells, self.evidence, self.threads = resolution_m, reach_cells, evidence, threads
+        self._arena = TileArena()
+        self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
+        self._first = (0, 0)
+        r = int(reach_cells)
+        apart = np.hypot(*np.mgrid[-r : r + 1, -r : r + 1])
+        self._cone: NDArray[np.uint8] = np.rint(255 * np.maximum(0, 1 - apart / reach_cells)).astype(np.uint8)
+
+    def __del__(self) -> None:
+        """Give the tiles back, so that other maps over the same arena stop copying them."""
+        if hasattr(self, "_arena") and hasattr(self, "_roots"):
+            self._arena.release(self._roots)
+
+    def __len__(self) -> int:
+        """Return the number of maps."""
+        return len(self._roots)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance at which `distances` saturates."""
+        return self.reach_cells * self.resolution_m
+
+    @property
+    def tiles_used(self) -> int:
+        """Number of tiles that the arena's maps use together."""
+        return self._arena.tiles_used
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes held by the arena and this table."""
+        return self._arena.nbytes + self._roots.nbytes
+
+    @property
+    def _view(self) -> tuple[Any, ...]:
+        arena = self._arena
+        return self._roots, self._first, arena.pages, arena.log_odds, arena.field
+
+    def snapshot(self) -> TileMaps:
+        """Another owner of the same maps, at the cost of their tables: tiles are copied when either side writes."""
+        twin = object.__new__(TileMaps)
+        for name in TileMaps.__slots__:
+            setattr(twin, name, getattr(self, name))
+        twin._roots = self._roots.copy()
+        twin._arena.retain(twin._roots)
+        return twin
+
+    def select(self, parents: IntArray) -> None:
+        """Let map i become what map parents[i] was; parents (rows,) int64."""
+        roots = self._roots[parents]
+        self._arena.retain(roots)
+        self._arena.release(self._roots)
+        self._roots = roots
+
+    def clear(self, row: int) -> None:
+        """Empty one map."""
+        self._arena.release(self._roots[row])
+        self._roots[row] = 0
+
+    def update(self, rows: Int32Array, poses: FloatArray, beams: Beams) -> None:
+        """Insert a scan into maps `rows` (K,) int32 at poses (K, 3): the binary Bayes filter (Prob. Robotics Table 9.1).
+
+        The cell at a beam's end is hit once for each beam, the cells before it are missed once for each; a cell in which some
+        beam of the scan ends is not missed by it. The distance field follows.
+        """
+        if not len(beams):
+            return
+        self._cover(poses, beams)
+        resolution, threads = self.resolution_m, self.threads
+        self._own(backend.touch_rays(rows, poses, beams.ends, beams.origin, resolution, threads))
+        changed = backend.update_log_odds(
+            *self._view, rows, poses, beams.ends, beams.origin, resolution, *self.evidence.steps, threads
+        )
+        if len(changed):
+            self._own(backend.touch_cells(changed, int(self.reach_cells)))
+            backend.update_field(*self._view, changed, self._cone, self.evidence.occupied_above, threads)
+
+    def match(self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float) -> Any:
+        """Gauss-Newton from guesses (K, 3) with prior information (K, 3, 3); see `gridslam.matching.GaussNewton`."""
+        return backend.match(
+            *self._view, rows, guesses, priors, ends, self.resolution_m, *settings, self.threads
+        )
+
+    def distances(self, rows: IntArray | Int32Array, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+        """Distance in m (K, B) to the nearest occupied cell's centre for points (B, 2) of the base frame; capped at `reach_m`."""
+        rows = np.ascontiguousarray(rows, np.int32)
+        found: NDArray[np.float32] = backend.distances(
+            *self._view, rows, poses, points, self.resolution_m, self.reach_cells, self.threads
+        )
+        return found
+
+    def cast_rays(
+        self, rows: IntArray | Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+    ) -> NDArray[np.float32]:
+        """Range in m (K, B) to the first occupied cell along unit directions (B, 2) from origin (2,); `max_m` where none."""
+        rows = np.ascontiguousarray(rows, np.int32)
+        found: NDArray[np.float32] = backend.cast_rays(
+            *self._view, rows, poses, origin, directions, self.resolution_m, max_m, self.threads
+        )
+        return found
+
+    def occupancy(self, row: int) -> OccupancyGrid:
+        """The map as a rectangle, cut to the tiles that hold something; a single unknown cell if there are none."""
+        page_rows, page_cols = np.nonzero(self._roots[row])
+        tiles = self._arena.pages[self._roots[row, page_rows, page_cols]]
+        which, ty, tx = np.nonzero(tiles)
+        if not len(which):
+            return OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), bool), self.resolution_m, (0.0, 0.0))
+        rows = (page_rows[which] + self._first[0]) * PAGE + ty
+        cols = (page_cols[which] + self._first[1]) * PAGE + tx
+        row0, col0 = int(rows.min()), int(cols.min())
+        blocks = np.full((int(rows.max()) - row0 + 1, int(cols.max()) - col0 + 1, TILE, TILE), UNKNOWN, np.int16)
+        blocks[rows - row0, cols - col0] = self._arena.log_odds[tiles[which, ty, tx]]
+        cells = blocks.swapaxes(1, 2).reshape(blocks.shape[0] * TILE, -1)
+        known = cells != UNKNOWN
+        log_odds = np.where(known, cells, 0).astype(np.float32)
+        log_odds *= LOG_ODDS_UNIT
+        return OccupancyGrid(log_odds, known, self.resolution_m, cell_corner(row0 * TILE, col0 * TILE, self.resolution_m))
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays that hold the maps, each shared tile once."""
+        pages, page_of = np.unique(self._roots, return_inverse=True)
+        used = self._arena.pages[pages]
+        tiles, tile_of = np.unique(used, return_inverse=True)
+        return {
+            "roots": page_of.reshape(self._roots.shape).astype(np.int32) + (0 if pages[0] == 0 else 1),
+            "first": np.array(self._first, np.int64),
+            "pages": tile_of.reshape(used.shape).astype(np.int32) + (0 if tiles[0] == 0 else 1),
+            "log_odds": self._arena.log_odds[tiles],
+            "field": self._arena.field[tiles],
+        }
+
+    def _own(self, touched: Int32Array) -> None:
+        arena = self._arena
+        free_pages, free_tiles = arena.spare(len(touched))
+        arena.take(*backend.own(*self._view, arena.page_refs, arena.tile_refs, free_pages, free_tiles, touched))
+
+    def _cover(self, poses: FloatArray, beams: Beams) -> None:
+        """Grow the tables until every cell that the scan can write lies inside."""
+        reach = float(np.sqrt(np.max(np.sum(beams.ends**2, axis=1)))) + float(np.hypot(*beams.origin)) + 2 * self.reach_m
+        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
+        high = np.floor((poses[:, 1::-1].max(axis=0) + reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
+        first, shape = np.array(self._first), np.array(self._roots.shape[1:])
+        if (low >= first).all() and (high < first + shape).all():
+            return
+        new_first = np.minimum(first, low)
+        new_shape = np.maximum(first + shape, high + 1) - new_first
+        roots = np.zeros((len(self._roots), *new_shape), np.int32)
+        at = first - new_first
+        roots[:, at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = self._roots
+        self._roots, self._first = roots, (int(new_first[0]), int(new_first[1]))

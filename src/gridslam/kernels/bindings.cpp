@@ -1,0 +1,155 @@
+// The door between Python and the kernels: arrays in, arrays out, the GIL released. Contracts are checked by the callers in Python.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/tuple.h>
+
+#include "maps.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace gridslam {
+namespace {
+
+template <class T, int N>
+using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+
+template <class T, int N>
+nb::ndarray<nb::numpy, T> fresh(std::array<size_t, N> shape) {
+  size_t size = 1;
+  for (size_t s : shape) size *= s;
+  T* data = new T[size];
+  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return nb::ndarray<nb::numpy, T>(data, N, shape.data(), owner);
+}
+
+template <class T>
+nb::ndarray<nb::numpy, int32_t> as_rows(const T* data, size_t n, size_t width) {
+  auto out = fresh<int32_t, 2>({n, width});
+  std::copy_n(reinterpret_cast<const int32_t*>(data), n * width, out.data());
+  return out;
+}
+
+using Roots = Array<int32_t, 3>;
+using Pages = Array<int32_t, 3>;
+using LogOdds = Array<int16_t, 3>;
+using Field = Array<uint8_t, 3>;
+using Rows = Array<const int32_t, 1>;
+using Matrix = Array<const double, 2>;
+using Vector = Array<const double, 1>;
+
+Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds& log_odds, const Field& field) {
+  return Maps{roots.data(), static_cast<int>(roots.shape(1)), static_cast<int>(roots.shape(2)), nb::cast<int>(first[0]), nb::cast<int>(first[1]),
+              pages.data(), log_odds.data(), field.data()};
+}
+
+#define GRIDSLAM_MAPS Roots roots, nb::tuple first, Pages pages, LogOdds log_odds, Field field
+#define GRIDSLAM_MAPS_ARGS \
+  nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), nb::arg("field").noconvert()
+
+auto py_touch_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
+  Touched out;
+  {
+    nb::gil_scoped_release release;
+    touch_rays(rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), origin.data(),
+               resolution, threads, out);
+  }
+  return as_rows(out.data(), out.size(), 3);
+}
+
+auto py_touch_cells(Array<const int32_t, 2> cells, int reach) {
+  Touched out;
+  touch_cells(reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), reach, out);
+  return as_rows(out.data(), out.size(), 3);
+}
+
+auto py_own(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,
+            Array<const int32_t, 2> touched) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  int64_t used[2];
+  {
+    nb::gil_scoped_release release;
+    own(m, page_refs.data(), tile_refs.data(), free_pages.data(), static_cast<int64_t>(free_pages.shape(0)), free_tiles.data(),
+        static_cast<int64_t>(free_tiles.shape(0)), touched.data(), static_cast<int64_t>(touched.shape(0)), used);
+  }
+  return std::make_tuple(used[0], used[1]);
+}
+
+auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int hit, int miss, int min,
+                        int max, int occupied_above, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  std::vector<Cell> changed;
+  {
+    nb::gil_scoped_release release;
+    update_log_odds(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)),
+                    origin.data(), resolution, {hit, miss, min, max, occupied_above}, threads, changed);
+  }
+  return as_rows(changed.data(), changed.size(), 4);
+}
+
+void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const uint8_t, 2> cone, int occupied_above, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  nb::gil_scoped_release release;
+  update_field(m, reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), cone.data(),
+               static_cast<int>(cone.shape(0) / 2), occupied_above, threads);
+}
+
+auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution, int max_passes,
+              double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells, double stop_rad, double reach_cells,
+              double min_information, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  const size_t k = guesses.shape(0);
+  auto poses = fresh<double, 2>({k, 3});
+  auto information = fresh<double, 3>({k, 3, 3});
+  auto score = fresh<double, 1>({k});
+  {
+    nb::gil_scoped_release release;
+    match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(), static_cast<int>(ends.shape(0)), resolution,
+          {max_passes, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells, min_information}, threads,
+          poses.data(), information.data(), score.data());
+  }
+  return std::make_tuple(poses, information, score);
+}
+
+auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double resolution, double reach_cells, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  auto out = fresh<float, 2>({poses.shape(0), ends.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    distances(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), resolution,
+              reach_cells, threads, out.data());
+  }
+  return out;
+}
+
+auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix directions, double resolution, double max_m, int threads) {
+  const Maps m = view(roots, first, pages, log_odds, field);
+  auto out = fresh<float, 2>({poses.shape(0), directions.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    cast_rays(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), origin.data(), directions.data(),
+              static_cast<int>(directions.shape(0)), resolution, max_m, threads, out.data());
+  }
+  return out;
+}
+
+}  // namespace
+}  // namespace gridslam
+
+NB_MODULE(_compiled, m) {
+  using namespace gridslam;
+  m.def("touch_rays", &py_touch_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
+  m.def("touch_cells", &py_touch_cells, "cells"_a, "reach"_a);
+  m.def("own", &py_own, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(), nb::arg("tile_refs").noconvert(), "free_pages"_a,
+        "free_tiles"_a, "touched"_a);
+  m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "hit"_a,
+        "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
+  m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "occupied_above"_a, "threads"_a);
+  m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a, "max_passes"_a,
+        "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a,
+        "threads"_a);
+  m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
+  m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
+        "threads"_a);
+}

@@ -1,0 +1,60 @@
+// Reading the maps: distances at the ends of beams, and ranges by ray casting.
+
+#include "field.hpp"
+
+namespace gridslam {
+
+void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, double resolution,
+               double reach_cells, int threads, float* out) {
+  const double scale = 1.0 / resolution;
+  const double reach_m = reach_cells * resolution, to_m = reach_m / 255.0;
+  parallel_for(k, threads, [&](int i) {
+    const Pose pose(poses + 3 * i);
+    FieldReader field(m, rows[i]);
+    for (int j = 0; j < b; ++j) {
+      const Sample f = field(pose.world_x(ends + 2 * j) * scale, pose.world_y(ends + 2 * j) * scale);
+      out[static_cast<int64_t>(i) * b + j] = static_cast<float>(reach_m - to_m * f.value);
+    }
+  });
+}
+
+namespace {
+
+// Follows the cells that the ray crosses (Amanatides and Woo 1987) to the first occupied one.
+float cast(const Maps& m, const int32_t* root, double x, double y, double dx, double dy, double resolution, double max_m) {
+  const double far = std::numeric_limits<double>::infinity(), scale = 1.0 / resolution;
+  int cx = cell_of(x, scale), cy = cell_of(y, scale);
+  const int sx = dx > 0 ? 1 : -1, sy = dy > 0 ? 1 : -1;
+  const double step_x = dx != 0 ? resolution / std::abs(dx) : far, step_y = dy != 0 ? resolution / std::abs(dy) : far;
+  double next_x = dx != 0 ? ((cx + (sx > 0)) * resolution - x) / dx : far;
+  double next_y = dy != 0 ? ((cy + (sy > 0)) * resolution - y) / dy : far;
+  for (double t = 0; t < max_m;) {
+    if (m.field_at(root, cy, cx) == kOccupiedField) {
+      const double centre = ((cx + 0.5) * resolution - x) * dx + ((cy + 0.5) * resolution - y) * dy;
+      return static_cast<float>(std::clamp(centre, 0.0, max_m));  // where the ray passes the cell's centre
+    }
+    if (next_x < next_y) {
+      t = next_x, next_x += step_x, cx += sx;
+    } else {
+      t = next_y, next_y += step_y, cy += sy;
+    }
+  }
+  return static_cast<float>(max_m);
+}
+
+}  // namespace
+
+void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin, const double* directions, int b,
+               double resolution, double max_m, int threads, float* out) {
+  parallel_for(k, threads, [&](int i) {
+    const Pose pose(poses + 3 * i);
+    const double x = pose.world_x(origin), y = pose.world_y(origin);
+    for (int j = 0; j < b; ++j) {
+      const double dx = pose.c * directions[2 * j] - pose.s * directions[2 * j + 1];
+      const double dy = pose.s * directions[2 * j] + pose.c * directions[2 * j + 1];
+      out[static_cast<int64_t>(i) * b + j] = cast(m, m.root(rows[i]), x, y, dx, dy, resolution, max_m);
+    }
+  });
+}
+
+}  // namespace gridslam

@@ -1,0 +1,129 @@
+// The layout that every kernel shares: tiled maps behind a two-level table, as plain pointers.
+// Level 1: roots[row][page row][page column] -> page (0: the empty page).
+// Level 2: pages[page][16][16] -> tile (0: the empty tile, all unknown and far from everything).
+// A tile is 32 x 32 cells; cell (0, 0) has its lower left corner at the world's origin, indices are signed.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <thread>
+#include <vector>
+
+namespace gridslam {
+
+constexpr int kTileBits = 5;
+constexpr int kTile = 1 << kTileBits;
+constexpr int kTileMask = kTile - 1;
+constexpr int kTileCells = kTile * kTile;
+constexpr int kPageBits = 4;
+constexpr int kPage = 1 << kPageBits;
+constexpr int kPageMask = kPage - 1;
+constexpr int kPageTiles = kPage * kPage;
+constexpr int16_t kUnknown = std::numeric_limits<int16_t>::min();
+constexpr uint8_t kOccupiedField = 255;
+
+struct Maps {
+  int32_t* roots;    // (rows, page_rows, page_cols)
+  int page_rows, page_cols;
+  int page_row0, page_col0;  // page coordinates of roots[.][0][0]
+  int32_t* pages;    // (capacity, 16, 16)
+  int16_t* log_odds; // (capacity, 32, 32)
+  uint8_t* field;    // (capacity, 32, 32)
+
+  int32_t* root(int row) const { return roots + static_cast<int64_t>(row) * page_rows * page_cols; }
+
+  // Tile that holds the cell, 0 outside the table.
+  static inline int32_t tile_at(const Maps& m, const int32_t* root, int tile_y, int tile_x) {
+    const int pr = (tile_y >> kPageBits) - m.page_row0;
+    const int pc = (tile_x >> kPageBits) - m.page_col0;
+    if (static_cast<unsigned>(pr) >= static_cast<unsigned>(m.page_rows) ||
+        static_cast<unsigned>(pc) >= static_cast<unsigned>(m.page_cols))
+      return 0;
+    const int32_t page = root[pr * m.page_cols + pc];
+    return m.pages[static_cast<int64_t>(page) * kPageTiles + ((tile_y & kPageMask) << kPageBits) + (tile_x & kPageMask)];
+  }
+  int32_t tile(const int32_t* root, int tile_y, int tile_x) const { return tile_at(*this, root, tile_y, tile_x); }
+
+  static int inside(int cell_y, int cell_x) { return ((cell_y & kTileMask) << kTileBits) + (cell_x & kTileMask); }
+  uint8_t field_at(const int32_t* root, int cell_y, int cell_x) const {
+    return field[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells + inside(cell_y, cell_x)];
+  }
+};
+
+struct Pose {
+  double x, y, c, s;
+  Pose(const double* p) : x(p[0]), y(p[1]), c(std::cos(p[2])), s(std::sin(p[2])) {}
+  double world_x(const double* q) const { return x + c * q[0] - s * q[1]; }
+  double world_y(const double* q) const { return y + s * q[0] + c * q[1]; }
+};
+
+inline int cell_of(double world, double inverse_resolution) { return static_cast<int>(std::floor(world * inverse_resolution)); }
+
+// Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
+template <class Body>
+void parallel_for(int n, int threads, const Body& body) {
+  if (threads > n) threads = n;
+  if (threads <= 1) {
+    for (int i = 0; i < n; ++i) body(i);
+    return;
+  }
+  std::atomic<int> next{0};
+  auto work = [&] {
+    for (int i; (i = next.fetch_add(1, std::memory_order_relaxed)) < n;) body(i);
+  };
+  std::vector<std::thread> pool;
+  pool.reserve(threads - 1);
+  for (int t = 1; t < threads; ++t) pool.emplace_back(work);
+  work();
+  for (auto& t : pool) t.join();
+}
+
+// Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies at
+// start + floor((2 i d + n) / (2 n)) on each axis. Monotone on both axes, so a stretch is known by its ends.
+struct Line {
+  int x0, y0, dx, dy, n;
+  Line(int ax, int ay, int bx, int by) : x0(ax), y0(ay), dx(bx - ax), dy(by - ay), n(std::max(std::abs(dx), std::abs(dy))) {}
+  static int rounded(int64_t i, int64_t d, int64_t n) {
+    const int64_t top = 2 * i * d + n, bottom = 2 * n;
+    return static_cast<int>(top >= 0 ? top / bottom : -((-top + bottom - 1) / bottom));
+  }
+  int x(int i) const { return n ? x0 + rounded(i, dx, n) : x0; }
+  int y(int i) const { return n ? y0 + rounded(i, dy, n) : y0; }
+};
+
+struct Cell {
+  int32_t row, y, x, occupied;
+};
+
+using Touched = std::vector<std::array<int32_t, 3>>;
+
+void touch_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
+                double resolution, int threads, Touched& out);
+void touch_cells(const Cell* cells, int n, int reach, Touched& out);
+void own(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
+         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* touched, int64_t n, int64_t used[2]);
+
+struct Evidence {
+  int hit, miss, min, max, occupied_above;
+};
+void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
+                     double resolution, const Evidence& e, int threads, std::vector<Cell>& changed);
+void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int occupied_above, int threads);
+
+struct MatchSettings {
+  int max_passes;
+  double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
+  double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as determined
+};
+void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
+           double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score);
+void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, double resolution,
+               double reach_cells, int threads, float* out);
+void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin, const double* directions, int b,
+               double resolution, double max_m, int threads, float* out);
+
+}  // namespace gridslam

@@ -1,0 +1,141 @@
+// The binary Bayes filter along the rays of a scan, and the distance field that follows the cells that changed.
+
+#include "maps.hpp"
+
+namespace gridslam {
+namespace {
+
+inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
+
+// Frees the cells of a line but its last; remembers those that stop being occupied.
+void free_line(const Maps& m, const int32_t* root, const Line& line, const Evidence& e, int row, std::vector<Cell>& crossed) {
+  const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
+  const int major_step = (along_x ? line.dx : line.dy) >= 0 ? 1 : -1, minor_step = (along_x ? line.dy : line.dx) >= 0 ? 1 : -1;
+  const int minor_d = std::abs(along_x ? line.dy : line.dx);
+  // floor((2 i d + n) / (2 n)) for d >= 0 steps up at ties, for d < 0 the minor axis stays at ties: start the error accordingly.
+  int error = minor_step > 0 ? line.n : line.n - 1;
+  int x = line.x0, y = line.y0, tile_key_y = y >> kTileBits, tile_key_x = x >> kTileBits;
+  int16_t* cells = m.log_odds + static_cast<int64_t>(m.tile(root, tile_key_y, tile_key_x)) * kTileCells;
+  for (int i = 0; i < line.n; ++i) {
+    if ((y >> kTileBits) != tile_key_y || (x >> kTileBits) != tile_key_x) {
+      tile_key_y = y >> kTileBits, tile_key_x = x >> kTileBits;
+      cells = m.log_odds + static_cast<int64_t>(m.tile(root, tile_key_y, tile_key_x)) * kTileCells;
+    }
+    int16_t& cell = cells[Maps::inside(y, x)];
+    const int before = value_or_zero(cell);
+    const int after = std::max(before + e.miss, e.min);
+    cell = static_cast<int16_t>(after);
+    if (before > e.occupied_above && after <= e.occupied_above) crossed.push_back({row, y, x, 0});
+    error += 2 * minor_d;
+    const bool turn = error >= 2 * line.n;
+    error -= turn ? 2 * line.n : 0;
+    const int minor = turn ? minor_step : 0;
+    x += along_x ? major_step : minor;
+    y += along_x ? minor : major_step;
+  }
+}
+
+struct End {
+  int x, y;
+  int16_t* cell;
+  int16_t before;
+};
+
+void update_one(const Maps& m, int row, const Pose& pose, const double* ends, int b, const double* origin, double scale, const Evidence& e,
+                std::vector<Cell>& changed) {
+  const int32_t* root = m.root(row);
+  const int ox = cell_of(pose.world_x(origin), scale), oy = cell_of(pose.world_y(origin), scale);
+  std::vector<End> hits(b);
+  for (int j = 0; j < b; ++j) {
+    End& h = hits[j];
+    h.x = cell_of(pose.world_x(ends + 2 * j), scale), h.y = cell_of(pose.world_y(ends + 2 * j), scale);
+    const int64_t tile = m.tile(root, h.y >> kTileBits, h.x >> kTileBits);
+    h.cell = m.log_odds + tile * kTileCells + Maps::inside(h.y, h.x);
+    h.before = *h.cell;
+  }
+  std::vector<Cell> crossed;
+  for (const End& h : hits) free_line(m, root, Line(ox, oy, h.x, h.y), e, row, crossed);
+  for (const End& h : hits) *h.cell = h.before;  // an end cell of this scan is not freed by it
+  for (const End& h : hits) {
+    const int before = value_or_zero(*h.cell);
+    const int after = std::min(before + e.hit, e.max);
+    *h.cell = static_cast<int16_t>(after);
+    if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, h.y, h.x, 1});
+  }
+  for (const Cell& c : crossed) {
+    const int64_t tile = m.tile(root, c.y >> kTileBits, c.x >> kTileBits);
+    if (value_or_zero(m.log_odds[tile * kTileCells + Maps::inside(c.y, c.x)]) <= e.occupied_above) changed.push_back(c);
+  }
+}
+
+// Rows of the window [x0, x1] x [y0, y1] of one cell's cone, as a maximum over what is there.
+void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, int y0, int y1, int x0, int x1) {
+  const int side = 2 * reach + 1;
+  y0 = std::max(y0, cy - reach), y1 = std::min(y1, cy + reach);
+  x0 = std::max(x0, cx - reach), x1 = std::min(x1, cx + reach);
+  for (int xs = x0; xs <= x1;) {
+    const int xe = std::min(x1, xs | kTileMask);
+    for (int ys = y0; ys <= y1;) {
+      const int ye = std::min(y1, ys | kTileMask);
+      uint8_t* tile = m.field + static_cast<int64_t>(m.tile(root, ys >> kTileBits, xs >> kTileBits)) * kTileCells;
+      for (int y = ys; y <= ye; ++y) {
+        uint8_t* to = tile + Maps::inside(y, xs);
+        const uint8_t* from = cone + (y - cy + reach) * side + (xs - cx + reach);
+        for (int x = 0; x <= xe - xs; ++x) to[x] = std::max(to[x], from[x]);
+      }
+      ys = ye + 1;
+    }
+    xs = xe + 1;
+  }
+}
+
+template <class Visit>  // visit(tile, y, first x, last x) for the rows of a window, cut at tiles
+void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
+  for (int y = y0; y <= y1; ++y)
+    for (int xs = x0; xs <= x1;) {
+      const int xe = std::min(x1, xs | kTileMask);
+      visit(static_cast<int64_t>(m.tile(root, y >> kTileBits, xs >> kTileBits)) * kTileCells, y, xs, xe);
+      xs = xe + 1;
+    }
+}
+
+void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, int occupied_above) {
+  window_rows(m, root, cy - 2 * reach, cy + 2 * reach, cx - 2 * reach, cx + 2 * reach, [&](int64_t tile, int y, int xs, int xe) {
+    if (tile == 0) return;
+    const int16_t* cells = m.log_odds + tile + Maps::inside(y, xs);
+    for (int x = xs; x <= xe; ++x)
+      if (cells[x - xs] > occupied_above) stamp(m, root, y, x, cone, reach, cy - reach, cy + reach, cx - reach, cx + reach);
+  });
+}
+
+}  // namespace
+
+void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
+                     double resolution, const Evidence& e, int threads, std::vector<Cell>& changed) {
+  std::vector<std::vector<Cell>> found(k);
+  parallel_for(k, threads, [&](int i) { update_one(m, rows[i], Pose(poses + 3 * i), ends, b, origin, 1.0 / resolution, e, found[i]); });
+  for (const auto& part : found) changed.insert(changed.end(), part.begin(), part.end());
+}
+
+void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int occupied_above, int threads) {
+  std::vector<int> starts;  // cells come grouped by row
+  for (int i = 0; i < n; ++i)
+    if (i == 0 || cells[i].row != cells[i - 1].row) starts.push_back(i);
+  starts.push_back(n);
+  parallel_for(static_cast<int>(starts.size()) - 1, threads, [&](int g) {
+    const int32_t* root = m.root(cells[starts[g]].row);
+    for (int i = starts[g]; i < starts[g + 1]; ++i)
+      if (!cells[i].occupied)
+        window_rows(m, root, cells[i].y - reach, cells[i].y + reach, cells[i].x - reach, cells[i].x + reach,
+                    [&](int64_t tile, int y, int xs, int xe) { std::fill_n(m.field + tile + Maps::inside(y, xs), xe - xs + 1, uint8_t{0}); });
+    for (int i = starts[g]; i < starts[g + 1]; ++i) {
+      const Cell& c = cells[i];
+      if (c.occupied)
+        stamp(m, root, c.y, c.x, cone, reach, c.y - reach, c.y + reach, c.x - reach, c.x + reach);
+      else
+        rebuild(m, root, c.y, c.x, cone, reach, occupied_above);
+    }
+  });
+}
+
+}  // namespace gridslam

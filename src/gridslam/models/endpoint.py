@@ -1,0 +1,103 @@
+"""Measurement models that look only at where a beam ends: how near to an occupied cell of the map."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.models.parameters import STRICT
+from gridslam.types import Beams, DistanceMaps, FloatArray, IntArray, Weigher
+
+__all__ = ["CauchyAgreement", "EndPoint"]
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class CauchyAgreement:
+    """How many beams agree with the map: log weight = tempering * sum over beams of 1 / (1 + (d / scale)^2).
+
+    A beam far from every obstacle costs at most one agreement, so people and moved furniture do not decide.
+
+    Parameters
+    ----------
+    scale_m : float, m, > 0
+        Distance at which a beam agrees by half; 0.1 m is two cells of 5 cm, the match's own robust scale.
+    tempering : float, (0, 1]
+        Share of a beam's evidence that is new. Neighbouring beams see the same wall and the same error of the map: as
+        independent evidence they would leave one particle alive. It depends on the sensor and the world, not on how
+        many particles there are; 0.1 to 1 served the Intel and ACES logs.
+
+    Notes
+    -----
+    A heuristic: the exponential of a robust score, not a density of the ranges.
+
+    Source: the weight function of the Cauchy estimator, Z. Zhang, Parameter estimation techniques: a tutorial with
+    application to conic fitting, Image and Vision Computing 15 (1997), Table 1.
+    """
+
+    scale_m: float = Field(0.1, gt=0)
+    tempering: float = Field(0.3, gt=0, le=1)
+
+    def __call__(self, beams: Beams) -> Weigher:
+        """Condition on the beams of one scan."""
+        ends = beams.ends
+        inverse_square = np.float32(1 / self.scale_m**2)
+
+        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+            squares = np.square(maps.distances(rows, poses, ends)) * inverse_square
+            agreement: FloatArray = (1 / (1 + squares)).sum(axis=1, dtype=np.float64)
+            return self.tempering * agreement
+
+        return weigh
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class EndPoint:
+    """GMapping's likelihood: minus the squared distance to the map within a small window, a fixed penalty outside.
+
+    Parameters
+    ----------
+    scale_m2 : float, m^2, > 0
+        What squared distances are divided by; GMapping's `lsigma` (twice the variance of an end point).
+    no_hit_m2 : float, m^2, >= 0
+        Squared distance charged to a beam with no occupied cell in the window; 0.5 in GMapping.
+    kernel_m : float, m, > 0
+        Radius of the window; 1.5 cells of 5 cm, half the width of the square that GMapping searches with its
+        `kernelSize` of 1.
+    skip : int, >= 0
+        Beams left out between two used ones, counted over the whole scan; GMapping's `lskip`.
+    gain : float, > 0
+        What the sum is divided by to smooth the weights; GMapping's `ogain` (3) times its number of particles, which is
+        why there more particles mean a flatter posterior. Here the number of particles enters only if given so.
+
+    Notes
+    -----
+    GMapping measures to the mean of the points that fell into a cell, this model to what `DistanceMaps` holds, the
+    cell's centre.
+
+    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
+    """
+
+    scale_m2: float = Field(0.075, gt=0)
+    no_hit_m2: float = Field(0.5, ge=0)
+    kernel_m: float = Field(0.075, gt=0)
+    skip: int = Field(0, ge=0)
+    gain: float = Field(3.0, gt=0)
+
+    def __call__(self, beams: Beams) -> Weigher:
+        """Condition on the beams of one scan."""
+        ends = beams.ends[beams.indices % (self.skip + 1) == self.skip]
+        factor = -1 / (self.scale_m2 * self.gain)
+        kernel, no_hit = np.float32(self.kernel_m), np.float32(self.no_hit_m2)
+
+        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+            distances = maps.distances(rows, poses, ends)
+            charged = np.where(distances <= kernel, np.square(distances), no_hit)
+            total: FloatArray = charged.sum(axis=1, dtype=np.float64)
+            return factor * total
+
+        return weigh

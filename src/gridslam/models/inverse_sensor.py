@@ -1,0 +1,114 @@
+"""Inverse measurement model of one cell: how much a beam's end or passage tells about its occupancy."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.errors import ArgumentError
+from gridslam.models.parameters import STRICT
+
+__all__ = ["InverseSensorModel"]
+
+
+def _four_probabilities(hit: float, miss: float) -> tuple[float, float, float, float]:
+    """Solve a/c = e^hit and b/d = e^miss with a + b = c + d = 1 for (a, b, c, d)."""
+    spread = math.exp(hit) - math.exp(miss)
+    false_occupied = -math.expm1(miss) / spread
+    true_free = math.expm1(hit) / spread
+    return false_occupied * math.exp(hit), true_free * math.exp(miss), false_occupied, true_free
+
+
+# Beyond 30 nats a probability could no longer be told from 1 in double precision.
+_CERTAIN = 30.0
+
+# Evidence of +2.4 and -0.4 nats, six to one: a beam that ends in a cell says far more than one that grazes it.
+_DEFAULT = _four_probabilities(2.4, -0.4)
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class InverseSensorModel:
+    """The four probabilities of a binary sensor, and the log-odds by which a cell's belief moves.
+
+    The measurement z of a cell is `occupied` where a beam ends in it and `free` where a beam passes through it. By
+    Bayes' rule each measurement adds log p(z | occupied) - log p(z | free) to the cell's log-odds, up to the clamps.
+
+    Parameters
+    ----------
+    true_occupied : float, (0, 1)
+        p(z = occupied | cell occupied). The default is small: beams that graze an occupied cell pass it, too.
+    false_free : float, (0, 1)
+        p(z = free | cell occupied), which is 1 - true_occupied.
+    false_occupied : float, (0, 1)
+        p(z = occupied | cell free), below true_occupied.
+    true_free : float, (0, 1)
+        p(z = free | cell free), which is 1 - false_occupied.
+    log_odds_min, log_odds_max : float, nats
+        Where the belief is clamped, so that a changed world can be unlearned: forty passages, or fourteen ends.
+    log_odds_occupied : float, nats
+        A cell above this is an obstacle for matching: 2.0 is below one hit, so a wall serves once it is seen.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        A pair does not sum to 1, an end is no evidence for occupancy, or the clamps are out of order.
+
+    Source: Probabilistic Robotics, Table 4.2 (`binary_bayes_filter`) and Table 9.1 (`occupancy_grid_mapping`).
+    """
+
+    true_occupied: float = Field(_DEFAULT[0], gt=0, lt=1)
+    false_free: float = Field(_DEFAULT[1], gt=0, lt=1)
+    false_occupied: float = Field(_DEFAULT[2], gt=0, lt=1)
+    true_free: float = Field(_DEFAULT[3], gt=0, lt=1)
+    log_odds_min: float = Field(-16.0, lt=0)
+    log_odds_max: float = Field(32.0, gt=0)
+    log_odds_occupied: float = 2.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> InverseSensorModel:
+        if abs(self.true_occupied + self.false_free - 1) > 1e-9:
+            raise ValueError("true_occupied and false_free must sum to 1")
+        if abs(self.false_occupied + self.true_free - 1) > 1e-9:
+            raise ValueError("false_occupied and true_free must sum to 1")
+        if not self.true_occupied > self.false_occupied:
+            raise ValueError("true_occupied must exceed false_occupied")
+        if not self.log_odds_min < self.log_odds_occupied < self.log_odds_max:
+            raise ValueError("log_odds_occupied must lie between log_odds_min and log_odds_max")
+        return self
+
+    @classmethod
+    def from_log_odds(
+        cls,
+        hit: float,
+        miss: float,
+        *,
+        log_odds_min: float = -16.0,
+        log_odds_max: float = 32.0,
+        log_odds_occupied: float = 2.0,
+    ) -> InverseSensorModel:
+        """Build the model whose evidence is `hit` > 0 and `miss` < 0 nats; the four probabilities follow uniquely.
+
+        Raises
+        ------
+        ArgumentError
+            `hit` or `miss` has the wrong sign or is beyond 30 nats.
+        """
+        if not 0 < hit <= _CERTAIN:
+            raise ArgumentError("hit", f"nats above 0, at most {_CERTAIN}", hit)
+        if not -_CERTAIN <= miss < 0:
+            raise ArgumentError("miss", f"nats below 0, at least {-_CERTAIN}", miss)
+        return cls(*_four_probabilities(hit, miss), log_odds_min, log_odds_max, log_odds_occupied)
+
+    @property
+    def log_odds_hit(self) -> float:
+        """Evidence of a beam that ends in the cell, nats, > 0."""
+        return math.log(self.true_occupied / self.false_occupied)
+
+    @property
+    def log_odds_miss(self) -> float:
+        """Evidence of a beam that passes through the cell, nats, < 0."""
+        return math.log(self.false_free / self.true_free)

@@ -1,0 +1,222 @@
+"""Motion models conditioned on the robot's increment, as odometry or scan matching tells it.
+
+A model is called with an increment and returns a sampler for all particles at once. Every model here is a Gaussian over
+a few parameters of the increment; the models differ in what the parameters are and how their noise grows with motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import compose
+from gridslam.models.parameters import STRICT
+from gridslam.types import FloatArray
+
+__all__ = ["DiffusionMotion", "GMappingMotion", "GaussianIncrement", "OdometryMotion", "finite_triple"]
+
+
+def finite_triple(values: ArrayLike, name: str) -> tuple[float, float, float]:
+    """Three finite numbers as floats; raises ArgumentError that names the argument otherwise."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ArgumentError(name, "three finite numbers", array.tolist())
+    a, b, c = array.tolist()
+    return a, b, c
+
+
+def _same(values: FloatArray) -> FloatArray:
+    return values
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianIncrement:
+    """Sampler of p(x_t | u_t, x_{t-1}) for an increment whose parameters carry independent Gaussian noise.
+
+    Attributes
+    ----------
+    mean, std : (P,) float64
+        Mean and standard deviation of the parameters, in the model's units.
+    increment : (3,) float64
+        The increment at the mean, [x m, y m, theta rad] in the frame of the pose before.
+    jacobian : (3, P) float64
+        Derivative of the increment by the parameters at the mean.
+    to_increment : callable
+        Maps parameters (N, P) to increments (N, 3).
+    """
+
+    mean: FloatArray
+    std: FloatArray
+    increment: FloatArray
+    jacobian: FloatArray
+    to_increment: Callable[[FloatArray], FloatArray] = _same
+
+    @classmethod
+    def around(cls, increment: FloatArray, std: FloatArray) -> GaussianIncrement:
+        """Sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
+        return cls(increment, std, increment, np.eye(3))
+
+    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw one successor (N, 3) for each pose (N, 3)."""
+        noise = rng.standard_normal((len(poses), len(self.mean)))
+        return compose(poses, self.to_increment(self.mean + self.std * noise))
+
+    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean successors (N, 3) and covariances (N, 3, 3) in the world frame, to first order in the noise."""
+        scaled = self.jacobian * self.std
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        world_from_body = np.zeros((len(poses), 3, 3))
+        world_from_body[:, 0, 0] = world_from_body[:, 1, 1] = cos
+        world_from_body[:, 0, 1], world_from_body[:, 1, 0] = -sin, sin
+        world_from_body[:, 2, 2] = 1.0
+        root = world_from_body @ scaled
+        return compose(poses, self.increment), root @ root.transpose(0, 2, 1)
+
+
+def _rotate_translate_rotate(values: FloatArray) -> FloatArray:
+    rot1, trans, rot2 = values.T
+    return np.stack([trans * np.cos(rot1), trans * np.sin(rot1), rot1 + rot2], axis=-1)
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class OdometryMotion:
+    """Odometry motion model: an increment is a rotation, a translation and a second rotation, each with its own noise.
+
+    Driving backward is a negative translation: the first rotation stays within [-pi/2, pi/2], so that a robot that
+    reverses is not charged for two rotations of pi. A translation below `still_m` has no meaningful direction: its
+    noise is that of the turn alone, spent in the second rotation. The mean is the exact increment in all cases.
+
+    Parameters
+    ----------
+    alpha1 : float, rad^2/rad^2, >= 0
+        Variance of each rotation per squared rotation.
+    alpha2 : float, rad^2/m^2, >= 0
+        Variance of each rotation per squared translation.
+    alpha3 : float, m^2/m^2, >= 0
+        Variance of the translation per squared translation.
+    alpha4 : float, m^2/rad^2, >= 0
+        Variance of the translation per squared rotation.
+    still_m : float, m, >= 0
+        Translation below which the robot only turned; 1 cm is what odometry jitters by while turning on the spot.
+
+    Notes
+    -----
+    The defaults are wide (standard deviations of a tenth of the motion): wheels slip, and a filter recovers from
+    too much noise but not from too little.
+
+    Source: Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
+    """
+
+    alpha1: float = Field(0.01, ge=0)
+    alpha2: float = Field(0.01, ge=0)
+    alpha3: float = Field(0.01, ge=0)
+    alpha4: float = Field(0.01, ge=0)
+    still_m: float = Field(0.01, ge=0)
+
+    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+        """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
+        x, y, theta = finite_triple(increment, "increment")
+        forward = math.copysign(1.0, x)
+        trans = forward * math.hypot(x, y)
+        rot1 = math.atan2(forward * y, abs(x))
+        rot2 = math.remainder(theta - rot1, math.tau)
+        noisy1, noisy2 = (0.0, theta) if abs(trans) < self.still_m else (rot1, rot2)
+        variance = [
+            self.alpha1 * noisy1**2 + self.alpha2 * trans**2,
+            self.alpha3 * trans**2 + self.alpha4 * (noisy1**2 + noisy2**2),
+            self.alpha1 * noisy2**2 + self.alpha2 * trans**2,
+        ]
+        c, s = math.cos(rot1), math.sin(rot1)
+        jacobian = np.array([[-trans * s, c, 0.0], [trans * c, s, 0.0], [1.0, 0.0, 1.0]])
+        mean = np.array([rot1, trans, rot2])
+        return GaussianIncrement(mean, np.sqrt(variance), np.array([x, y, theta]), jacobian, _rotate_translate_rotate)
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class GMappingMotion:
+    """GMapping's motion model: noise on x, y and theta of the increment, standard deviations linear in the motion.
+
+    Because standard deviations, not variances, grow linearly, the noise of a path depends on how many increments it is
+    cut into: condition on one increment for each filter step, not for each odometry reading.
+
+    Parameters
+    ----------
+    srr : float, m/m, >= 0
+        Translation noise per translation; 0.3 of it acts across the motion.
+    srt : float, rad/m, >= 0
+        Rotation noise per TRANSLATION (other programs read the two letters the other way round).
+    str : float, m/rad, >= 0
+        Translation noise per rotation.
+    stt : float, rad/rad, >= 0
+        Rotation noise per rotation.
+
+    Notes
+    -----
+    The defaults are those of GMapping's ROS node.
+
+    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
+    """
+
+    srr: float = Field(0.1, ge=0)
+    srt: float = Field(0.2, ge=0)
+    str: float = Field(0.1, ge=0)
+    stt: float = Field(0.2, ge=0)
+
+    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+        """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
+        x, y, theta = finite_triple(increment, "increment")
+        across = 0.3 * self.srr
+        turned = self.str * abs(theta)
+        std = [
+            self.srr * abs(x) + turned + across * abs(y),
+            self.srr * abs(y) + turned + across * abs(x),
+            self.stt * abs(theta) + self.srt * math.hypot(x, y),
+        ]
+        return GaussianIncrement.around(np.array([x, y, theta]), np.array(std))
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class DiffusionMotion:
+    """Motion whose increment scan matching has already refined: a random walk with the same noise in every direction.
+
+    The error left by scan matching has no memory, so variances, not standard deviations, grow linearly with the metres
+    and radians moved: cutting a path into more increments does not change its noise (but for the floor).
+
+    Parameters
+    ----------
+    sigma_xy_m : float, m, >= 0
+        Standard deviation of x and of y after one metre or one radian; 2 cm served on the Intel and ACES logs.
+    sigma_theta_rad : float, rad, >= 0
+        Standard deviation of theta after one metre or one radian; 0.01 rad served there too.
+    floor_xy_m, floor_theta_rad : float, m and rad, >= 0
+        Standard deviation of an increment without motion, added in variance: particles at one place stay distinct
+        by a fraction of what a match resolves (0.02 of a 5 cm cell and 2e-4 rad).
+
+    Source: D. Haehnel, W. Burgard, D. Fox, S. Thrun, An efficient FastSLAM algorithm for generating maps of large-scale
+    cyclic environments from raw laser range measurements, IROS 2003 (its learned noise, here two constants).
+    """
+
+    sigma_xy_m: float = Field(0.02, ge=0)
+    sigma_theta_rad: float = Field(0.01, ge=0)
+    floor_xy_m: float = Field(0.001, ge=0)
+    floor_theta_rad: float = Field(0.0002, ge=0)
+
+    def __call__(self, increment: FloatArray) -> GaussianIncrement:
+        """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
+        x, y, theta = finite_triple(increment, "increment")
+        root = math.sqrt(math.hypot(x, y) + abs(theta))
+        xy = math.hypot(self.sigma_xy_m * root, self.floor_xy_m)
+        std = np.array([xy, xy, math.hypot(self.sigma_theta_rad * root, self.floor_theta_rad)])
+        return GaussianIncrement.around(np.array([x, y, theta]), std)
