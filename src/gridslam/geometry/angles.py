@@ -1,0 +1,95 @@
+"""Angles on the circle; the one place that brings an angle back to [-pi, pi)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+
+__all__ = ["circular_mean", "shares", "wrap"]
+
+FloatArray = NDArray[np.float64]
+
+TAU = 2.0 * math.pi
+
+
+@overload
+def wrap(angle: float) -> float: ...
+@overload
+def wrap(angle: NDArray[Any]) -> FloatArray: ...
+def wrap(angle: float | NDArray[Any]) -> Any:
+    """Bring angles to [-pi, pi).
+
+    `fmod` and a subtraction of nearby numbers are all it takes, both exact in floating point: an angle already in the
+    interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval.
+
+    Parameters
+    ----------
+    angle : float or array of any shape, rad
+        Finite; NaN stays NaN.
+
+    Returns
+    -------
+    float, or array of the same shape, float64, rad
+        `angle` minus a whole number of turns (2 * math.pi as a double).
+    """
+    if isinstance(angle, float | int):
+        if -math.pi <= angle < math.pi:
+            return float(angle)
+        rest = math.fmod(angle, TAU)
+        return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
+    remainder = np.fmod(angle, TAU)
+    turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
+    return remainder - TAU * turns
+
+
+def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
+    """Mean direction: the angle of the weighted sum of unit vectors.
+
+    Where that sum vanishes, as for two opposite angles, no direction is better than another: the result is arbitrary.
+
+    Parameters
+    ----------
+    angles : (..., N) float64, rad
+        Any finite angles; the mean is taken over the last axis.
+    weights : (..., N) float64, optional
+        Finite, >= 0 and not all 0, of any scale; equal if not given.
+
+    Returns
+    -------
+    (...) float64, rad
+        In [-pi, pi).
+
+    Raises
+    ------
+    ArgumentError
+        If there is no angle, there is not one weight for each, a weight is negative or not finite, or all are 0.
+    """
+    theta = np.asarray(angles, dtype=np.float64)
+    if theta.ndim == 0 or theta.shape[-1] == 0:
+        raise ArgumentError("angles", "shape (..., N) with N >= 1", theta.shape)
+    share = shares(np.ones(theta.shape[-1]) if weights is None else weights)
+    if share.shape[-1] != theta.shape[-1]:
+        raise ArgumentError("weights", f"one for each of {theta.shape[-1]} angles", share.shape[-1])
+    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
+    return np.asarray(wrap(direction))
+
+
+def shares(weights: ArrayLike) -> FloatArray:
+    """Divide weights (..., N) by their sum over the last axis.
+
+    They are divided by the greatest first, so that the sum neither overflows nor drowns in subnormal numbers. Raises
+    ArgumentError if there is none, one is negative or not finite, or all are 0.
+    """
+    given = np.asarray(weights, dtype=np.float64)
+    if given.ndim == 0 or given.shape[-1] == 0:
+        raise ArgumentError("weights", "shape (..., N) with N >= 1", given.shape)
+    greatest = given.max(axis=-1, keepdims=True)
+    if not (np.isfinite(given).all() and (given >= 0).all() and (greatest > 0).all()):
+        raise ArgumentError("weights", "finite values >= 0, not all 0", given)
+    scaled = given / greatest
+    return np.asarray(scaled / scaled.sum(axis=-1, keepdims=True))
