@@ -1,0 +1,118 @@
+"""What was met while a log was read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from gridslam.types import FloatArray, LaserScan
+
+__all__ = ["LogStatistics", "Mounting"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Mounting:
+    """Planar pose of a laser in the base frame (3,) = [x m, y m, theta rad], and where it is known from."""
+
+    pose: FloatArray
+    source: str
+
+
+@final
+@dataclass(slots=True)
+class LogStatistics:
+    """Counts that grow while a log is read; complete once the log is read to its end.
+
+    The reader works in blocks, so while a log is being read the counts may be ahead of the scan last given by a block.
+
+    Attributes
+    ----------
+    total_bytes, bytes_read : int
+        Size of the file and how much of it has been read, both as on disk.
+    lines : int
+        Lines read.
+    scans : Counter of str
+        Scans by tag of their line.
+    beam_counts : Counter of int
+        Scans by their number of beams.
+    invalid_beams, no_return_beams : int
+        Beams that measured nothing: NaN, negative and zero ranges; ranges at or above the maximum.
+    odometry_lines : int
+        Lines that carry odometry alone.
+    without_odometry : int
+        Scans for which the log has no odometry.
+    odometry_length_m : float
+        Length of the path of the odometry at the scans, m.
+    backward_stamps, duplicate_stamps : int
+        Scans stamped before the scan ahead of them, or like the scan ahead of them from the same sensor.
+    first_stamp_ns, last_stamp_ns : int or None
+        Stamps of the first and of the last scan in file order, ns.
+    comments : int
+        Comment lines.
+    parameters : dict
+        The log's parameters, last value each.
+    unused_tags : Counter of str
+        Lines of other kinds, by tag.
+    mountings : dict of str to Mounting
+        By sensor.
+    truncated : bool
+        Whether the file is cut off and what is missing was left out on request.
+    """
+
+    total_bytes: int = 0
+    bytes_read: int = 0
+    lines: int = 0
+    scans: Counter[str] = field(default_factory=Counter)
+    beam_counts: Counter[int] = field(default_factory=Counter)
+    invalid_beams: int = 0
+    no_return_beams: int = 0
+    odometry_lines: int = 0
+    without_odometry: int = 0
+    odometry_length_m: float = 0.0
+    backward_stamps: int = 0
+    duplicate_stamps: int = 0
+    first_stamp_ns: int | None = None
+    last_stamp_ns: int | None = None
+    comments: int = 0
+    parameters: dict[str, str] = field(default_factory=dict)
+    unused_tags: Counter[str] = field(default_factory=Counter)
+    mountings: dict[str, Mounting] = field(default_factory=dict)
+    truncated: bool = False
+    _last_sensor: str = ""
+    _last_place: FloatArray | None = None
+
+    @property
+    def scan_count(self) -> int:
+        """Number of scans read."""
+        return sum(self.scans.values())
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last scan, s; 0 where there is none."""
+        if self.first_stamp_ns is None or self.last_stamp_ns is None:
+            return 0.0
+        return (self.last_stamp_ns - self.first_stamp_ns) / 1e9
+
+    def count_stamp(self, scan: LaserScan) -> None:
+        """Take the next scan's stamp into account."""
+        if self.last_stamp_ns is None:
+            self.first_stamp_ns = scan.stamp_ns
+        elif scan.stamp_ns < self.last_stamp_ns:
+            self.backward_stamps += 1
+        elif scan.stamp_ns == self.last_stamp_ns and scan.sensor == self._last_sensor:
+            self.duplicate_stamps += 1
+        self.last_stamp_ns = scan.stamp_ns
+        self._last_sensor = scan.sensor
+
+    def count_path(self, poses: FloatArray) -> None:
+        """Take the odometry poses (N, 3) of the next scans into account."""
+        if len(poses) == 0:
+            return
+        places = poses[:, :2] if self._last_place is None else np.vstack([self._last_place, poses[:, :2]])
+        steps = np.diff(places, axis=0)
+        self.odometry_length_m += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        self._last_place = places[-1].copy()

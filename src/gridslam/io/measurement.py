@@ -1,0 +1,24 @@
+"""What a log yields: one laser scan and the odometry that belongs to it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from gridslam.types import LaserScan, Odometry
+
+__all__ = ["Measurement"]
+
+
+class Measurement(NamedTuple):
+    """One step of a log.
+
+    Attributes
+    ----------
+    odometry : Odometry or None
+        Pose of the robot's base in the odometry frame; None where the log has none for this scan.
+    scan : LaserScan
+        The scan, at its own stamp.
+    """
+
+    odometry: Odometry | None
+    scan: LaserScan
