@@ -1,1 +1,33 @@
-"""evaluation."""
+"""Measures of accuracy: arrays and trajectories in, frozen results out."""
+
+from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
+from gridslam.evaluation.map import MapAgreement, compare_maps
+from gridslam.evaluation.relations import RelationErrors, Relations, relation_errors
+from gridslam.evaluation.trajectory import (
+    PoseErrors,
+    absolute_errors,
+    align,
+    associate,
+    interpolate,
+    relative_errors_by_distance,
+    relative_errors_by_step,
+)
+
+__all__ = [
+    "Consistency",
+    "MapAgreement",
+    "PoseErrors",
+    "RelationErrors",
+    "Relations",
+    "absolute_errors",
+    "align",
+    "associate",
+    "check_consistency",
+    "chi_square_quantile",
+    "compare_maps",
+    "interpolate",
+    "nees",
+    "relation_errors",
+    "relative_errors_by_distance",
+    "relative_errors_by_step",
+]

@@ -22,8 +22,8 @@ def _four_probabilities(hit: float, miss: float) -> tuple[float, float, float, f
     return false_occupied * math.exp(hit), true_free * math.exp(miss), false_occupied, true_free
 
 
-# Beyond 30 nats a probability could no longer be told from 1 in double precision.
-_CERTAIN = 30.0
+# Evidence beyond this needs probabilities that double precision can no longer tell from 1.
+_CERTAIN = 20.0
 
 # Evidence of +2.4 and -0.4 nats, six to one: a beam that ends in a cell says far more than one that grazes it.
 _DEFAULT = _four_probabilities(2.4, -0.4)
@@ -95,7 +95,7 @@ class InverseSensorModel:
         Raises
         ------
         ArgumentError
-            `hit` or `miss` has the wrong sign or is beyond 30 nats.
+            `hit` or `miss` has the wrong sign or is beyond 20 nats.
         """
         if not 0 < hit <= _CERTAIN:
             raise ArgumentError("hit", f"nats above 0, at most {_CERTAIN}", hit)

@@ -1,0 +1,226 @@
+"""Errors of a trajectory against a reference: absolute (ATE), relative (RPE), and the interpolation both rest on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose
+from gridslam.types import FloatArray, IntArray, Trajectory
+
+__all__ = [
+    "PoseErrors", "absolute_errors", "align", "associate", "interpolate", "relative_errors_by_distance",
+    "relative_errors_by_step",
+]  # fmt: skip
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class PoseErrors:
+    """Statistics of pose errors: translation as a Euclidean length in m, rotation as an absolute angle in degrees.
+
+    `n` counts the errors; std is that of the population.
+    """
+
+    n: int
+    trans_mean_m: float
+    trans_std_m: float
+    trans_rmse_m: float
+    trans_max_m: float
+    rot_mean_deg: float
+    rot_std_deg: float
+    rot_rmse_deg: float
+    rot_max_deg: float
+
+    @classmethod
+    def of(cls, errors: FloatArray) -> PoseErrors:
+        """Summarize error poses (N, 3), N >= 1."""
+        trans = np.hypot(errors[:, 0], errors[:, 1])
+        return cls(len(errors), *_statistics(trans), *_statistics(np.degrees(np.abs(errors[:, 2]))))
+
+
+def _statistics(values: FloatArray) -> tuple[float, float, float, float]:
+    rmse = float(np.sqrt(np.mean(np.square(values))))
+    return float(values.mean()), float(values.std()), rmse, float(values.max())
+
+
+def interpolate(
+    trajectory: Trajectory, stamps_ns: ArrayLike, *, tolerance_ns: int = 1_000_000
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Poses of a trajectory at given times: x and y linear, theta along the shorter arc, between neighbours in time.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        At least one pose; taken in the order of the stamps (stable, where they jitter backwards).
+    stamps_ns : (M,) int64, ns
+        When.
+    tolerance_ns : int, ns, >= 0
+        How far from a given pose's stamp a time still counts as exact, and how far it may lie outside the trajectory.
+
+    Returns
+    -------
+    poses : (M, 3) float64
+        Poses at the times.
+    exact : (M,) bool
+        Whether a given pose stands within the tolerance.
+
+    Raises
+    ------
+    ArgumentError
+        The trajectory is empty, or a time lies outside it by more than the tolerance.
+    """
+    if len(trajectory) == 0:
+        raise ArgumentError("trajectory", "at least one pose", "none")
+    order = np.argsort(trajectory.stamps_ns, kind="stable")
+    stamps, poses = trajectory.stamps_ns[order], trajectory.poses[order]
+    times: IntArray = np.asarray(stamps_ns, dtype=np.int64)
+    outside = (times < stamps[0] - tolerance_ns) | (times > stamps[-1] + tolerance_ns)
+    if outside.any():
+        span = f"times from {stamps[0]} to {stamps[-1]} ns"
+        raise ArgumentError("stamps_ns", span, f"{int(outside.sum())} outside, the first {times[outside][0]}")
+    high = np.clip(np.searchsorted(stamps, times), min(1, len(stamps) - 1), len(stamps) - 1)
+    low = np.maximum(high - 1, 0)
+    span_ns = np.maximum(stamps[high] - stamps[low], 1)
+    weight = np.clip((times - stamps[low]) / span_ns, 0.0, 1.0)
+    step = poses[high] - poses[low]
+    step[:, 2] = wrap(step[:, 2])
+    result = poses[low] + weight[:, None] * step
+    result[:, 2] = wrap(result[:, 2])
+    exact = np.minimum(np.abs(stamps[high] - times), np.abs(times - stamps[low])) <= tolerance_ns
+    return result, exact
+
+
+def associate(
+    estimate: Trajectory, reference: Trajectory, *, tolerance_ns: int = 20_000_000
+) -> tuple[IntArray, IntArray]:
+    """Pair each pose of an estimate with the reference's pose nearest in time, if within the tolerance.
+
+    Parameters
+    ----------
+    estimate, reference : Trajectory
+        In any order of stamps.
+    tolerance_ns : int, ns, >= 0
+        Greatest difference of stamps; 20 ms is half the period of a 25 Hz lidar.
+
+    Returns
+    -------
+    of_estimate, of_reference : (K,) int64
+        Indices of the pairs, in the estimate's order.
+    """
+    if len(reference) == 0:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    order = np.argsort(reference.stamps_ns, kind="stable")
+    stamps = reference.stamps_ns[order]
+    above = np.minimum(np.searchsorted(stamps, estimate.stamps_ns), len(stamps) - 1)
+    below = np.maximum(above - 1, 0)
+    to_above, to_below = np.abs(stamps[above] - estimate.stamps_ns), np.abs(estimate.stamps_ns - stamps[below])
+    nearest = np.where(to_below < to_above, below, above)
+    paired = np.flatnonzero(np.minimum(to_below, to_above) <= tolerance_ns)
+    return paired, order[nearest[paired]]
+
+
+def _paired_poses(estimate: Trajectory, reference: Trajectory, tolerance_ns: int) -> tuple[FloatArray, FloatArray]:
+    of_estimate, of_reference = associate(estimate, reference, tolerance_ns=tolerance_ns)
+    if len(of_estimate) == 0:
+        raise ArgumentError("estimate", f"a stamp within {tolerance_ns} ns of one of the reference", "none")
+    return estimate.poses[of_estimate], reference.poses[of_reference]
+
+
+def align(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Rigid motion that brings points onto their partners with the least sum of squared distances, without scale.
+
+    Parameters
+    ----------
+    source, target : (N, 2) float64, m
+        Partners, N >= 1.
+
+    Returns
+    -------
+    (3,) float64
+        Pose `target_from_source`. Its heading is 0 where the points do not determine it (all in one place).
+
+    Source: S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991, in
+    the plane, where the rotation is the angle of the summed products taken as complex numbers.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    a, b = source - source_mean, target - target_mean
+    theta = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    c, s = np.cos(theta), np.sin(theta)
+    shift = target_mean - np.array([[c, -s], [s, c]]) @ source_mean
+    return np.array([shift[0], shift[1], wrap(theta)])
+
+
+def absolute_errors(
+    estimate: Trajectory, reference: Trajectory, *, aligned: bool = True, tolerance_ns: int = 20_000_000
+) -> PoseErrors:
+    """Absolute trajectory error (ATE): how far the poses lie from the reference's, after alignment on SE(2).
+
+    Parameters
+    ----------
+    estimate, reference : Trajectory
+        What is judged, and the truth.
+    aligned : bool
+        Whether the estimate is first moved as a whole to where it fits best; False where both share one map frame.
+    tolerance_ns : int, ns, >= 0
+        For `associate`; poses without partner do not count (compare `n`).
+
+    Raises
+    ------
+    ArgumentError
+        No pose has a partner.
+
+    Source: J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
+    """
+    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    if aligned:
+        ours = compose(align(ours[:, :2], truth[:, :2]), ours)
+    return PoseErrors.of(between(truth, ours))
+
+
+def relative_errors_by_step(
+    estimate: Trajectory, reference: Trajectory, step: int = 1, *, tolerance_ns: int = 20_000_000
+) -> PoseErrors:
+    """Relative pose error (RPE) over pairs of poses `step` >= 1 apart, in the estimate's order.
+
+    Raises ArgumentError where `step` is less than 1 or no two associated poses are that far apart.
+
+    Source: J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
+    """
+    if step < 1:
+        raise ArgumentError("step", "at least 1", step)
+    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    if len(ours) <= step:
+        raise ArgumentError("step", f"less than the {len(ours)} associated poses", step)
+    first = np.arange(len(ours) - step)
+    return _relative(ours, truth, first, first + step)
+
+
+def relative_errors_by_distance(
+    estimate: Trajectory, reference: Trajectory, distance_m: float, *, tolerance_ns: int = 20_000_000
+) -> PoseErrors:
+    """Relative pose error (RPE) from each pose to the first that lies `distance_m` > 0 farther along the reference.
+
+    Raises ArgumentError where `distance_m` is not positive or longer than the reference's path.
+
+    Source: J. Sturm et al., IROS 2012, with pairs chosen by path length.
+    """
+    if not distance_m > 0:
+        raise ArgumentError("distance_m", "a length above 0 m", distance_m)
+    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
+    second = np.searchsorted(path, path + distance_m)
+    first = np.flatnonzero(second < len(path))
+    if len(first) == 0:
+        raise ArgumentError("distance_m", f"at most the path's {path[-1]:.3f} m", distance_m)
+    return _relative(ours, truth, first, second[first])
+
+
+def _relative(ours: FloatArray, truth: FloatArray, first: IntArray, second: IntArray) -> PoseErrors:
+    true_step, our_step = between(truth[first], truth[second]), between(ours[first], ours[second])
+    return PoseErrors.of(between(true_step, our_step))

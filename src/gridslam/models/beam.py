@@ -1,0 +1,119 @@
+"""Beam model of a range finder: each range is explained along its ray through the map."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.models.parameters import STRICT
+from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, IntArray, Weigher
+
+__all__ = ["BeamRangeFinder"]
+
+_REACH = 6.0  # standard deviations beyond which a Gaussian's tail, 1e-9, counts as nothing
+_SCORES = np.linspace(-_REACH, _REACH, 4801)
+_CUMULATIVE = np.array([0.5 * math.erfc(-z / math.sqrt(2)) for z in _SCORES])
+
+
+def _normal_cdf(scores: FloatArray) -> FloatArray:
+    """Standard normal distribution function, by linear interpolation in a table: within 2e-7."""
+    probabilities: FloatArray = np.interp(scores, _SCORES, _CUMULATIVE)
+    return probabilities
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class BeamRangeFinder:
+    """Beam model: a range is the obstacle on the ray, something before it, no return at all, or random.
+
+    p(z) is a density (1/m) for 0 <= z < range_max and a probability for a beam without return; for every ray through
+    the map the two add up to 1. `likelihoods` gives it for ranges and expected ranges.
+
+    Parameters
+    ----------
+    z_hit, z_short, z_max, z_rand : float, [0, 1]
+        Shares of the four explanations; they sum to 1.
+    sigma_hit_m : float, m, > 0
+        Standard deviation of a range around the expected one. The default is two cells of 5 cm: the map's walls are
+        no sharper than that.
+    lambda_short_per_m : float, 1/m, > 0
+        Rate at which unexpected objects (people) stop the beam; 1 puts them a metre away on the average.
+    range_max_m : float, m, > 0
+        Range from which on the sensor reports no return.
+    tempering : float, (0, 1]
+        Factor on the log likelihood: the share of a beam's evidence that is new; 1 takes all beams as independent, as
+        the book does.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        The shares do not sum to 1, or z_rand or z_max is 0 (then one beam could make a pose impossible).
+
+    Notes
+    -----
+    The book cuts the Gaussian off at range_max and scales up what is left. Here what lies beyond counts as no return,
+    because that is what the sensor then reports: a ray into the open expects nothing back.
+
+    Source: Probabilistic Robotics, Table 6.1 (`beam_range_finder_model`), Equations 6.4 to 6.12.
+    """
+
+    z_hit: float = Field(0.8, ge=0, le=1)
+    z_short: float = Field(0.1, ge=0, le=1)
+    z_max: float = Field(0.05, gt=0, le=1)
+    z_rand: float = Field(0.05, gt=0, le=1)
+    sigma_hit_m: float = Field(0.1, gt=0)
+    lambda_short_per_m: float = Field(1.0, gt=0)
+    range_max_m: float = Field(30.0, gt=0)
+    tempering: float = Field(1.0, gt=0, le=1)
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> BeamRangeFinder:
+        if abs(self.z_hit + self.z_short + self.z_max + self.z_rand - 1) > 1e-9:
+            raise ValueError("z_hit, z_short, z_max and z_rand must sum to 1")
+        return self
+
+    def likelihoods(self, ranges: FloatArray, expected: FloatArray) -> FloatArray:
+        """Evaluate p(z | expected range), broadcast.
+
+        Parameters
+        ----------
+        ranges : (...) float64, m, >= 0
+            Measured ranges; `range_max_m` or more means no return.
+        expected : (...) float64, m, >= 0
+            Range to the map's first obstacle on the ray; infinity where there is none.
+
+        Returns
+        -------
+        (...) float64
+            Densities in 1/m for ranges below `range_max_m`, probabilities for the others.
+        """
+        sigma = self.sigma_hit_m
+        ranges = np.minimum(ranges, self.range_max_m)
+        seen = _normal_cdf(expected / sigma)  # the Gaussian's mass at positive ranges, at least 1/2
+        beyond = _normal_cdf((expected - self.range_max_m) / sigma) / seen
+        no_return = self.z_max + self.z_hit * beyond
+        hit = np.exp(-0.5 * np.square((ranges - expected) / sigma)) / (math.sqrt(math.tau) * sigma * seen)
+        rate = self.lambda_short_per_m
+        before = np.clip(expected, 1e-6, self.range_max_m)
+        short = np.where(ranges <= before, rate * np.exp(-rate * ranges) / -np.expm1(-rate * before), 0.0)
+        density = self.z_hit * hit + self.z_short * short + self.z_rand / self.range_max_m
+        return np.where(ranges < self.range_max_m, density, no_return)
+
+    def __call__(self, beams: Beams) -> Weigher:
+        """Condition on the given beams and on the beams of their scan that had no return."""
+        scan = beams.scan
+        used = np.union1d(beams.indices, np.flatnonzero(scan.status == BeamStatus.NO_RETURN))
+        ranges = np.where(scan.status == BeamStatus.NO_RETURN, self.range_max_m, scan.ranges)[used]
+        directions = scan.geometry.directions[used]
+        look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none
+
+        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+            expected = maps.cast_rays(rows, poses, beams.origin, directions, look).astype(np.float64)
+            log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected)).sum(axis=1)
+            return self.tempering * log_likelihood
+
+        return weigh

@@ -1,0 +1,72 @@
+"""Likelihood field: a beam's end is normally distributed around the nearest obstacle, or anywhere."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.models.parameters import STRICT
+from gridslam.types import Beams, DistanceMaps, FloatArray, IntArray, Weigher
+
+__all__ = ["LikelihoodField"]
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class LikelihoodField:
+    """Likelihood field model: p(z) = z_hit N(d; 0, sigma_hit^2) + z_rand / range_max for each beam that hit something.
+
+    Beams without a return carry no end point and are left out, as in the book; z_max is their share of all beams.
+
+    Parameters
+    ----------
+    z_hit, z_rand, z_max : float, [0, 1]
+        Shares of measured obstacles, of random readings and of missing returns; they sum to 1. The default of z_rand
+        is one reading in twenty, which bounds what a person or a moved chair can cost.
+    sigma_hit_m : float, m, > 0
+        Standard deviation of an end's distance to the obstacle. Beyond the map's `reach_m` distances are capped:
+        keep it below a third of that. The default is two cells of 5 cm.
+    range_max_m : float, m, > 0
+        Range over which random readings are uniform; use the largest range that beams are used at.
+    tempering : float, (0, 1]
+        Factor on the log likelihood: the share of a beam's evidence that is new. 1 takes all beams as independent, as
+        the book does; neighbouring beams are not, and a smaller value keeps the belief from collapsing.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        The shares do not sum to 1, or z_rand is 0 (then one beam could make a pose impossible).
+
+    Source: Probabilistic Robotics, Table 6.3 (`likelihood_field_range_finder_model`).
+    """
+
+    z_hit: float = Field(0.95, ge=0, le=1)
+    z_rand: float = Field(0.05, gt=0, le=1)
+    z_max: float = Field(0.0, ge=0, le=1)
+    sigma_hit_m: float = Field(0.1, gt=0)
+    range_max_m: float = Field(30.0, gt=0)
+    tempering: float = Field(1.0, gt=0, le=1)
+
+    @model_validator(mode="after")
+    def _shares_sum_to_one(self) -> LikelihoodField:
+        if abs(self.z_hit + self.z_rand + self.z_max - 1) > 1e-9:
+            raise ValueError("z_hit, z_rand and z_max must sum to 1")
+        return self
+
+    def __call__(self, beams: Beams) -> Weigher:
+        """Condition on the beams of one scan."""
+        ends = beams.ends
+        peak = np.float32(self.z_hit / (math.sqrt(math.tau) * self.sigma_hit_m))
+        exponent = np.float32(-0.5 / self.sigma_hit_m**2)
+        uniform = np.float32(self.z_rand / self.range_max_m)
+
+        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+            density = peak * np.exp(exponent * np.square(maps.distances(rows, poses, ends))) + uniform
+            log_likelihood: FloatArray = np.log(density).sum(axis=1, dtype=np.float64)
+            return self.tempering * log_likelihood
+
+        return weigh

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from gridslam.errors import ArgumentError
+from gridslam.models import InverseSensorModel
+
+
+def bayes(prior: float, p_if_occupied: float, p_if_free: float) -> float:
+    return p_if_occupied * prior / (p_if_occupied * prior + p_if_free * (1 - prior))
+
+
+@given(
+    true_occupied=st.floats(0.3, 0.95),
+    false_occupied=st.floats(0.01, 0.25),
+    prior=st.floats(0.05, 0.95),
+    measurements=st.lists(st.booleans(), max_size=6),
+)
+def test_log_odds_are_bayes_rule_on_one_cell(true_occupied, false_occupied, prior, measurements):
+    model = InverseSensorModel(true_occupied, 1 - true_occupied, false_occupied, 1 - false_occupied)
+    belief, log_odds = prior, math.log(prior / (1 - prior))
+    for occupied in measurements:
+        if occupied:
+            belief = bayes(belief, model.true_occupied, model.false_occupied)
+            log_odds += model.log_odds_hit
+        else:
+            belief = bayes(belief, model.false_free, model.true_free)
+            log_odds += model.log_odds_miss
+    assert math.isclose(1 / (1 + math.exp(-log_odds)), belief, rel_tol=1e-9)
+
+
+# By hand: p(occ|occ) = 0.8, p(occ|free) = 0.1 from prior 0.5: one hit 8/9, then one miss (0.2/0.9) 16/25.
+def test_lecture_numbers():
+    model = InverseSensorModel(0.8, 0.2, 0.1, 0.9)
+    assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit)), 8 / 9)
+    assert math.isclose(1 / (1 + math.exp(-model.log_odds_hit - model.log_odds_miss)), 16 / 25)
+
+
+def test_defaults_are_six_to_one():
+    model = InverseSensorModel()
+    assert math.isclose(model.log_odds_hit, 2.4, rel_tol=1e-12)
+    assert math.isclose(model.log_odds_miss, -0.4, rel_tol=1e-12)
+    assert (model.log_odds_min, model.log_odds_max, model.log_odds_occupied) == (-16.0, 32.0, 2.0)
+
+
+@given(hit=st.floats(1e-3, 20), miss=st.floats(-20, -1e-3))
+def test_probabilities_follow_from_log_odds(hit, miss):
+    model = InverseSensorModel.from_log_odds(hit, miss, log_odds_min=-50, log_odds_max=50)
+    assert math.isclose(model.log_odds_hit, hit, rel_tol=1e-9)
+    assert math.isclose(model.log_odds_miss, miss, rel_tol=1e-9)
+    assert math.isclose(model.true_occupied + model.false_free, 1, rel_tol=1e-12)
+    assert math.isclose(model.false_occupied + model.true_free, 1, rel_tol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("hit", "miss", "name"),
+    [(0, -1, "hit"), (math.nan, -1, "hit"), (21, -1, "hit"), (1, 0, "miss"), (1, -21, "miss")],
+)
+def test_log_odds_of_the_wrong_sign_are_named(hit, miss, name):
+    with pytest.raises(ArgumentError, match=name):
+        InverseSensorModel.from_log_odds(hit, miss)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"true_occupied": 0.7},
+        {"true_free": 0.5},
+        {"true_occupied": 0.1, "false_free": 0.9, "false_occupied": 0.2, "true_free": 0.8},
+        {"true_occupied": 1.0, "false_free": 0.0},
+        {"log_odds_min": 1.0},
+        {"log_odds_occupied": 40.0},
+        {"log_odds_occupied": -20.0},
+        {"log_odds_max": math.inf},
+        {"hit": 2.0},
+    ],
+)
+def test_inconsistent_models_are_refused(wrong):
+    with pytest.raises(ValidationError):
+        InverseSensorModel(**wrong)

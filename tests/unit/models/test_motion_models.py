@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose
+from gridslam.models import DiffusionMotion, GMappingMotion, OdometryMotion, VelocityMotion
+from gridslam.types import MotionModel, MotionSampler
+
+MODELS = [OdometryMotion, GMappingMotion, DiffusionMotion, VelocityMotion]
+SILENT = [
+    OdometryMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0),
+    GMappingMotion(srr=0, srt=0, str=0, stt=0),
+    DiffusionMotion(sigma_xy_m=0, sigma_theta_rad=0, floor_xy_m=0, floor_theta_rad=0),
+]
+METRES = st.floats(-5, 5)
+HEADINGS = st.floats(-math.pi, math.pi, exclude_max=True)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_models_meet_the_protocols(model):
+    sampler = model()(np.array([0.1, 0.2, 0.3]))
+    assert isinstance(model(), MotionModel)
+    assert isinstance(sampler, MotionSampler)
+
+
+@pytest.mark.parametrize("model", SILENT, ids=lambda model: type(model).__name__)
+@given(x=METRES, y=METRES, theta=HEADINGS, heading=HEADINGS)
+def test_without_noise_a_sample_is_the_composed_increment(model, x, y, theta, heading):
+    increment, poses = np.array([x, y, theta]), np.array([[1.0, -2.0, heading], [0.0, 0.0, 0.5]])
+    sampler = model(increment)
+    expected = compose(poses, increment)
+    for got in (sampler(poses, np.random.default_rng(0)), sampler.moments(poses)[0]):
+        assert np.abs(got[:, :2] - expected[:, :2]).max() < 1e-12
+        assert np.abs(wrap(got[:, 2] - expected[:, 2])).max() < 1e-12
+
+
+@given(v=st.floats(-2, 2), omega=st.floats(-6, 6), dt=st.floats(0, 2))
+def test_without_noise_velocity_follows_the_circle(v, omega, dt):
+    model = VelocityMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0, alpha5=0, alpha6=0)
+    got = model(np.array([v, omega, dt]))(np.zeros((1, 3)), np.random.default_rng(0))[0]
+    # The arc as 2000 chords at mid headings: each is short of its arc by (omega h)^2 / 24 of its length.
+    h = dt / 2000
+    headings = omega * h * (np.arange(2000) + 0.5)
+    reference = [v * h * np.cos(headings).sum(), v * h * np.sin(headings).sum()]
+    assert np.abs(got[:2] - reference).max() <= abs(v) * dt * (omega * h) ** 2 / 24 + 1e-12
+    assert abs(wrap(got[2] - omega * dt)) < 1e-12
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_same_generator_same_bytes_and_poses_untouched(model):
+    poses = np.random.default_rng(1).normal(size=(30, 3))
+    before = poses.copy()
+    sampler = model()(np.array([0.3, 0.1, 0.2]))
+    first, second = (sampler(poses, np.random.default_rng(5)) for _ in range(2))
+    assert first.tobytes() == second.tobytes()
+    assert poses.tobytes() == before.tobytes()
+    assert first.tobytes() != sampler(poses, np.random.default_rng(6)).tobytes()
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("bad", [[0.0, 1.0], [0.0, np.nan, 0.0], [np.inf, 0.0, 0.0], [[0.0, 0.0, 0.0]]])
+def test_a_bad_increment_is_named(model, bad):
+    with pytest.raises(ArgumentError, match=r"increment|control"):
+        model()(np.array(bad))
+
+
+def test_time_does_not_run_backward():
+    with pytest.raises(ArgumentError, match="dt >= 0"):
+        VelocityMotion()(np.array([1.0, 0.0, -0.1]))
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_parameters_are_checked_and_frozen(model):
+    name = next(iter(model.__dataclass_fields__))
+    with pytest.raises(ValidationError):
+        model(alpha_1=0.1)
+    with pytest.raises(ValidationError):
+        model(**{name: -0.1})
+    with pytest.raises(ValidationError):
+        model(**{name: math.nan})
+    with pytest.raises(AttributeError):
+        setattr(model(), name, 0.5)
+
+
+def test_a_translation_just_short_of_still_keeps_its_mean():
+    model = OdometryMotion(still_m=0.01)
+    for length in (0.0099, 0.0101):
+        means, _ = model(np.array([0.0, length, 0.0])).moments(np.zeros((1, 3)))
+        np.testing.assert_allclose(means[0], [0.0, length, 0.0], atol=1e-15)
+
+
+def test_standing_still_diffuses_by_the_floor_alone():
+    _, covariances = DiffusionMotion(floor_xy_m=0.001, floor_theta_rad=0.002)(np.zeros(3)).moments(np.zeros((1, 3)))
+    np.testing.assert_allclose(np.diag(covariances[0]), [1e-6, 1e-6, 4e-6], rtol=1e-12)

@@ -1,0 +1,164 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from gridslam.geometry.se2 import transform_points
+from gridslam.models import BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField
+from gridslam.types import DistanceMaps, LaserScan, ScanGeometry, SensorModel, Weigher
+
+MODELS = [BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField]
+ROW = np.zeros(1, dtype=np.int64)
+HERE = np.zeros((1, 3))
+
+
+class Walls:
+    """One infinite wall x = walls[row] in each map, with exact distances."""
+
+    reach_m = 0.5
+
+    def __init__(self, *walls: float) -> None:
+        self.walls = np.array(walls)
+
+    def distances(self, rows, poses, points):
+        ends = np.stack([transform_points(pose, points) for pose in poses])
+        return np.minimum(np.abs(ends[:, :, 0] - self.walls[rows, None]), self.reach_m).astype(np.float32)
+
+    def cast_rays(self, rows, poses, origin, directions, max_m):
+        start = np.stack([transform_points(pose, origin[None])[0] for pose in poses])
+        headings = poses[:, 2, None] + np.arctan2(directions[:, 1], directions[:, 0])
+        towards = np.cos(headings) * np.hypot(*directions.T)
+        with np.errstate(divide="ignore"):
+            ranges = (self.walls[rows] - start[:, 0])[:, None] / towards
+        return np.where(ranges >= 0, np.minimum(ranges, max_m), max_m).astype(np.float32)
+
+
+def beams_at(ranges, bearings, range_max_m=np.inf, mounting=(0.0, 0.0, 0.0)):
+    geometry = ScanGeometry.planar(bearings, mounting)
+    return LaserScan.from_ranges(0, ranges, geometry, range_max_m=range_max_m).beams(0.05, 30.0)
+
+
+def value(model, beams, maps):
+    return float(model(beams)(maps, ROW, HERE)[0])
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_models_meet_the_protocols(model):
+    assert isinstance(Walls(1.0), DistanceMaps)
+    assert isinstance(model(), SensorModel)
+    assert isinstance(model()(beams_at([1.0], [0.0])), Weigher)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_the_true_pose_is_the_likeliest_and_each_pose_uses_its_own_map(model):
+    bearings = np.radians([-40.0, -20.0, 0.0, 20.0, 40.0])
+    mounting = (0.2, 0.0, 0.0)
+    beams = beams_at(1.8 / np.cos(bearings), bearings, mounting=mounting)  # the wall is 2 m before the base
+    x = np.linspace(-0.3, 0.3, 13)
+    poses = np.stack([x, np.full(13, 5.0), np.zeros(13)], axis=1)
+    weigh = model()(beams)
+    got = weigh(Walls(2.0, 2.1), np.zeros(13, np.int64), poses)
+    assert got.dtype == np.float64
+    assert got.argmax() == 6
+    assert weigh(Walls(2.0, 2.1), np.ones(13, np.int64), poses).argmax() == 8
+    turned = weigh(Walls(2.0), ROW, np.array([[0.0, 0.0, 0.2]]))[0]
+    assert turned < got[6]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_a_scan_without_beams_says_nothing(model):
+    beams = beams_at([math.nan], [0.0])
+    np.testing.assert_array_equal(model()(beams)(Walls(1.0), np.zeros(3, np.int64), np.zeros((3, 3))), np.zeros(3))
+
+
+# float32 distances carry a relative error of 6e-8, hence the tolerances of 1e-5.
+@pytest.mark.parametrize("off", [0.0, 0.05, 0.1, 0.3])
+def test_likelihood_field_value(off):
+    model = LikelihoodField(z_hit=0.7, z_rand=0.2, z_max=0.1, sigma_hit_m=0.1, range_max_m=20, tempering=0.5)
+    density = 0.7 * math.exp(-0.5 * (off / 0.1) ** 2) / (math.sqrt(2 * math.pi) * 0.1) + 0.2 / 20
+    assert math.isclose(value(model, beams_at([2 - off] * 2, [0, 0]), Walls(2.0)), math.log(density), rel_tol=1e-5)
+
+
+def test_cauchy_agreement_value():
+    model = CauchyAgreement(scale_m=0.1, tempering=0.5)
+    # Agreements 1, 1/2 and 1/5 at distances of 0, 1 and 2 scales.
+    assert math.isclose(value(model, beams_at([2.0, 1.9, 2.2], [0, 0, 0]), Walls(2.0)), 0.5 * 1.7, rel_tol=1e-5)
+
+
+def test_end_point_value():
+    model = EndPoint(scale_m2=0.075, no_hit_m2=0.5, kernel_m=0.075, gain=2.0)
+    # 5 cm off: 0.0025 / 0.075; 10 cm off is outside the window: 0.5 / 0.075.
+    expected = -(0.0025 + 0.5) / 0.075 / 2
+    assert math.isclose(value(model, beams_at([1.95, 1.9], [0, 0]), Walls(2.0)), expected, rel_tol=1e-5)
+
+
+def test_end_point_skip_counts_over_the_whole_scan():
+    # Of six beams, with two skipped between used ones, the third and the last are used; the unusable second counts.
+    ranges = [1.0, math.nan, 2.0, 1.0, 1.0, 1.95]
+    model = EndPoint(skip=2, gain=1.0)
+    assert math.isclose(value(model, beams_at(ranges, [0.0] * 6), Walls(2.0)), -0.0025 / 0.075, rel_tol=1e-4)
+
+
+@given(
+    expected=st.one_of(st.floats(0.05, 12), st.sampled_from([9.9, 10.0, 10.5, math.inf])), sigma=st.floats(0.02, 0.5)
+)
+def test_beam_densities_sum_to_one(expected, sigma):
+    model = BeamRangeFinder(z_hit=0.6, z_short=0.2, z_max=0.1, z_rand=0.1, sigma_hit_m=sigma, range_max_m=10.0)
+    step = 10.0 / 100_000
+    ranges = (np.arange(100_000) + 0.5) * step
+    total = model.likelihoods(ranges, np.float64(expected)).sum() * step
+    total += model.likelihoods(np.float64(10.0), np.float64(expected))
+    # The midpoint rule errs by half a step times the jumps of the density, that of the short readings at the
+    # expected range (at most 0.2 / 0.05 per metre) and that at the range 0 (none); the table of the normal by 2e-7.
+    assert abs(total - 1) < step / 2 * (0.2 / 0.05) + 1e-5
+
+
+# By hand, lambda 1/m: at the expected range 5 m, N(0) = 3.98942 and the exponential's e^-5 / (1 - e^-5) = 0.00678365.
+def test_beam_density_at_the_expected_range():
+    model = BeamRangeFinder(z_hit=0.8, z_short=0.1, z_max=0.05, z_rand=0.05, sigma_hit_m=0.1, range_max_m=30.0)
+    got = model.likelihoods(np.array([5.0, 5.2, 40.0]), np.float64(5.0))
+    # Two standard deviations behind the wall nothing is short any more: 0.8 N(2) + 0.05 / 30. No return: z_max.
+    expected = [0.8 * 3.989423 + 0.1 * 0.006783655 + 0.05 / 30, 0.8 * 0.5399097 + 0.05 / 30, 0.05]
+    np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+def test_no_return_is_expected_where_the_map_is_open():
+    model = BeamRangeFinder(range_max_m=10.0)
+    beams = beams_at([20.0], [0.0], range_max_m=10.0)
+    assert len(beams) == 0
+    assert math.isclose(value(model, beams, Walls(-5.0)), math.log(0.85), rel_tol=1e-6)
+    assert math.isclose(value(model, beams, Walls(5.0)), math.log(0.05), rel_tol=1e-6)
+    # At the limit itself half of the readings would be without return.
+    assert math.isclose(value(model, beams, Walls(10.0)), math.log(0.05 + 0.4), rel_tol=1e-5)
+
+
+def test_tempering_scales_the_log_likelihood():
+    beams = beams_at([1.9, 2.0], [0.0, 0.0])
+    for model in (BeamRangeFinder, LikelihoodField, CauchyAgreement):
+        whole, tenth = (value(model(tempering=t), beams, Walls(2.0)) for t in (1.0, 0.1))
+        assert math.isclose(tenth, 0.1 * whole, rel_tol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "wrong"),
+    [
+        (LikelihoodField, {"z_hit": 0.5}),
+        (LikelihoodField, {"z_hit": 1.0, "z_rand": 0.0}),
+        (LikelihoodField, {"sigma_hit_m": 0.0}),
+        (BeamRangeFinder, {"z_hit": 0.5}),
+        (BeamRangeFinder, {"z_max": 0.0, "z_hit": 0.85}),
+        (BeamRangeFinder, {"lambda_short_per_m": 0.0}),
+        (CauchyAgreement, {"tempering": 1.5}),
+        (CauchyAgreement, {"scale_m": math.inf}),
+        (EndPoint, {"skip": -1}),
+        (EndPoint, {"lskip": 1}),
+    ],
+)
+def test_wrong_parameters_are_refused(model, wrong):
+    with pytest.raises(ValidationError):
+        model(**wrong)
