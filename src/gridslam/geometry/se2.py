@@ -1,11 +1,11 @@
 """SE(2), the rigid motions of the plane, on arrays of poses [x m, y m, theta rad].
 
 With frames in the names, `compose(map_from_robot, robot_from_laser)` is `map_from_laser`. All functions broadcast
-over the leading dimensions, and what they return has theta in [-pi, pi). Jacobians of `compose`, `between` and `inverse` are
-partial derivatives of the coordinates [x, y, theta] (Smith, Self and Cheeseman 1990); `adjoint` and `right_jacobian`
-belong to the tangent space, whose vectors are [v_x, v_y, omega] (Sola, Deray and Atchuthan 2018).
+over the leading dimensions, and what they return has theta in [-pi, pi). Jacobians of `compose`, `between` and
+`inverse` are partial derivatives of the coordinates [x, y, theta] (Smith, Self and Cheeseman 1990); `adjoint` and
+`right_jacobian` belong to the tangent space, of vectors [v_x, v_y, omega] (Sola, Deray and Atchuthan 2018).
 
-A single pose takes the same formulas through Python floats, which is ten times faster than arrays of one element.
+A single pose takes the same formulas through Python floats, which is several times faster than arrays of one element.
 """
 
 from __future__ import annotations

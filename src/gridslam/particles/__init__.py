@@ -1,1 +1,20 @@
-"""particles."""
+"""The belief as weighted particles: weights, resampling, policies, ancestry and the first draw."""
+
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.initial import at_pose, spread
+from gridslam.particles.policies import (
+    Always,
+    EffectiveSampleSizeBelow,
+    MovedAtLeast,
+    Never,
+    ResamplingPolicy,
+    UpdatePolicy,
+)
+from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
+from gridslam.particles.weights import effective_sample_size, entropy, normalize
+
+__all__ = [
+    "Always", "Ancestry", "EffectiveSampleSizeBelow", "MovedAtLeast", "Multinomial", "Never", "ResamplingPolicy",
+    "ResamplingWheel", "Residual", "Stratified", "Systematic", "UpdatePolicy", "at_pose", "effective_sample_size",
+    "entropy", "normalize", "spread",
+]  # fmt: skip
