@@ -1,0 +1,221 @@
+"""Ancestry: the pasts of all particles as one pruned tree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Ancestry"]
+
+
+class _Level(NamedTuple):
+    """The nodes of one step; never written to, so that snapshots may share it."""
+
+    poses: FloatArray  # (K, 3)
+    parents: IntArray  # (K,) places in the level before
+
+
+@final
+class Ancestry:
+    """Who descends from whom, so that the full trajectory of any particle can be had.
+
+    All particles step together, so the tree is kept level by level: the nodes of step t and, for each, its parent's
+    place among those of step t - 1. Every node has a living descendant: `resample` goes back from the newest level and
+    drops what has none, until it meets a level that loses nothing. Steps where a single node is left, hence the past
+    that all particles share, move into the trunk, a plain array. Memory is the trunk's 24 bytes a step plus 32 bytes
+    for each node since the last common ancestor of all; that lies of the order of N resamplings back, however long
+    the run. Where nothing is ever resampled nothing can be forgotten.
+
+    A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
+    """
+
+    __slots__ = ("_leaves", "_levels", "_trunk", "_trunk_length")
+
+    def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
+        """Take the parts as they are; use `start` or `from_arrays`."""
+        self._leaves = leaves  # (N,) each particle's place in the newest level
+        self._levels = levels
+        self._trunk = trunk  # only the first _trunk_length rows are in use
+        self._trunk_length = len(trunk)
+
+    @classmethod
+    def start(cls, poses: ArrayLike) -> Ancestry:
+        """Begin with step 0: N particles at poses (N, 3) [m, m, rad]. Raises ArgumentError for another shape."""
+        count = np.asarray(poses).shape[0] if np.ndim(poses) else 0
+        if count == 0:
+            raise ArgumentError("poses", "shape (N, 3) with N >= 1", np.shape(poses))
+        ancestry = cls(np.zeros(count, dtype=np.int64), [], np.empty((0, 3)))
+        ancestry.extend(poses)
+        return ancestry
+
+    def extend(self, poses: ArrayLike) -> None:
+        """Add one step: particle i, whichever its past, is now at poses[i] of (N, 3), which is copied.
+
+        Raises ArgumentError if there is not one pose for each particle.
+        """
+        copy = np.array(poses, dtype=np.float64)
+        if copy.shape != (len(self), 3):
+            raise ArgumentError("poses", f"shape ({len(self)}, 3)", copy.shape)
+        self._levels.append(_Level(copy, self._leaves))
+        self._leaves = np.arange(len(copy))
+        self._coalesce()
+
+    def resample(self, parents: ArrayLike) -> None:
+        """Let particle i continue the past of particle parents[i], and forget pasts that nobody continues.
+
+        Parameters
+        ----------
+        parents : (M,) integer
+            In [0, N), in any order; M >= 1 is the number of particles from now on.
+
+        Raises
+        ------
+        ArgumentError
+            If they are anything else.
+        """
+        chosen = np.asarray(parents)
+        if chosen.ndim != 1 or len(chosen) == 0 or not np.issubdtype(chosen.dtype, np.integer):
+            raise ArgumentError("parents", "integers (M,) with M >= 1", f"{chosen.dtype} {chosen.shape}")
+        if chosen.min() < 0 or chosen.max() >= len(self):
+            raise ArgumentError("parents", f"indices in [0, {len(self)})", f"{chosen.min()} to {chosen.max()}")
+        self._leaves = self._leaves[chosen]
+        self._prune()
+        self._coalesce()
+
+    def trajectory(self, particle: int) -> FloatArray:
+        """Poses (T, 3) of one particle at steps 0 .. T - 1, along its own past.
+
+        Raises ArgumentError unless `particle` is in [0, N).
+        """
+        if not 0 <= particle < len(self):
+            raise ArgumentError("particle", f"an index in [0, {len(self)})", particle)
+        only: FloatArray = self._trajectories(self._leaves[particle : particle + 1])[0]
+        return only
+
+    def trajectories(self) -> FloatArray:
+        """Poses (N, T, 3) of all particles."""
+        return self._trajectories(self._leaves)
+
+    def snapshot(self) -> Ancestry:
+        """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
+        return Ancestry(self._leaves, list(self._levels), self._trunk[: self._trunk_length].copy())
+
+    def __len__(self) -> int:
+        """Return the number of particles N."""
+        return len(self._leaves)
+
+    @property
+    def steps(self) -> int:
+        """Number T of steps so far."""
+        return self._trunk_length + len(self._levels)
+
+    @property
+    def coalesced(self) -> int:
+        """How many first steps are one and the same node for all particles."""
+        return self._trunk_length
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes kept."""
+        return self._trunk_length + sum(len(level.parents) for level in self._levels)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the whole state as plain arrays, for a file.
+
+        Returns
+        -------
+        dict
+            `trunk` (S, 3) float64: poses of the shared steps; `counts` (T - S,) int64: nodes of each step after them;
+            `poses` (sum of counts, 3) float64 and `parents` (sum of counts,) int64: those nodes, step by step, a parent
+            being a place among the nodes of the step before (0 for the trunk's end, and where there is none);
+            `leaves` (N,) int64: each particle's place among the nodes of the last step.
+        """
+        return {
+            "trunk": self._trunk[: self._trunk_length].copy(),
+            "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
+            "poses": np.concatenate([np.empty((0, 3)), *(level.poses for level in self._levels)]),
+            "parents": np.concatenate([np.empty(0, dtype=np.int64), *(level.parents for level in self._levels)]),
+            "leaves": self._leaves.copy(),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Ancestry:
+        """Rebuild the state that `to_arrays` gave; it goes on exactly as the original would.
+
+        Raises ArgumentError if the arrays are not such a state: a wrong shape or type, or a node that is nobody's past.
+        """
+        trunk = _checked(arrays, "trunk", np.float64, (-1, 3))
+        counts = _checked(arrays, "counts", np.int64, (-1,))
+        if (counts < 1).any():
+            raise ArgumentError("counts", "at least one node a step", counts.min())
+        ends = np.cumsum(counts)
+        poses = _checked(arrays, "poses", np.float64, (int(counts.sum()), 3))
+        parents = _checked(arrays, "parents", np.int64, (int(counts.sum()),))
+        leaves = _checked(arrays, "leaves", np.int64, (-1,))
+        levels = [_Level(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
+        places = [*(level.parents for level in levels), leaves]
+        for count, used in zip([1, *counts], places, strict=True):
+            if not np.array_equal(np.unique(used), np.arange(count)):
+                raise ArgumentError("parents, leaves", f"every one of {count} nodes of the step before, no other", used)
+        if len(trunk) + len(levels) == 0:
+            raise ArgumentError("trunk, counts", "at least one step", 0)
+        ancestry = cls(leaves, levels, trunk)
+        ancestry._coalesce()
+        return ancestry
+
+    def _prune(self) -> None:
+        used = self._leaves
+        for k in range(len(self._levels) - 1, -1, -1):
+            poses, parents = self._levels[k]
+            alive = np.zeros(len(parents), dtype=np.bool_)
+            alive[used] = True
+            if alive.all():
+                return
+            place = np.cumsum(alive) - 1
+            if k + 1 < len(self._levels):
+                self._levels[k + 1] = _Level(self._levels[k + 1].poses, place[used])
+            else:
+                self._leaves = place[used]
+            self._levels[k] = _Level(poses[alive], parents[alive])
+            used = self._levels[k].parents
+
+    def _coalesce(self) -> None:
+        """Move the leading levels of a single node into the trunk."""
+        lone = next((k for k, level in enumerate(self._levels) if len(level.parents) > 1), len(self._levels))
+        if lone == 0:
+            return
+        length = self._trunk_length + lone
+        if length > len(self._trunk):
+            longer = np.empty((max(length, 2 * len(self._trunk)), 3))
+            longer[: self._trunk_length] = self._trunk[: self._trunk_length]
+            self._trunk = longer
+        self._trunk[self._trunk_length : length] = np.concatenate([level.poses for level in self._levels[:lone]])
+        self._trunk_length = length
+        del self._levels[:lone]
+
+    def _trajectories(self, places: IntArray) -> FloatArray:
+        """Poses (len(places), T, 3) along the pasts of nodes of the newest level."""
+        past = np.empty((len(places), self.steps, 3))
+        past[:, : self._trunk_length] = self._trunk[: self._trunk_length]
+        for k in range(len(self._levels) - 1, -1, -1):
+            poses, parents = self._levels[k]
+            past[:, self._trunk_length + k] = poses[places]
+            places = parents[places]
+        return past
+
+
+def _checked(arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Copy one array of the schema; -1 in `shape` means any length."""
+    if name not in arrays:
+        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
+    array = np.array(arrays[name])
+    fits = array.ndim == len(shape) and all(want in (-1, got) for want, got in zip(shape, array.shape, strict=True))
+    if array.dtype != dtype or not fits:
+        raise ArgumentError(name, f"{np.dtype(dtype)} {shape} (-1: any)", f"{array.dtype} {array.shape}")
+    return array

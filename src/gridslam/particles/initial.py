@@ -1,0 +1,76 @@
+"""How the particles are first drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.types import FloatArray
+
+__all__ = ["at_pose", "spread"]
+
+
+def at_pose(count: int, pose: ArrayLike) -> FloatArray:
+    """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
+
+    Parameters
+    ----------
+    count : int >= 1
+        Number of particles N.
+    pose : (3,) float64
+        [x m, y m, theta rad], finite.
+
+    Returns
+    -------
+    (N, 3) float64
+
+    Raises
+    ------
+    ArgumentError
+        If `count` or `pose` is anything else.
+    """
+    if count < 1:
+        raise ArgumentError("count", "at least one particle", count)
+    mean = np.array(pose, dtype=np.float64)
+    if mean.shape != (3,) or not np.isfinite(mean).all():
+        raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
+    mean[2] = wrap(mean[2])
+    return np.tile(mean, (count, 1))
+
+
+def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
+    """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
+
+    Parameters
+    ----------
+    count : int >= 1
+        Number of particles N.
+    pose : (3,) float64
+        Mean [x m, y m, theta rad], finite.
+    covariance : (3, 3) float64, m^2, m rad, rad^2
+        Of the coordinates, in the frame in which `pose` is given; symmetric and positive semidefinite. A variance of 0
+        keeps a coordinate fixed.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (N, 3) float64
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is anything else.
+    """
+    poses = at_pose(count, pose)
+    matrix = np.asarray(covariance, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ArgumentError("covariance", "a finite (3, 3) matrix", matrix.tolist())
+    rounding = 1e-12 * np.abs(matrix).max()
+    variances, axes = np.linalg.eigh(matrix)
+    if np.abs(matrix - matrix.T).max() > rounding or variances[0] < -rounding:
+        raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", matrix.tolist())
+    poses += (rng.standard_normal((count, 3)) * np.sqrt(np.maximum(variances, 0.0))) @ axes.T
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses

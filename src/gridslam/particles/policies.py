@@ -1,0 +1,90 @@
+"""Policies: when to step the particles, and when to resample them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Protocol, final, runtime_checkable
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+__all__ = ["Always", "EffectiveSampleSizeBelow", "MovedAtLeast", "Never", "ResamplingPolicy", "UpdatePolicy"]
+
+
+@runtime_checkable
+class ResamplingPolicy(Protocol):
+    """Decides whether to resample now."""
+
+    def __call__(self, effective_sample_size: float, count: int) -> bool:
+        """Say whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
+
+
+@runtime_checkable
+class UpdatePolicy(Protocol):
+    """Decides whether a scan becomes a key scan, at which the particles are stepped."""
+
+    def __call__(self, translation_m: float, rotation_rad: float) -> bool:
+        """Say whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
+
+
+@final
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class EffectiveSampleSizeBelow:
+    """Resample when the effective sample size falls below a part of the number of particles.
+
+    Every resampling costs diversity, and with equal weights it gains nothing (Grisetti et al., T-RO 2007).
+
+    Parameters
+    ----------
+    fraction : float in (0, 1], of the number of particles
+        0.5 is the value of that paper and of GMapping: half the particles carry next to nothing by then.
+    """
+
+    fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+    def __call__(self, effective_sample_size: float, count: int) -> bool:
+        """Say whether the effective sample size is below `fraction` * `count`."""
+        return effective_sample_size < self.fraction * count
+
+
+@final
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Always:
+    """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
+
+    def __call__(self, effective_sample_size: float, count: int) -> bool:
+        """Say yes."""
+        return True
+
+
+@final
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class Never:
+    """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
+
+    def __call__(self, effective_sample_size: float, count: int) -> bool:
+        """Say no."""
+        return False
+
+
+@final
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
+class MovedAtLeast:
+    """A scan is a key scan once the robot has moved or turned enough since the last one.
+
+    Scans from nearly one place see the same surfaces with the same error: counted as independent, they make the
+    weights overconfident. Scans too far apart overlap too little to be matched.
+
+    Parameters
+    ----------
+    translation_m : float > 0, m
+        0.4: a few cells of a grid of 5 cm, while neighbouring scans still see nearly the same walls.
+    rotation_rad : float > 0, rad
+        0.25 (14 degrees): a laser that sees half the plane still keeps nine tenths of its view.
+    """
+
+    translation_m: Annotated[float, Field(gt=0)] = 0.4
+    rotation_rad: Annotated[float, Field(gt=0)] = 0.25
+
+    def __call__(self, translation_m: float, rotation_rad: float) -> bool:
+        """Say whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""
+        return translation_m >= self.translation_m or abs(rotation_rad) >= self.rotation_rad
