@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.types import OccupancyGrid
+from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["MapAgreement", "compare_maps"]
 
@@ -73,7 +73,7 @@ def _overlap(
     return (in_ours[0], in_ours[1]), (in_theirs[0], in_theirs[1])
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+def _correlation(a: FloatArray, b: FloatArray) -> float:
     a, b = a - a.mean(), b - b.mean()
     scale = math.sqrt(float(a @ a) * float(b @ b))
     return float(a @ b) / scale if scale > 0 else math.nan

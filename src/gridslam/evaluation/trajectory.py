@@ -111,7 +111,7 @@ def associate(
     Returns
     -------
     of_estimate, of_reference : (K,) int64
-        Indices of the pairs, in the estimate's order.
+        Indices of the pairs, in the estimate's order; a reference's pose may have several partners.
     """
     if len(reference) == 0:
         return np.empty(0, np.int64), np.empty(0, np.int64)
