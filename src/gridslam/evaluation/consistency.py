@@ -91,7 +91,7 @@ def chi_square_quantile(probability: float, degrees: int) -> float:
 
     Raises ArgumentError where one of them is out of its range.
 
-    Source: Abramowitz and Stegun, Handbook of Mathematical Functions (1964), Sections 6.5 and 26.4, inverted by bisection.
+    Source: Abramowitz and Stegun, Handbook of Mathematical Functions (1964), 6.5 and 26.4, inverted by bisection.
     """
     if not 0 < probability < 1:
         raise ArgumentError("probability", "a number between 0 and 1", probability)

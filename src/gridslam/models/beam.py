@@ -108,12 +108,14 @@ class BeamRangeFinder:
         scan = beams.scan
         used = np.union1d(beams.indices, np.flatnonzero(scan.status == BeamStatus.NO_RETURN))
         ranges = np.where(scan.status == BeamStatus.NO_RETURN, self.range_max_m, scan.ranges)[used]
-        directions = scan.geometry.directions[used]
+        projected = scan.geometry.directions[used]
+        level = np.maximum(np.hypot(projected[:, 0], projected[:, 1]), 1e-9)  # 1 unless the laser is tilted
+        directions = projected / level[:, None]
         look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none
 
         def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
             expected = maps.cast_rays(rows, poses, beams.origin, directions, look).astype(np.float64)
-            log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected)).sum(axis=1)
+            log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected / level)).sum(axis=1)
             return self.tempering * log_likelihood
 
         return weigh

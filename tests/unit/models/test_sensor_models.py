@@ -32,7 +32,8 @@ class Walls:
     def cast_rays(self, rows, poses, origin, directions, max_m):
         start = np.stack([transform_points(pose, origin[None])[0] for pose in poses])
         headings = poses[:, 2, None] + np.arctan2(directions[:, 1], directions[:, 0])
-        towards = np.cos(headings) * np.hypot(*directions.T)
+        np.testing.assert_allclose(np.hypot(*directions.T), 1.0)
+        towards = np.cos(headings)
         with np.errstate(divide="ignore"):
             ranges = (self.walls[rows] - start[:, 0])[:, None] / towards
         return np.where(ranges >= 0, np.minimum(ranges, max_m), max_m).astype(np.float32)
@@ -135,6 +136,15 @@ def test_no_return_is_expected_where_the_map_is_open():
     assert math.isclose(value(model, beams, Walls(5.0)), math.log(0.05), rel_tol=1e-6)
     # At the limit itself half of the readings would be without return.
     assert math.isclose(value(model, beams, Walls(10.0)), math.log(0.05 + 0.4), rel_tol=1e-5)
+
+
+# Pitched by 60 degrees the beam covers half its length on the ground: 4 m of it reach the wall at 2 m.
+def test_a_tilted_laser_measures_slanted_ranges():
+    mounting = np.eye(4)
+    mounting[:3, :3] = [[0.5, 0, math.sqrt(0.75)], [0, 1, 0], [-math.sqrt(0.75), 0, 0.5]]
+    tilted = LaserScan.from_ranges(0, [4.0], ScanGeometry([0.0], mounting)).beams(0.05, 30.0)
+    density = BeamRangeFinder().likelihoods(np.float64(4.0), np.float64(4.0))
+    assert math.isclose(value(BeamRangeFinder(), tilted, Walls(2.0)), math.log(density), rel_tol=1e-5)
 
 
 def test_tempering_scales_the_log_likelihood():
