@@ -22,9 +22,9 @@ _ODOM_WORDS = 10  # ODOM x y theta tv rv accel ipc_timestamp ipc_hostname logger
 class CarmenLog:
     """A CARMEN log (plain, gzip or bzip2, told by its content); iterating yields a `Measurement` for each scan.
 
-    Scans come in file order, which is the order of the measurements although stamps jitter: backward stamps are counted,
-    never sorted. A scan's odometry is the robot's pose in its own line, at the scan's stamp; for lines without one it is
-    the last ODOM line before. Each iteration reads the file anew, in blocks, and starts `statistics` anew.
+    Scans come in file order, which is the order of the measurements although stamps jitter: backward stamps are
+    counted, never sorted. A scan's odometry is the robot's pose in its own line, at the scan's stamp; for lines without
+    one it is the last ODOM line before. Each iteration reads the file anew, in blocks, and starts `statistics` anew.
 
     Parameters
     ----------
@@ -46,11 +46,12 @@ class CarmenLog:
 
     Notes
     -----
-    Ranges at or above the sensor's maximum are NO_RETURN (see `CarmenLasers.range_max_m`); NaN, negative and zero ones are
-    INVALID and counted. ODOM lines are checked only where a scan needs them.
+    Ranges at or above the sensor's maximum are NO_RETURN (see `CarmenLasers.range_max_m`); NaN, negative and zero ones
+    are INVALID and counted. ODOM lines are checked only where a scan needs them.
     """
 
     def __init__(self, path: str | Path, *, keep_truncated: bool = False) -> None:
+        """Check that there is a file; it is read by iterating."""
         self.path = Path(path)
         self.keep_truncated = keep_truncated
         self.statistics = LogStatistics(total_bytes=TextSource(path).total_bytes)
@@ -72,7 +73,8 @@ class CarmenLog:
             self._end_early("the compressed file is cut off")
         if statistics.scan_count == 0:
             others = ", ".join(sorted(statistics.unused_tags)[:5]) or "none"
-            raise InputError(self.path, f"expected laser scans ({', '.join(SCAN_TAGS)}), got none (other tags: {others})")
+            problem = f"expected laser scans ({', '.join(SCAN_TAGS)}), got no scan (other tags: {others})"
+            raise InputError(self.path, problem)
 
     def _last_line(self, parser: CarmenParser, line: str, cut_off: bool) -> Iterator[Measurement]:
         """Parse the last line, which no line end follows: it may be whole, or the file was cut off within it."""

@@ -9,12 +9,14 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import InputError
+from gridslam.geometry import se2
+from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lines import BeamLayout, LineError, ScanRows, parse_pose
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, ScanGeometry
 
-__all__ = ["SICK_NO_RETURN_M", "CarmenLasers"]
+__all__ = ["LASER_PARAMETERS", "SICK_NO_RETURN_M", "CarmenLasers"]
 
 SICK_NO_RETURN_M = 81.83
 """Readings from here on are status codes of the SICK LMS (8183 to 8191 cm: overflow, dazzled, ...), never ranges."""
@@ -23,7 +25,7 @@ _SAME_PLACE = (1e-2, 1e-2, 1e-2)  # m, m, rad: how constant an offset must be to
 _FARTHEST_M = 1.0  # a laser farther from the robot's centre is not plausible on these robots
 _ENOUGH_MOTION = (1.0, 0.5)  # m and rad driven: tells a mounting from a correction of the pose
 _MOST_SCANS = 2000
-_PARAMETERS = {
+LASER_PARAMETERS = {
     "front": {
         "x": "robot_frontlaser_offset", "y": "robot_frontlaser_side_offset", "theta": "robot_frontlaser_angular_offset",
         "max": "robot_front_laser_max", "fov": "laser_front_laser_fov", "step": "laser_front_laser_resolution",
@@ -40,6 +42,7 @@ class CarmenLasers:
     """Decides each sensor's mounting once and shares one geometry between all its scans of the same beams."""
 
     def __init__(self, path: Path) -> None:
+        """Start with nothing known of the lasers of the log at `path`."""
         self.mountings: dict[str, Mounting] = {}
         self._path = path
         self._parameters: dict[str, tuple[str, int]] = {}
@@ -47,7 +50,7 @@ class CarmenLasers:
 
     def uses(self, name: str) -> bool:
         """Tell whether a parameter says something of a laser."""
-        return any(name in names.values() for names in _PARAMETERS.values())
+        return any(name in names.values() for names in LASER_PARAMETERS.values())
 
     def set_parameter(self, name: str, value: str, line: int) -> None:
         """Take a parameter of the log for the scans that follow it."""
@@ -77,7 +80,7 @@ class CarmenLasers:
         return SICK_NO_RETURN_M if stated is None or stated <= 0 else min(stated, SICK_NO_RETURN_M)
 
     def _number(self, sensor: str, what: str) -> float | None:
-        name = _PARAMETERS.get(sensor, {}).get(what, "")
+        name = LASER_PARAMETERS.get(sensor, {}).get(what, "")
         if name not in self._parameters:
             return None
         value, line = self._parameters[name]
@@ -92,11 +95,11 @@ class CarmenLasers:
     def _bearings(self, sensor: str, n: int, layout: BeamLayout | None) -> FloatArray:
         """Bearings (n,) in rad, counter-clockwise from the right.
 
-        An even number of beams divides the field of view (180 degrees unless stated) into n steps and leaves out its last
-        edge, an odd number has a beam on both edges. A stated resolution counts where it fits the number of beams.
+        An even number of beams divides the field of view (180 degrees unless stated) into n steps and leaves out its
+        last edge, an odd number has a beam on both edges. A stated resolution counts where it fits the number of beams.
         """
         if layout is not None:
-            return layout.start_rad + layout.step_rad * np.arange(n)
+            return layout.start_rad + layout.step_rad * np.arange(n, dtype=np.float64)
         if n == 1:
             return np.zeros(1)
         fov = self._number(sensor, "fov") or 180.0
@@ -104,20 +107,23 @@ class CarmenLasers:
         stated = self._number(sensor, "step")
         if stated is not None and stated > 0 and abs(stated * n - fov) <= 1.5 * stated:
             step = stated
-        return np.radians(-fov / 2 + step * np.arange(n))
+        return np.deg2rad(-fov / 2 + step * np.arange(n, dtype=np.float64))
 
     def _mounting(self, tag: str, sensor: str, rows: ScanRows) -> Mounting:
         """Where the laser sits: by the lines if they are consistent, else by the parameters, else at the centre."""
         stated = [self._number(sensor, axis) for axis in ("x", "y", "theta")]
         turned = np.pi if sensor == "rear" else 0.0
         theta = turned if stated[2] is None else stated[2]
+        configured = np.array([stated[0] or 0.0, stated[1] or 0.0, theta])
+        known = any(value is not None for value in stated)
         measured = self._offset_in_lines(tag, rows)
         if measured is not None:
             if sensor == "rear" and abs(measured[2]) < np.pi / 2:
                 measured[2] = theta  # such a line gives the laser's place, but the robot's heading
-            return Mounting(measured, "line")
-        known = any(value is not None for value in stated)
-        return Mounting(np.array([stated[0] or 0.0, stated[1] or 0.0, theta]), "parameters" if known else "assumed")
+            difference = np.append((measured - configured)[:2], wrap(float(measured[2]) - theta))
+            if not known or (np.abs(difference) > _SAME_PLACE).any():
+                return Mounting(measured, "line")
+        return Mounting(configured, "parameters" if known else "assumed")
 
     def _offset_in_lines(self, tag: str, rows: ScanRows) -> FloatArray | None:
         """Pose (3,) of the laser seen from the robot, where the log's lines agree on one.
@@ -125,43 +131,38 @@ class CarmenLasers:
         The laser's pose in a line is either the robot's composed with the mounting, or a pose that some SLAM corrected.
         Only the former keeps its distance while the robot drives and turns. Equal poses say nothing.
         """
-        if rows.laser_poses is None or rows.robot_poses is None or np.allclose(rows.laser_poses, rows.robot_poses, atol=1e-4):
+        if rows.laser_poses is None or rows.robot_poses is None:
             return None
-        offsets = np.array(list(self._offsets(tag)))
-        if len(offsets) == 0:
+        if np.allclose(rows.laser_poses, rows.robot_poses, rtol=0, atol=1e-4):
             return None
-        middle = np.median(offsets, axis=0)
-        # Angles are compared with the first one, so that a laser looking backwards does not straddle the cut at pi.
-        middle[2] = offsets[0, 2] + np.median(_wrapped(offsets[:, 2] - offsets[0, 2]))
-        deviation = offsets - middle
-        deviation[:, 2] = _wrapped(deviation[:, 2])
-        if (np.abs(deviation) > _SAME_PLACE).any() or np.hypot(*middle[:2]) >= _FARTHEST_M:
+        poses = np.array(list(self._poses(tag)))
+        if len(poses) == 0:
             return None
-        middle[2] = _wrapped(middle[2])
-        return middle
+        offsets = se2.between(poses[:, 1], poses[:, 0])
+        from_first = offsets - offsets[0]
+        from_first[:, 2] = wrap(from_first[:, 2])  # a laser that looks backwards must not straddle the cut at pi
+        middle = np.median(from_first, axis=0)
+        mounting: FloatArray = offsets[0] + middle
+        if (np.abs(from_first - middle) > _SAME_PLACE).any() or np.hypot(mounting[0], mounting[1]) >= _FARTHEST_M:
+            return None
+        mounting[2] = wrap(mounting[2])
+        return mounting
 
-    def _offsets(self, tag: str) -> Iterator[FloatArray]:
-        """Offsets (3,) in the first lines with `tag`, until the robot has driven and turned enough."""
-        values_after_poses = 8 if tag == "ROBOTLASER1" else 3
+    def _poses(self, tag: str) -> Iterator[FloatArray]:
+        """Yield laser and robot poses (2, 3) of lines with `tag`, until the robot has driven and turned enough."""
+        words_after = 8 if tag == "ROBOTLASER1" else 3
         driven, turned, scans = 0.0, 0.0, 0
-        last = None
+        last: FloatArray | None = None
         for line in (line for lines in TextSource(self._path) for line in lines if line.startswith(tag + " ")):
+            words = line.rsplit(None, words_after + 6)[1:7]
             try:
-                words = line.rsplit(None, values_after_poses + 6)[1:7]
                 laser, robot = parse_pose(words[:3]), parse_pose(words[3:])
             except LineError:
                 return  # the reader itself tells what is wrong with this line
-            c, s = np.cos(robot[2]), np.sin(robot[2])
-            dx, dy = laser[:2] - robot[:2]
-            yield np.array([c * dx + s * dy, c * dy - s * dx, _wrapped(laser[2] - robot[2])])
+            yield np.stack([laser, robot])
             if last is not None:
-                driven += float(np.hypot(*(robot - last)[:2]))
-                turned += abs(float(_wrapped(robot[2] - last[2])))
+                motion = se2.between(last, robot)
+                driven, turned = driven + float(np.hypot(motion[0], motion[1])), turned + abs(float(motion[2]))
             last, scans = robot, scans + 1
             if (driven >= _ENOUGH_MOTION[0] and turned >= _ENOUGH_MOTION[1]) or scans >= _MOST_SCANS:
                 return
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """Angle in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -23,6 +23,7 @@ class LineError(ValueError):
     """A line has not the form its tag promises; `row` tells which of those given."""
 
     def __init__(self, problem: str, row: int = 0) -> None:
+        """Say what was expected and what came."""
         super().__init__(problem)
         self.row = row
 
@@ -143,7 +144,8 @@ def _count(tag: str, values: FloatArray, column: int, row: int) -> int:
 def _check_length(tag: str, n: int, missing: int, row: int) -> None:
     if missing:
         few = "too few" if missing > 0 else "too many"
-        raise LineError(f"expected {n} readings and what follows them in a {tag} line, got {abs(missing)} values {few}", row)
+        problem = f"expected {n} readings and what follows them in a {tag} line, got {abs(missing)} values {few}"
+        raise LineError(problem, row)
 
 
 def _beam_count(tag: str, values: FloatArray, column: int, row: int) -> int:
@@ -171,7 +173,7 @@ def _remissions(tag: str, values: FloatArray, row: int) -> ScanRows:
 
 
 def _robotlaser(tag: str, values: FloatArray, row: int) -> ScanRows:
-    """``type start fov step max accuracy mode n r1..rn m rem1..rem_m laser_pose robot_pose tv rv forward side axis``."""
+    """``type start fov step max accuracy mode n r1..rn m rem1..rem_m laser_pose robot_pose tv rv fwd side axis``."""
     n = _beam_count(tag, values, 7, row)
     if values.shape[1] < n + 9:
         _check_length(tag, n, n + 9 + _ROBOTLASER_TAIL - values.shape[1], row)

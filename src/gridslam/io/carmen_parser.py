@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import InputError
+from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lasers import CarmenLasers
 from gridslam.io.carmen_lines import SCAN_TAGS, LineError, ScanRows, parse_pose, parse_rows, parse_stamp_ns
 from gridslam.io.log_statistics import LogStatistics
@@ -37,9 +38,10 @@ class _Batch:
 
 @final
 class CarmenParser:
-    """One pass over the lines of a log: what earlier lines told (parameters, odometry, mountings) holds for later ones."""
+    """One pass over a log: what earlier lines told (parameters, odometry, mountings) holds for later ones."""
 
     def __init__(self, path: Path) -> None:
+        """Start before the first line of the log at `path`."""
         self.statistics = LogStatistics()
         self._path = path
         self._lasers = CarmenLasers(path)
@@ -120,8 +122,8 @@ class CarmenParser:
         """Refuse a line with another number of poses than those before: some of its readings are missing."""
         has = rows.robot_poses is not None
         if self._has_poses.setdefault(tag, has) != has:
-            want = "six pose values after the readings" if not has else "no pose after the readings"
-            raise LineError(f"expected {want} as in the {tag} lines before, got {'none' if not has else 'six values'}", rows.first)
+            want, got = ("none", "six") if has else ("six", "none")
+            raise LineError(f"expected {want} pose values after the readings as in lines before, got {got}", rows.first)
 
     def _measurements(self, tag: str, rows: ScanRows, places: list[int], batch: _Batch) -> Iterator[Measurement]:
         sensor = SCAN_TAGS[tag]
@@ -137,7 +139,8 @@ class CarmenParser:
         for row, place in enumerate(places):
             stamp_ns = batch.stamps_ns[place]
             odometry = self._odometry(batch.odometry_lines[place]) if poses is None else Odometry(stamp_ns, poses[row])
-            yield Measurement(odometry, LaserScan(stamp_ns, ranges[row], status[row], geometry, 0.0, limit, sensor, frame))
+            scan = LaserScan(stamp_ns, ranges[row], status[row], geometry, 0.0, limit, sensor, frame)
+            yield Measurement(odometry, scan)
 
     def _status(self, ranges: FloatArray, limit: float) -> NDArray[np.uint8]:
         """Decide each beam's status (K, B) and count."""
@@ -172,9 +175,5 @@ class CarmenParser:
 
 
 def _normalised(poses: FloatArray) -> FloatArray:
-    """Copy of poses (N, 3) with theta in [-pi, pi); angles that are there already keep their bits."""
-    poses = poses.copy()
-    theta = poses[:, 2]
-    outside = (theta < -np.pi) | (theta >= np.pi)
-    theta[outside] = (theta[outside] + np.pi) % (2 * np.pi) - np.pi
-    return poses
+    """Copy of poses (N, 3) with theta in [-pi, pi)."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, final
+from typing import IO, cast, final
 
 from gridslam.errors import InputError
 
@@ -64,7 +64,7 @@ def _decompressed(file: IO[bytes]) -> IO[bytes]:
     if magic == b"BZh":
         return bz2.BZ2File(file)
     if magic[:2] == b"\x1f\x8b":
-        return gzip.GzipFile(fileobj=file)
+        return cast(IO[bytes], gzip.GzipFile(fileobj=file))
     return file
 
 
@@ -83,6 +83,7 @@ class TextSource:
     """
 
     def __init__(self, path: str | Path) -> None:
+        """Check that there is a file with something in it."""
         self.path = Path(path)
         with open_for_reading(path) as file:
             self.total_bytes = os.fstat(file.fileno()).st_size

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from gridslam.errors import InputError
-from gridslam.io.carmen_lines import LineError, parse_stamp_ns
-from gridslam.io.text_source import read_text
+from gridslam.geometry.angles import wrap
+from gridslam.io.table import read_table
 from gridslam.types import Trajectory
 
 __all__ = ["read_tum", "write_tum"]
@@ -41,27 +41,11 @@ def read_tum(path: str | Path) -> Trajectory:
         Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a quaternion of unit
         norm (within 1 %).
     """
-    stamps, rows = [], []
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        if len(words) != 8:
-            raise InputError(path, f"expected stamp x y z qx qy qz qw, got {len(words)} words", number)
-        try:
-            stamps.append(parse_stamp_ns(words[0]))
-            row = [float(word) for word in words[1:]]
-        except LineError as error:
-            raise InputError(path, str(error), number) from None
-        except ValueError:
-            raise InputError(path, f"expected numbers, got {line!r}", number) from None
-        norm = math.hypot(*row[3:])
-        if not all(map(math.isfinite, row)) or abs(norm - 1) > 0.01:
-            raise InputError(path, f"expected finite values and a unit quaternion, got {line!r}", number)
-        rows.append(row)
-    if not rows:
-        raise InputError(path, "expected at least one pose, got none")
-    x, y, _, qx, qy, qz, qw = np.array(rows).T
-    yaw = np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2)
-    yaw[yaw >= np.pi] -= 2 * np.pi
-    return Trajectory(np.array(stamps, dtype=np.int64), np.column_stack([x, y, yaw]))
+    table = read_table(path, 1, "stamp x y z qx qy qz qw")
+    x, y, _, qx, qy, qz, qw = table.values.T
+    norm = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
+    bad = np.flatnonzero(abs(norm - 1) > 0.01)
+    if len(bad):
+        raise InputError(path, f"expected a unit quaternion, got one of norm {norm[bad[0]]:g}", table.lines[bad[0]])
+    yaw = wrap(np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2))
+    return Trajectory(table.stamps_ns[:, 0], np.column_stack([x, y, yaw]))

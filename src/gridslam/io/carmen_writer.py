@@ -1,0 +1,141 @@
+"""Writer of CARMEN logs."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, cast
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry import se2
+from gridslam.io.carmen_lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
+from gridslam.io.measurement import Measurement
+from gridslam.io.output import written_aside
+from gridslam.types import BeamStatus, FloatArray, LaserScan
+
+__all__ = ["write_carmen"]
+
+_HEADER = """\
+# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp
+# message formats defined: PARAM ODOM FLASER RLASER
+# PARAM param_name param_value
+# ODOM x y theta tv rv accel
+# FLASER num_readings [range_readings] x y theta odom_x odom_y odom_theta
+# RLASER num_readings [range_readings] x y theta odom_x odom_y odom_theta
+"""
+_NO_RETURN_TEXT = "81.910"
+
+
+def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
+    """Write a log that `CarmenLog` reads back: an ODOM and a FLASER line for each measurement, RLASER for sensor "rear".
+
+    Stamps come back exactly, ranges to 1 mm, poses to 1e-6 m and rad, each beam's status as it was. Field of view,
+    maximum range and mounting are stated as parameters. The file appears under its name only once it is whole.
+
+    Parameters
+    ----------
+    path : str or Path
+        Compressed where its suffix is .gz or .bz2.
+    measurements : iterable of Measurement
+        In the order in which they are to stand in the log; may be a generator.
+
+    Raises
+    ------
+    ArgumentError
+        For what the format cannot say: no odometry or odometry not at the scan's stamp, beams not evenly spread
+        about the laser's axis, a laser not mounted level, hits at or above the maximum range or 81.83 m.
+    OutputError
+        Where the file cannot be written.
+    """
+    stated: dict[str, list[str]] = {}
+    with written_aside(path) as aside, _opened(aside, Path(path).suffix) as file:
+        file.write(_HEADER.encode())
+        start_ns: int | None = None
+        for measurement in measurements:
+            scan = measurement.scan
+            start_ns = scan.stamp_ns if start_ns is None else start_ns
+            tag, sensor = ("RLASER", "rear") if scan.sensor == "rear" else ("FLASER", "front")
+            parameters = _parameters(sensor, scan)
+            if stated.get(sensor) != parameters:
+                file.write("".join(parameters).encode())
+                stated[sensor] = parameters
+            file.write(_lines(tag, measurement, start_ns).encode())
+
+
+@contextmanager
+def _opened(path: Path, suffix: str) -> Iterator[IO[bytes]]:
+    with path.open("wb") as raw:
+        if suffix == ".gz":
+            # Neither name nor time goes into the file: the same log gives the same bytes.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file:
+                yield cast(IO[bytes], file)
+        elif suffix == ".bz2":
+            with bz2.BZ2File(raw, "wb") as compressed:
+                yield compressed
+        else:
+            yield raw
+
+
+def _parameters(sensor: str, scan: LaserScan) -> list[str]:
+    """PARAM lines from which the reader gets the beams, the maximum range and the mounting."""
+    bearings, n = scan.geometry.bearings, len(scan)
+    x, y, theta = _mounting(scan)
+    values = {"x": x, "y": y, "theta": theta}
+    if n > 1:
+        step = float(bearings[-1] - bearings[0]) / (n - 1)
+        fov = -2 * float(bearings[0])
+        if not np.allclose(bearings, bearings[0] + step * np.arange(n), rtol=0, atol=1e-6) or not step > 0:
+            raise ArgumentError("bearings", "evenly spread, counter-clockwise", bearings)
+        if not (fov > 0 and abs(step * n - fov) <= 1.5 * step):
+            got = (float(bearings[0]), float(bearings[-1]))
+            raise ArgumentError("bearings", "from -fov/2 to fov/2, with or without the last edge", got)
+        values |= {"fov": float(np.rad2deg(fov)), "step": float(np.rad2deg(step))}
+    values["max"] = min(scan.range_max_m, SICK_NO_RETURN_M)
+    return [f"PARAM {LASER_PARAMETERS[sensor][what]} {value!r} nohost 0\n" for what, value in values.items()]
+
+
+def _mounting(scan: LaserScan) -> tuple[float, float, float]:
+    mounting = scan.geometry.base_from_laser
+    if not np.allclose(mounting[2, :3], (0, 0, 1), atol=1e-9):
+        raise ArgumentError("base_from_laser", "a laser mounted level", mounting.tolist())
+    return float(mounting[0, 3]), float(mounting[1, 3]), float(np.arctan2(mounting[1, 0], mounting[0, 0]))
+
+
+def _lines(tag: str, measurement: Measurement, start_ns: int) -> str:
+    odometry, scan = measurement
+    if odometry is None or odometry.stamp_ns != scan.stamp_ns:
+        got = None if odometry is None else odometry.stamp_ns
+        raise ArgumentError("measurements", f"odometry at the scan's stamp {scan.stamp_ns}", got)
+    laser = se2.compose(odometry.pose, _mounting(scan))
+    tail = f"{_seconds(scan.stamp_ns)} nohost {(scan.stamp_ns - start_ns) / 1e9:.6f}\n"
+    robot = _pose(odometry.pose)
+    return f"ODOM {robot} 0 0 0 {tail}{tag} {len(scan)} {_ranges(scan)} {_pose(laser)} {robot} {tail}"
+
+
+def _seconds(stamp_ns: int) -> str:
+    """Exact decimal seconds: six decimals, as is usual, or nine where needed."""
+    sign, (seconds, nanoseconds) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
+    fraction = f"{nanoseconds:09d}" if nanoseconds % 1000 else f"{nanoseconds // 1000:06d}"
+    return f"{sign}{seconds}.{fraction}"
+
+
+def _pose(pose: FloatArray) -> str:
+    return "{:.6f} {:.6f} {:.6f}".format(*pose)
+
+
+def _ranges(scan: LaserScan) -> str:
+    limit = min(scan.range_max_m, SICK_NO_RETURN_M)
+    hit = scan.status == BeamStatus.HIT
+    if (scan.ranges[hit] >= limit).any():
+        raise ArgumentError("ranges", f"hits below {limit} m", scan.ranges[hit].max())
+    # Rounding must not turn a hit into "no return" or "invalid".
+    millimetres = np.clip(np.rint(1000 * np.where(hit, scan.ranges, 1.0)), 1, np.ceil(1000 * limit) - 1)
+    texts = ("%.3f " * len(scan) % tuple(millimetres / 1000)).split()
+    for beam in np.flatnonzero(~hit):
+        texts[beam] = _NO_RETURN_TEXT if scan.status[beam] == BeamStatus.NO_RETURN else "0.000"
+    return " ".join(texts)
