@@ -49,15 +49,24 @@ def _statistics(values: FloatArray) -> tuple[float, float, float, float]:
     return float(values.mean()), float(values.std()), rmse, float(values.max())
 
 
+def _neighbours(stamps: IntArray, times: IntArray) -> tuple[IntArray, IntArray]:
+    """Indices of the ascending stamps that enclose each time; the outermost two beyond the ends."""
+    last = len(stamps) - 1
+    high = np.clip(np.searchsorted(stamps, times), min(1, last), last)
+    return np.maximum(high - 1, 0), high
+
+
 def interpolate(
     trajectory: Trajectory, stamps_ns: ArrayLike, *, tolerance_ns: int = 1_000_000
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Poses of a trajectory at given times: x and y linear, theta along the shorter arc, between neighbours in time.
 
+    Raises ArgumentError where the trajectory is empty or a time lies outside it by more than the tolerance.
+
     Parameters
     ----------
     trajectory : Trajectory
-        At least one pose; taken in the order of the stamps (stable, where they jitter backwards).
+        At least one pose; taken in the order of the stamps, which may jitter backwards.
     stamps_ns : (M,) int64, ns
         When.
     tolerance_ns : int, ns, >= 0
@@ -69,31 +78,24 @@ def interpolate(
         Poses at the times.
     exact : (M,) bool
         Whether a given pose stands within the tolerance.
-
-    Raises
-    ------
-    ArgumentError
-        The trajectory is empty, or a time lies outside it by more than the tolerance.
     """
     if len(trajectory) == 0:
         raise ArgumentError("trajectory", "at least one pose", "none")
     order = np.argsort(trajectory.stamps_ns, kind="stable")
     stamps, poses = trajectory.stamps_ns[order], trajectory.poses[order]
     times: IntArray = np.asarray(stamps_ns, dtype=np.int64)
-    outside = (times < stamps[0] - tolerance_ns) | (times > stamps[-1] + tolerance_ns)
-    if outside.any():
+    outside = times[(times < stamps[0] - tolerance_ns) | (times > stamps[-1] + tolerance_ns)]
+    if len(outside):
         span = f"times from {stamps[0]} to {stamps[-1]} ns"
-        raise ArgumentError("stamps_ns", span, f"{int(outside.sum())} outside, the first {times[outside][0]}")
-    high = np.clip(np.searchsorted(stamps, times), min(1, len(stamps) - 1), len(stamps) - 1)
-    low = np.maximum(high - 1, 0)
+        raise ArgumentError("stamps_ns", span, f"{len(outside)} outside, the first {outside[0]}")
+    low, high = _neighbours(stamps, times)
     span_ns = np.maximum(stamps[high] - stamps[low], 1)
     weight = np.clip((times - stamps[low]) / span_ns, 0.0, 1.0)
     step = poses[high] - poses[low]
     step[:, 2] = wrap(step[:, 2])
-    result = poses[low] + weight[:, None] * step
-    result[:, 2] = wrap(result[:, 2])
-    exact = np.minimum(np.abs(stamps[high] - times), np.abs(times - stamps[low])) <= tolerance_ns
-    return result, exact
+    between_them = poses[low] + weight[:, None] * step
+    between_them[:, 2] = wrap(between_them[:, 2])
+    return between_them, np.minimum(np.abs(stamps[high] - times), np.abs(times - stamps[low])) <= tolerance_ns
 
 
 def associate(
@@ -117,8 +119,7 @@ def associate(
         return np.empty(0, np.int64), np.empty(0, np.int64)
     order = np.argsort(reference.stamps_ns, kind="stable")
     stamps = reference.stamps_ns[order]
-    above = np.minimum(np.searchsorted(stamps, estimate.stamps_ns), len(stamps) - 1)
-    below = np.maximum(above - 1, 0)
+    below, above = _neighbours(stamps, estimate.stamps_ns)
     to_above, to_below = np.abs(stamps[above] - estimate.stamps_ns), np.abs(estimate.stamps_ns - stamps[below])
     nearest = np.where(to_below < to_above, below, above)
     paired = np.flatnonzero(np.minimum(to_below, to_above) <= tolerance_ns)
