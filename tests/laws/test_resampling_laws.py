@@ -1,0 +1,185 @@
+"""Laws of the resamplers: unbiased, and right at every edge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
+
+RESAMPLERS = [ResamplingWheel(), Systematic(), Stratified(), Residual(), Multinomial()]
+every_resampler = pytest.mark.parametrize("resampler", RESAMPLERS, ids=lambda r: type(r).__name__)
+
+weights_of_any_size = (
+    st.lists(
+        st.one_of(st.just(0.0), st.floats(0, 1e308), st.floats(0, 1), st.just(5e-324), st.floats(0, 1e-310)),
+        min_size=1,
+        max_size=20,
+    )
+    .map(np.array)
+    .filter(lambda weights: weights.max() > 0)
+)
+sizes = st.integers(0, 40)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def counts_of(resampler, weights: np.ndarray, size: int, seed: int) -> np.ndarray:
+    return np.bincount(resampler(weights, size, np.random.default_rng(seed)), minlength=len(weights))
+
+
+def expected_counts(weights: np.ndarray, size: int) -> np.ndarray:
+    relative = weights / weights.max()
+    return size * relative / relative.sum()
+
+
+def z_scores(draw_counts, expected: np.ndarray, repetitions: int) -> np.ndarray:
+    """How many standard errors the mean counts lie from `expected`; a count that never varies must be exact."""
+    counts = np.array([draw_counts() for _ in range(repetitions)])
+    error = counts.mean(axis=0) - expected
+    standard_error = counts.std(axis=0) / math.sqrt(repetitions)
+    fixed = standard_error == 0
+    np.testing.assert_allclose(error[fixed], 0, atol=1e-12)
+    return np.where(fixed, 0.0, error / np.where(fixed, 1.0, standard_error))
+
+
+@every_resampler
+@pytest.mark.parametrize(
+    ("weights", "size"),
+    [
+        ([0.9, 0.1], 2),
+        ([0.1, 0.9], 2),
+        ([1, 1, 1], 3),
+        ([5, 0, 1, 0, 2, 4], 6),
+        ([0, 0.05, 0.05, 0.9, 0], 5),
+        ([1, 2, 3, 4], 1),
+        ([1, 2, 3, 4], 7),
+        ([3, 1, 1, 1, 1, 1, 1, 1, 10, 1], 4),
+    ],
+)
+def test_expected_counts_are_size_times_weight(resampler, weights: list[float], size: int) -> None:
+    # 3000 repetitions and means of at least 0.1 a draw: the central limit theorem holds well. |z| > 5 has a chance of
+    # 6e-7; with 5 resamplers x 36 counts a false alarm would come for one seed in 9000. The seed is fixed.
+    rng = np.random.default_rng(20)
+    wheel = np.array(weights, dtype=np.float64)
+
+    def draw() -> np.ndarray:
+        return np.bincount(resampler(wheel, size, rng), minlength=len(wheel))
+
+    assert np.abs(z_scores(draw, expected_counts(wheel, size), 3000)).max() < 5
+
+
+def taught_wheel(weights: np.ndarray, size: int, rng: np.random.Generator) -> list[int]:
+    """The wheel as lectures give it, started at the beginning of a slot drawn uniformly."""
+    index, rest, stops = int(rng.integers(len(weights))), 0.0, []
+    for _ in range(size):
+        rest += rng.random() * 2.0 * weights.max()
+        while rest > weights[index]:
+            rest -= weights[index]
+            index = (index + 1) % len(weights)
+        stops.append(index)
+    return stops
+
+
+def test_the_wheel_as_usually_taught_is_biased() -> None:
+    # The first stop is in the slot of weight 1/10 with probability 1/12 (derived in ResamplingWheel's docstring). The
+    # standard error of 20000 repetitions is sqrt(1/12 * 11/12 / 20000) = 0.00195: 1/10 is 8.5 of them away.
+    rng = np.random.default_rng(21)
+    weights = np.array([0.9, 0.1])
+
+    def first_stop() -> np.ndarray:
+        return np.bincount(taught_wheel(weights, 1, rng), minlength=2)
+
+    assert np.abs(z_scores(first_stop, np.array([11 / 12, 1 / 12]), 20000)).max() < 4
+    assert np.abs(z_scores(first_stop, weights, 20000)).max() > 5
+
+
+@pytest.mark.parametrize("size", [1, 4, 9])
+def test_multinomial_counts_have_the_multinomial_covariance(size: int) -> None:
+    # An entry of the sample covariance from R draws errs by less than sqrt(2 / R) * size / 4 * (1 + O(1/size)), 0.0056
+    # * size for R = 4000; five of them are 0.028 * size.
+    rng = np.random.default_rng(22)
+    weights = np.array([0.1, 0.2, 0.3, 0.4])
+    counts = [np.bincount(Multinomial()(weights, size, rng), minlength=4) for _ in range(4000)]
+    want = size * (np.diag(weights) - np.outer(weights, weights))
+    np.testing.assert_allclose(np.cov(np.transpose(counts)), want, atol=0.028 * size)
+
+
+@every_resampler
+@given(weights=weights_of_any_size, size=sizes, seed=seeds)
+@example(weights=np.array([5e-324, 0.0, 5e-324]), size=3, seed=0)
+@example(weights=np.array([1e308] * 5), size=5, seed=0)
+@example(weights=np.array([0.0, 1.0, 0.0]), size=4, seed=0)
+@example(weights=np.array([0.1] * 10 + [0.0]), size=11, seed=0)
+def test_contract(resampler, weights: np.ndarray, size: int, seed: int) -> None:
+    drawn = resampler(weights, size, np.random.default_rng(seed))
+    assert drawn.shape == (size,)
+    assert drawn.dtype == np.int64
+    assert (np.diff(drawn) >= 0).all()
+    assert ((drawn >= 0) & (drawn < len(weights))).all()
+    assert (weights[drawn] > 0).all()
+
+
+@every_resampler
+@given(weights=st.lists(st.floats(1e-3, 1), min_size=1, max_size=10).map(np.array), size=sizes, seed=seeds)
+def test_only_ratios_of_weights_matter(resampler, weights: np.ndarray, size: int, seed: int) -> None:
+    drawn = resampler(weights, size, np.random.default_rng(seed))
+    for scale in (2.0**900, 2.0**-1000):  # powers of two scale without rounding
+        np.testing.assert_array_equal(resampler(weights * scale, size, np.random.default_rng(seed)), drawn)
+
+
+@every_resampler
+@given(weights=st.integers(1, 30).map(lambda n: np.full(n, 0.1)), seed=seeds)
+def test_the_same_seed_draws_the_same(resampler, weights: np.ndarray, seed: int) -> None:
+    first = resampler(weights, len(weights), np.random.default_rng(seed))
+    np.testing.assert_array_equal(resampler(weights, len(weights), np.random.default_rng(seed)), first)
+
+
+@given(weights_of_any_size, sizes, seeds)
+def test_counts_stay_near_their_expectation(weights: np.ndarray, size: int, seed: int) -> None:
+    # 1e-9 lets a point fall to either side of a slot's end where it differs by rounding only.
+    expected = expected_counts(weights, size)
+    systematic = counts_of(Systematic(), weights, size, seed)
+    assert (systematic >= np.floor(expected - 1e-9)).all()
+    assert (systematic <= np.ceil(expected + 1e-9)).all()
+    # A slot covers all of the sections inside it and parts of at most two more.
+    assert (np.abs(counts_of(Stratified(), weights, size, seed) - expected) < 2 + 1e-9).all()
+    assert (counts_of(Residual(), weights, size, seed) >= np.floor(expected - 1e-9)).all()
+
+
+@pytest.mark.parametrize("resampler", [Systematic(), Stratified(), Residual()], ids=lambda r: type(r).__name__)
+@given(count=st.integers(1, 200), weight=st.floats(5e-324, 1e308), seed=seeds)
+def test_equal_weights_keep_every_particle(resampler, count: int, weight: float, seed: int) -> None:
+    drawn = resampler(np.full(count, weight), count, np.random.default_rng(seed))
+    np.testing.assert_array_equal(drawn, np.arange(count))
+
+
+@every_resampler
+@given(size=sizes, weight=st.floats(5e-324, 1e308), seed=seeds)
+def test_one_particle_is_always_drawn(resampler, size: int, weight: float, seed: int) -> None:
+    np.testing.assert_array_equal(resampler(np.array([weight]), size, np.random.default_rng(seed)), np.zeros(size))
+
+
+class ExtremeGenerator:
+    """A generator whose uniform numbers in [0, 1) are all the least or all the greatest possible."""
+
+    def __init__(self, value: float) -> None:
+        self.value = value
+
+    def random(self, size: int | None = None) -> float | np.ndarray:
+        return self.value if size is None else np.full(size, self.value)
+
+
+@every_resampler
+@pytest.mark.parametrize("value", [0.0, math.nextafter(1.0, 0.0)])
+@pytest.mark.parametrize(
+    "weights", [[0.1] * 10 + [0.0] * 3, [0.0, 0.3, 0.0, 0.7, 0.0], [1e-300, 1.0, 1e-300], [0.0, 1.0]]
+)
+def test_the_ends_of_the_unit_interval_hit_no_empty_slot(resampler, value: float, weights: list[float]) -> None:
+    for size in (1, 2, 3, 10, 13, 1000):
+        drawn = resampler(np.array(weights), size, ExtremeGenerator(value))
+        assert drawn.shape == (size,)
+        assert (np.array(weights)[drawn] > 0).all()
