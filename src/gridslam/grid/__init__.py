@@ -1,1 +1,6 @@
-"""grid."""
+"""Occupancy grids: copy-on-write tiled maps, their distance fields, and the frame that world and cells share."""
+
+from gridslam.grid.frame import cell_centres, cell_corner, cells_of
+from gridslam.grid.tiles import LOG_ODDS_UNIT, Evidence, TileMaps
+
+__all__ = ["LOG_ODDS_UNIT", "Evidence", "TileMaps", "cell_centres", "cell_corner", "cells_of"]

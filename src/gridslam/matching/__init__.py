@@ -1,1 +1,7 @@
-"""matching."""
+"""Scan matching: where does a scan fit a map best, and how well is that determined."""
+
+from gridslam.matching.correlative import Correlative
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.hill_climbing import HillClimbing
+
+__all__ = ["Correlative", "GaussNewton", "HillClimbing"]

@@ -1,0 +1,53 @@
+"""Occupancy grid mapping with known poses: the binary Bayes filter, one scan at a time."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import Evidence, TileMaps
+from gridslam.models.inverse_sensor import InverseSensorModel
+from gridslam.types import Beams, FloatArray
+
+__all__ = ["OccupancyGridMapping"]
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class OccupancyGridMapping:
+    """Makes empty maps and inserts scans into them.
+
+    Parameters
+    ----------
+    resolution_m : float, m
+        Side of a cell; 5 cm is what indoor robots navigate on.
+    reach_cells : float
+        Distance, in cells, to which an obstacle attracts the ends of beams; half a metre at 5 cm.
+    inverse_sensor : InverseSensorModel
+        What a beam says about the cells on its way.
+
+    Source: Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
+    """
+
+    resolution_m: float = Field(0.05, gt=0, le=1)
+    reach_cells: float = Field(10.5, ge=1, le=15.5)
+    inverse_sensor: InverseSensorModel = InverseSensorModel()
+
+    def empty(self, rows: int, threads: int = 1) -> TileMaps:
+        """Make `rows` maps in which nothing is known."""
+        model = self.inverse_sensor
+        evidence = Evidence(
+            model.log_odds_hit, model.log_odds_miss, model.log_odds_min, model.log_odds_max, model.log_odds_occupied
+        )
+        return TileMaps(
+            rows, resolution_m=self.resolution_m, reach_cells=self.reach_cells, evidence=evidence, threads=threads
+        )
+
+    def __call__(self, maps: TileMaps, poses: FloatArray, beams: Beams) -> None:
+        """Insert one scan into every map, seen from its own pose of poses (rows, 3)."""
+        rows: Int32Array = np.arange(len(maps), dtype=np.int32)
+        maps.update(rows, poses, beams)

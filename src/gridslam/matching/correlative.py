@@ -1,0 +1,71 @@
+"""Correlative search: tries every pose of a small window, for guesses too bad for a descent."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.types import Beams, FloatArray, Match
+
+__all__ = ["Correlative"]
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Correlative:
+    """Scores every pose of a window around each guess, then refines the best by Gauss-Newton.
+
+    Parameters
+    ----------
+    window_m, window_rad : float
+        Half the sides of the window.
+    step_m, step_rad : float
+        Spacing of the poses tried. The field attracts over half a metre, so 0.1 m and 0.05 rad reach every basin.
+    beams : int
+        Beams used in the search, spread evenly; the refinement uses all.
+    refine : GaussNewton
+        How the best pose is refined.
+
+    Source: Olson, Real-time correlative scan matching, ICRA 2009 (here without its multi-resolution pyramid: the
+    windows are small).
+    """
+
+    window_m: float = Field(0.5, gt=0)
+    window_rad: float = Field(0.5, gt=0)
+    step_m: float = Field(0.1, gt=0)
+    step_rad: float = Field(0.05, gt=0)
+    beams: int = Field(60, ge=8)
+    refine: GaussNewton = GaussNewton()
+
+    def __call__(
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+    ) -> Match:
+        """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
+        ends = beams.ends[:: max(1, len(beams) // self.beams)]
+        offsets = self._offsets()
+        starts = np.array([self._best(maps, row, guess, offsets, ends) for row, guess in zip(rows, guesses, strict=True)])
+        return self.refine(maps, rows, starts.reshape(-1, 3), priors, beams)
+
+    def _offsets(self) -> FloatArray:
+        """Offsets (M, 3) of the window, the nearest to the guess first, so that it wins a tie."""
+        along = self.step_m * np.arange(-math.ceil(self.window_m / self.step_m), math.ceil(self.window_m / self.step_m) + 1)
+        count = math.ceil(self.window_rad / self.step_rad)
+        turns = self.step_rad * np.arange(-count, count + 1)
+        offsets = np.stack(np.meshgrid(along, along, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+        return offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
+
+    def _best(
+        self, maps: TileMaps, row: np.int32, guess: FloatArray, offsets: FloatArray, ends: FloatArray
+    ) -> FloatArray:
+        tried = guess + offsets
+        distances = maps.distances(np.full(len(tried), row, np.int32), tried, ends)
+        agreement = (1 / (1 + np.square(distances / np.float32(self.refine.cauchy_m)))).sum(axis=1)
+        best: FloatArray = tried[int(agreement.argmax())]
+        return best

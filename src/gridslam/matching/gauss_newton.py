@@ -1,0 +1,68 @@
+"""Gauss-Newton of a scan on the distance field of a map, from many guesses at once."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.types import Beams, FloatArray, Match
+
+__all__ = ["GaussNewton"]
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class GaussNewton:
+    """Minimize sum_b w_b d_b^2 + (x - g)^T P (x - g) over poses x, by iteratively reweighted Gauss-Newton.
+
+    d_b is the distance from the end of beam b to the nearest obstacle, interpolated between the field's cells, and
+    w_b = 1 / (1 + (d_b / c)^2) its Cauchy weight; g is the guess and P its prior information.
+
+    Parameters
+    ----------
+    max_passes : int
+        Linearizations at most; a good guess needs three.
+    cauchy_m : float, m
+        Distance c at which a beam counts half: two cells of 5 cm, about the thickness of a mapped wall.
+    max_step_m, max_step_rad : float
+        A step is clipped to these, so that a bad linearization cannot throw the pose away.
+    stop_m, stop_rad : float
+        Steps below both end the iteration.
+    min_information : float
+        Least information about the position, per agreeing beam and squared metre of residual, that counts as
+        determined; along a direction with less (the axis of a corridor) the guess is kept.
+
+    Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
+    """
+
+    max_passes: int = Field(10, ge=1)
+    cauchy_m: float = Field(0.1, gt=0)
+    max_step_m: float = Field(0.1, gt=0)
+    max_step_rad: float = Field(0.1, gt=0)
+    stop_m: float = Field(0.001, gt=0)
+    stop_rad: float = Field(2e-4, gt=0)
+    min_information: float = Field(0.02, ge=0)
+
+    def __call__(
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+    ) -> Match:
+        """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
+        cell = maps.resolution_m
+        found = maps.match(
+            rows, guesses, priors, beams.ends, self.max_passes, self.cauchy_m / cell, self.max_step_m / cell,
+            self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
+        )  # fmt: skip
+        return Match(*found)
+
+    def undetermined(self, information: FloatArray, score: float) -> FloatArray | None:
+        """Unit vector (2,) along which the match kept its guess, from its information (3, 3); None if there is none."""
+        turn = max(information[2, 2], 1e-12)
+        position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / turn
+        values, vectors = np.linalg.eigh(position)
+        weakest: FloatArray = vectors[:, 0]
+        return weakest if values[0] < self.min_information * score else None

@@ -1,0 +1,78 @@
+"""Hill climbing: the matcher of GMapping, which tries small moves and keeps the best."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import compose
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.types import Beams, FloatArray, Match
+
+__all__ = ["HillClimbing"]
+
+_MOVES = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], np.float64)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class HillClimbing:
+    """Moves forth and back, sideways and around by a step; where none scores better, the step is halved.
+
+    Parameters
+    ----------
+    step_m, step_rad : float
+        First steps, GMapping's `lstep` and `astep`.
+    halvings : int
+        How often the step is halved before the search ends, GMapping's `iterations`.
+    scale_m2 : float, m^2
+        A beam whose end is d from an obstacle inside the window scores exp(-d^2 / scale); GMapping's `sigma`.
+    kernel_m : float, m
+        Radius of the window; a beam with no obstacle in it scores nothing.
+    minimum_score : float
+        A match that scores less is refused and the guess kept, GMapping's `minimumScore`.
+
+    Notes
+    -----
+    The prior takes no part, as in GMapping, whose odometry reliability is 0 by default.
+
+    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
+    """
+
+    step_m: float = Field(0.05, gt=0)
+    step_rad: float = Field(0.05, gt=0)
+    halvings: int = Field(5, ge=0)
+    scale_m2: float = Field(0.05, gt=0)
+    kernel_m: float = Field(0.075, gt=0)
+    minimum_score: float = Field(0.0, ge=0)
+
+    def __call__(
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+    ) -> Match:
+        """Match the scan to maps `rows` (K,) from `guesses` (K, 3); `priors` (K, 3, 3) are not used."""
+        poses, scores = guesses.copy(), self._score(maps, rows, guesses, beams)
+        steps = np.full(len(rows), 1.0)
+        while (active := np.flatnonzero(steps >= 0.5**self.halvings)).size:
+            moves = _MOVES * np.array([self.step_m, self.step_m, self.step_rad])
+            tried = compose(poses[active, None], moves * steps[active, None, None])
+            found = self._score(maps, np.repeat(rows[active], len(_MOVES)), tried.reshape(-1, 3), beams)
+            found = found.reshape(len(active), len(_MOVES))
+            best = found.argmax(axis=1)
+            better = found[np.arange(len(active)), best] > scores[active]
+            moved = active[better]
+            poses[moved] = tried[better, best[better]]
+            scores[moved] = found[better, best[better]]
+            steps[active[~better]] /= 2
+        poses = np.where((scores >= self.minimum_score)[:, None], poses, guesses)
+        return GaussNewton(max_passes=0)(maps, rows, poses, priors, beams)
+
+    def _score(self, maps: TileMaps, rows: Int32Array, poses: FloatArray, beams: Beams) -> FloatArray:
+        distances = maps.distances(rows, poses, beams.ends)
+        scores = np.where(distances <= self.kernel_m, np.exp(np.square(distances) * np.float32(-1 / self.scale_m2)), 0)
+        total: FloatArray = scores.sum(axis=1, dtype=np.float64)
+        return total

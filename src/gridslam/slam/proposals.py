@@ -1,0 +1,181 @@
+"""Proposals: where the particles' candidates come from, and the importance weight that follows from it.
+
+A proposal is handed the motion model conditioned on the control and the measurement model conditioned on the scan, and
+returns new poses with their log weight increments. The control must come from measurements before the scan that
+weighs: the tracker's prediction is such a control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.types import Beams, FloatArray, Match, MotionSampler, Weigher
+
+__all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
+
+
+class Matcher(Protocol):
+    """Finds where a scan fits maps best (see `gridslam.matching`)."""
+
+    def __call__(
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+    ) -> Match:
+        """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposed:
+    """New poses (N, 3), the increments (N,) of their log weights, and the match of the scan at the poses."""
+
+    poses: FloatArray
+    log_weights: FloatArray
+    match: Match
+
+
+class Proposal(Protocol):
+    """Draws the particles' new poses and weighs them."""
+
+    def __call__(
+        self,
+        maps: TileMaps,
+        poses: FloatArray,
+        motion: MotionSampler,
+        weigh: Weigher,
+        beams: Beams,
+        rng: np.random.Generator,
+    ) -> Proposed:
+        """Move particles at poses (N, 3), each with its row of `maps`."""
+
+
+def _rows(maps: TileMaps) -> Int32Array:
+    return np.arange(len(maps), dtype=np.int32)
+
+
+def _information(covariances: FloatArray, weight: float) -> FloatArray:
+    """Inverse covariances (N, 3, 3) times `weight`; a motion without noise along some direction stays invertible."""
+    floor = np.diag([1e-8, 1e-8, 1e-10])
+    return weight * np.linalg.inv(covariances + floor)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Prior:
+    """Plain FastSLAM: draw from the motion model, weigh by the measurement model.
+
+    x ~ p(x | u, x'), w = p(z | x, m). Exact, and wasteful where the scan is much more certain than the control.
+
+    Source: Probabilistic Robotics, Table 13.4; Haehnel et al. 2003.
+    """
+
+    def __call__(
+        self,
+        maps: TileMaps,
+        poses: FloatArray,
+        motion: MotionSampler,
+        weigh: Weigher,
+        beams: Beams,
+        rng: np.random.Generator,
+    ) -> Proposed:
+        """Move particles at poses (N, 3), each with its row of `maps`."""
+        rows, drawn = _rows(maps), motion(poses, rng)
+        match = GaussNewton(max_passes=0)(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
+        return Proposed(drawn, weigh(maps, rows, drawn), match)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Peak:
+    """Draw from the motion model, climb to the nearest peak of the posterior, weigh there. The default.
+
+    x ~ p(x | u, x'), x* = the peak that the matcher reaches from x, w = p(z | x*, m). A heuristic, as GMapping does it:
+    the density of x* under the proposal is not divided out. It is right to the degree that all particles' peaks are
+    equally wide, which one scan seen in nearly equal maps makes them.
+
+    Parameters
+    ----------
+    matcher : Matcher
+        How the peak is reached.
+    prior_weight : float
+        How much of the motion model's information holds the match near its draw.
+
+    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
+    """
+
+    matcher: GaussNewton = GaussNewton()
+    prior_weight: float = Field(1e-4, ge=0)
+
+    def __call__(
+        self,
+        maps: TileMaps,
+        poses: FloatArray,
+        motion: MotionSampler,
+        weigh: Weigher,
+        beams: Beams,
+        rng: np.random.Generator,
+    ) -> Proposed:
+        """Move particles at poses (N, 3), each with its row of `maps`."""
+        rows, drawn = _rows(maps), motion(poses, rng)
+        match = self.matcher(maps, rows, drawn, _information(motion.moments(poses)[1], self.prior_weight), beams)
+        return Proposed(match.poses, weigh(maps, rows, match.poses), match)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Gaussian:
+    """The improved proposal: draw from a Gaussian about the peak of p(z | x, m) p(x | u, x'), weigh by its normalizer.
+
+    x ~ N(x*, C) with C^-1 = H / sigma^2 + P, H the matcher's information and P the motion model's; the weight is
+    integral of p(z | x, m) p(x | u, x') dx, by Laplace's method at x*. Both densities must be those of the control
+    that the samples are drawn for, so the tempering of the measurement model applies to the whole logarithm.
+
+    Parameters
+    ----------
+    matcher : GaussNewton
+        How the peak is reached, from the motion model's mean.
+    sigma_m : float, m
+        Standard deviation of what one beam says about the pose; it accounts for the beams' correlation, so it is
+        larger than a lidar's noise.
+    prior_weight : float
+        How much of the motion model's information holds the match near the mean.
+
+    Source: Grisetti, Stachniss and Burgard 2007, eq. 10 to 17; FastSLAM 2.0 (Montemerlo et al. 2003) on grids.
+    """
+
+    matcher: GaussNewton = GaussNewton()
+    sigma_m: float = Field(0.05, gt=0)
+    prior_weight: float = Field(1e-4, ge=0)
+
+    def __call__(
+        self,
+        maps: TileMaps,
+        poses: FloatArray,
+        motion: MotionSampler,
+        weigh: Weigher,
+        beams: Beams,
+        rng: np.random.Generator,
+    ) -> Proposed:
+        """Move particles at poses (N, 3), each with its row of `maps`."""
+        rows = _rows(maps)
+        means, covariances = motion.moments(poses)
+        prior = _information(covariances, 1.0)
+        match = self.matcher(maps, rows, means, self.prior_weight * prior, beams)
+        information = match.information / self.sigma_m**2 + prior
+        factor = np.linalg.cholesky(information)
+        noise = np.linalg.solve(factor.transpose(0, 2, 1), rng.standard_normal((len(rows), 3, 1)))[..., 0]
+        drawn = match.poses + noise
+        drawn[:, 2] = wrap(drawn[:, 2])
+        away = match.poses - means
+        away[:, 2] = wrap(away[:, 2])
+        log_prior = -0.5 * np.einsum("ni,nij,nj->n", away, prior, away) + 0.5 * np.linalg.slogdet(prior)[1]
+        log_volume = -np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        return Proposed(drawn, weigh(maps, rows, match.poses) + log_prior + log_volume, match)
