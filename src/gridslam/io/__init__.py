@@ -1,1 +1,1 @@
-"""io."""
+"""Readers and writers of logs, maps, trajectories and results."""

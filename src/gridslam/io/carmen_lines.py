@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import final
 
 import numpy as np
@@ -65,16 +65,17 @@ class ScanRows:
 def parse_stamp_ns(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, exactly; raises LineError."""
     seconds, _, fraction = text.partition(".")
-    if seconds.isdecimal() and fraction.isdecimal():
+    if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10:
         stamp = int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
-    else:
-        try:
-            stamp = int(Decimal(text).scaleb(9))
-        except (InvalidOperation, ValueError, OverflowError):
-            raise LineError(f"expected a stamp in seconds, got {text!r}") from None
-    if not -(2**63) <= stamp < 2**63:
-        raise LineError(f"expected a stamp that fits 64 bits of nanoseconds, got {text}")
-    return stamp
+        if stamp < 2**63:
+            return stamp
+    try:
+        value = Decimal(text).scaleb(9)
+        if -(2**63) <= value < 2**63:
+            return int(value)
+    except ArithmeticError:
+        pass
+    raise LineError(f"expected a stamp in seconds that fits 64 bits of nanoseconds, got {text!r}")
 
 
 def parse_pose(words: Sequence[str]) -> FloatArray:

@@ -32,7 +32,7 @@ _NO_RETURN_TEXT = "81.910"
 
 
 def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
-    """Write a log that `CarmenLog` reads back: an ODOM and a FLASER line for each measurement, RLASER for sensor "rear".
+    """Write a log that `CarmenLog` reads back: an ODOM and a FLASER (sensor "rear": RLASER) line for each measurement.
 
     Stamps come back exactly, ranges to 1 mm, poses to 1e-6 m and rad, each beam's status as it was. Field of view,
     maximum range and mounting are stated as parameters. The file appears under its name only once it is whole.

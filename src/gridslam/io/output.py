@@ -35,8 +35,8 @@ def written_aside(path: str | Path) -> Iterator[Path]:
 class OutputFolder:
     """The folder OUT of a run; use it as a context manager and write to what `file` gives.
 
-    When the context is left without an exception the files move into OUT, replacing those of the same names; other files
-    in OUT stay. When an exception passes (an interrupt too), OUT is as it was before.
+    When the context is left without an exception the files move into OUT, replacing those of the same names; other
+    files in OUT stay. When an exception passes (an interrupt too), OUT is as it was before.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class OutputFolder:
 
     def file(self, name: str) -> Path:
         """Path to write the file `name` of OUT to, within the context."""
-        if Path(name).name != name:
+        if Path(name).name != name or name in ("", ".."):
             raise ArgumentError("name", "the name of a file, without a folder", name)
         return self._aside / name
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -123,9 +124,11 @@ def read_record(path: str | Path) -> Record:
     """Read a record; raises InputError where the file is none, or its arrays do not belong together."""
     with open_for_reading(path) as file:
         try:
+            with zipfile.ZipFile(file):
+                file.seek(0)
             with np.load(file, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(path, f"expected a record of a run, got: {error}") from None
     schema = str(arrays.get("schema", "none"))
     if schema != _SCHEMA:

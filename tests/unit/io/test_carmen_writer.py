@@ -1,0 +1,105 @@
+"""What the writer writes the reader reads."""
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError, OutputError
+from gridslam.io.carmen import CarmenLog
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry
+
+
+def measurement(stamp_ns=1_000_000, n=181, fov=math.pi, ranges=None, seed=0, mounting=(0, 0, 0), **scan):
+    rng = np.random.default_rng(seed)
+    bearings = -fov / 2 + fov / (n - n % 2) * np.arange(n)
+    geometry = ScanGeometry.planar(bearings, mounting)
+    values = rng.uniform(0.1, 29, n) if ranges is None else ranges
+    odometry = Odometry.at(stamp_ns, [*rng.uniform(-50, 50, 2), rng.uniform(-3, 3)])
+    return Measurement(odometry, LaserScan.from_ranges(stamp_ns, values, geometry, **scan))
+
+
+@pytest.mark.parametrize("suffix", [".log", ".clf.gz", ".log.bz2"])
+@pytest.mark.parametrize(("n", "fov"), [(180, math.pi), (181, math.pi), (360, 2 * math.pi), (541, 1.5 * math.pi)])
+def test_round_trip(tmp_path, suffix, n, fov):
+    path = tmp_path / f"sim{suffix}"
+    stamps = [976052857337530000, 976052857337531000, 976052857337529000]
+    written = [
+        measurement(t, n, fov, seed=i, mounting=(0.12, -0.03, 0.2), range_max_m=30.0) for i, t in enumerate(stamps)
+    ]
+    write_carmen(path, iter(written))
+    log = CarmenLog(path)
+    read = list(log)
+    assert [m.scan.stamp_ns for m in read] == [m.odometry.stamp_ns for m in read] == stamps
+    for (odometry, scan), (odometry_back, back) in zip(written, read, strict=True):
+        np.testing.assert_allclose(back.ranges, scan.ranges, rtol=0, atol=0.5001e-3)
+        np.testing.assert_array_equal(back.status, scan.status)
+        np.testing.assert_allclose(odometry_back.pose, odometry.pose, rtol=0, atol=0.5001e-6)
+        np.testing.assert_allclose(back.geometry.directions, scan.geometry.directions, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(back.geometry.origin, scan.geometry.origin, rtol=0, atol=1e-12)
+        assert back.range_max_m == 30.0
+    assert log.statistics.odometry_lines == 3
+
+
+def test_statuses_survive_rounding(tmp_path):
+    ranges = [29.9999, 0.0001, 30.0, np.inf, np.nan, -1.0, 5.0]
+    path = tmp_path / "sim.log"
+    written = measurement(n=7, ranges=ranges, range_max_m=30.0)
+    write_carmen(path, [written])
+    (read,) = CarmenLog(path)
+    np.testing.assert_array_equal(read.scan.status, written.scan.status)
+    hit, none, bad = BeamStatus.HIT, BeamStatus.NO_RETURN, BeamStatus.INVALID
+    assert read.scan.status.tolist() == [hit, hit, none, none, bad, bad, hit]
+
+
+def test_nanoseconds_survive(tmp_path):
+    path = tmp_path / "sim.log"
+    write_carmen(path, [measurement(1_234_567_891)])
+    assert [m.scan.stamp_ns for m in CarmenLog(path)] == [1_234_567_891]
+
+
+def test_rear_laser(tmp_path):
+    path = tmp_path / "sim.log"
+    write_carmen(path, [measurement(mounting=(-0.2, 0, math.pi), sensor="rear")])
+    (read,) = CarmenLog(path)
+    assert read.scan.sensor == "rear"
+    np.testing.assert_allclose(read.scan.geometry.directions[90], [-1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".log.bz2"])
+def test_the_same_log_gives_the_same_bytes(tmp_path, suffix):
+    paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
+    for path in paths:
+        write_carmen(path, [measurement()])
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_nothing_is_left_where_writing_fails(tmp_path):
+    def failing():
+        yield measurement()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_carmen(tmp_path / "sim.log", failing())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_said_is_refused(tmp_path):
+    good = measurement()
+    late = Odometry.at(good.scan.stamp_ns + 1, good.odometry.pose)
+    uneven = LaserScan.from_ranges(0, [1.0, 1.0, 1.0], ScanGeometry([-0.3, 0.0, 0.4]))
+    aside = LaserScan.from_ranges(0, [1.0, 1.0, 1.0], ScanGeometry([0.0, 0.1, 0.2]))
+    at_zero = Odometry.at(0, [0, 0, 0])
+    too_far = measurement(n=3, ranges=[1.0, 90.0, 1.0])
+    bad = (good._replace(odometry=None), good._replace(odometry=late), Measurement(at_zero, uneven))
+    for wrong in (*bad, Measurement(at_zero, aside), too_far):
+        with pytest.raises(ArgumentError):
+            write_carmen(tmp_path / "sim.log", [wrong])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(OutputError, match="nowhere"):
+        write_carmen(tmp_path / "nowhere" / "sim.log", [measurement()])

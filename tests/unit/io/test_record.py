@@ -1,0 +1,80 @@
+"""record.npz."""
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.record import RecordFlag, RecordWriter, read_record
+from gridslam.types import SkipReason, StepReport
+
+
+def report(stamp_ns, n=3, seed=0, **more):
+    rng = np.random.default_rng(seed)
+    defaults = {"poses": rng.normal(size=(n, 3)), "log_weights": rng.normal(size=n), "n_eff": 1.5, "best": n - 1}
+    return StepReport(stamp_ns, np.zeros(3), np.eye(3), np.zeros(3), **(defaults | more))
+
+
+def test_round_trip(tmp_path):
+    reports = [
+        report(10**18, seed=1),
+        report(5, seed=2, parents=np.array([0, 0, 2]), lost=True),
+        report(7, seed=3, undetermined=np.array([1.0, 0.0])),
+    ]
+    writer = RecordWriter()
+    for i, step in enumerate(reports):
+        writer.add(step, 0.001 * i)
+        writer.add(report(9, skipped=SkipReason.BETWEEN_KEY_SCANS), 1.0)
+    writer.write(tmp_path / "record.npz")
+    record = read_record(tmp_path / "record.npz")
+    assert len(record) == 3
+    assert record.stamps_ns.tolist() == [10**18, 5, 7]
+    np.testing.assert_array_equal(record.poses, np.array([r.poses for r in reports], dtype=np.float32))
+    np.testing.assert_array_equal(record.log_weights, [r.log_weights for r in reports])
+    assert record.parents.tolist() == [[0, 1, 2], [0, 0, 2], [0, 1, 2]]
+    assert record.best.tolist() == [2, 2, 2]
+    assert record.flags.tolist() == [0, RecordFlag.LOST | RecordFlag.RESAMPLED, RecordFlag.UNDETERMINED]
+    assert record.latency_s.tolist() == [0.0, 0.001, 0.002]
+    assert record.n_eff.tolist() == [1.5] * 3
+
+
+def test_what_is_kept_does_not_change_with_the_report(tmp_path):
+    step = report(1)
+    kept = step.poses.astype(np.float32)
+    writer = RecordWriter()
+    writer.add(step, 0.0)
+    step.poses[:] = 0
+    writer.write(tmp_path / "r.npz")
+    np.testing.assert_array_equal(read_record(tmp_path / "r.npz").poses[0], kept)
+
+
+def test_a_run_without_key_scans(tmp_path):
+    RecordWriter().write(tmp_path / "r.npz")
+    assert len(read_record(tmp_path / "r.npz")) == 0
+
+
+def test_the_number_of_particles_is_constant():
+    writer = RecordWriter()
+    writer.add(report(1, n=3), 0.0)
+    with pytest.raises(ArgumentError, match="3 particles"):
+        writer.add(report(2, n=4), 0.0)
+
+
+def test_bad_records(tmp_path):
+    writer = RecordWriter()
+    writer.add(report(1), 0.0)
+    path = tmp_path / "r.npz"
+    writer.write(path)
+    whole = path.read_bytes()
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(tmp_path / "other.npz", **(arrays | {"schema": np.array("other/1")}))
+    np.savez(tmp_path / "shape.npz", **(arrays | {"n_eff": np.zeros(2)}))
+    np.savez(tmp_path / "lacking.npz", **{name: arrays[name] for name in arrays if name != "poses"})
+    np.save(tmp_path / "one.npz", np.zeros(3))
+    (tmp_path / "one.npz.npy").rename(tmp_path / "one.npz")
+    (tmp_path / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.npz").write_text("text")
+    (tmp_path / "empty.npz").touch()
+    for name in ("other", "shape", "lacking", "one", "cut", "text", "empty", "none"):
+        with pytest.raises(InputError, match=f"{name}.npz"):
+            read_record(tmp_path / f"{name}.npz")

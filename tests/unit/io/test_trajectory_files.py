@@ -1,0 +1,81 @@
+"""TUM and relations files."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gridslam.errors import InputError
+from gridslam.io.relations import read_relations
+from gridslam.io.trajectory import read_tum, write_tum
+from gridslam.types import Trajectory
+
+stamps = st.integers(-(10**18), 4 * 10**18)
+metres = st.floats(-1e4, 1e4)
+angles = st.floats(-np.pi, np.pi, exclude_max=True)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
+@given(st.lists(st.tuples(stamps, metres, metres, angles), min_size=1, max_size=20))
+def test_tum_round_trip(tmp_path, rows):
+    poses = np.array([row[1:] for row in rows])
+    write_tum(tmp_path / "t.tum", Trajectory(np.array([row[0] for row in rows]), poses))
+    back = read_tum(tmp_path / "t.tum")
+    assert back.stamps_ns.tolist() == [row[0] for row in rows]
+    # Nine decimals: half of 1e-9 in place; twice that in the half angle's sine or cosine, where the other is flat.
+    np.testing.assert_allclose(back.poses[:, :2], poses[:, :2], rtol=0, atol=0.6e-9)
+    assert np.abs(np.angle(np.exp(1j * (back.poses[:, 2] - poses[:, 2])))).max() < 4e-9
+    assert ((back.poses[:, 2] >= -np.pi) & (back.poses[:, 2] < np.pi)).all()
+
+
+def test_tum_form(tmp_path):
+    trajectory = Trajectory(np.array([976052857337530000]), np.array([[1.0, -2.5, np.pi / 2]]))
+    write_tum(tmp_path / "t.tum", trajectory)
+    expected = "976052857.337530000 1.000000000 -2.500000000 0 0 0 0.707106781 0.707106781\n"
+    assert (tmp_path / "t.tum").read_text() == expected
+
+
+def test_tum_takes_comments_and_three_dimensions(tmp_path):
+    (tmp_path / "t.tum").write_text("# stamp x y z qx qy qz qw\n\n1.5 1 2 3 0.5 0.5 0.5 0.5\n")
+    back = read_tum(tmp_path / "t.tum")
+    np.testing.assert_allclose(back.poses, [[1, 2, np.pi / 2]])
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("1 2 3\n", 1),
+        ("1 0 0 0 0 0 0 1\nx 0 0 0 0 0 0 1\n", 2),
+        ("1 0 0 0 0 0 0 1\n2 0 y 0 0 0 0 1\n", 2),
+        ("1 nan 0 0 0 0 0 1\n", 1),
+        ("\n1 0 0 0 0 0 0 2\n", 2),
+        ("# only a comment\n", None),
+        ("", None),
+    ],
+)
+def test_bad_tum(tmp_path, text, line):
+    (tmp_path / "t.tum").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_tum(tmp_path / "t.tum")
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize(("name", "count"), [("intel", 2984), ("aces", 1279)])
+def test_real_relations(data_dir, name, count):
+    path = data_dir / f"{name}.relations"
+    relations = read_relations(path)
+    rows = np.loadtxt(path)
+    assert len(relations.poses) == len(rows)
+    np.testing.assert_allclose(relations.from_ns / 1e9, rows[:, 0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(relations.poses, rows[:, [2, 3, 7]], rtol=0, atol=1e-12)
+    assert len(rows) == count
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("1 2 3\n", 1), ("1 2 0 0 0 0 0 0\n1 2 0 0 0 0.5 0 0\n", 2), ("1 2 0 0 0 0 0 inf\n", 1)]
+)
+def test_bad_relations(tmp_path, text, line):
+    (tmp_path / "r.relations").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_relations(tmp_path / "r.relations")
+    assert caught.value.line == line
