@@ -42,7 +42,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
             return float(angle)
         rest = math.fmod(angle, TAU)
         return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
-    remainder = np.fmod(angle, TAU)
+    remainder = np.fmod(angle, TAU, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - TAU * turns
 

@@ -286,8 +286,8 @@ def _pose(x: Component, y: Component, theta: Component) -> FloatArray:
 
 def _stack(*parts: Component) -> FloatArray:
     """Put components (...) along a new last axis."""
-    if all(isinstance(part, float) for part in parts):
-        return np.array(parts)
+    if all(isinstance(part, float | int) for part in parts):
+        return np.array(parts, dtype=np.float64)
     stacked = np.empty((*np.broadcast_shapes(*(np.shape(part) for part in parts)), len(parts)))
     for k, part in enumerate(parts):
         stacked[..., k] = part

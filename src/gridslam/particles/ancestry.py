@@ -63,7 +63,7 @@ class Ancestry:
         if copy.shape != (len(self), 3):
             raise ArgumentError("poses", f"shape ({len(self)}, 3)", copy.shape)
         self._levels.append(_Level(copy, self._leaves))
-        self._leaves = np.arange(len(copy))
+        self._leaves = np.arange(len(copy), dtype=np.int64)
         self._coalesce()
 
     def resample(self, parents: ArrayLike) -> None:
@@ -177,7 +177,7 @@ class Ancestry:
             alive[used] = True
             if alive.all():
                 return
-            place = np.cumsum(alive) - 1
+            place = np.cumsum(alive, dtype=np.int64) - 1
             if k + 1 < len(self._levels):
                 self._levels[k + 1] = _Level(self._levels[k + 1].poses, place[used])
             else:

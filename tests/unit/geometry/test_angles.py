@@ -26,6 +26,8 @@ def test_wrap_keeps_shape_and_kind() -> None:
     assert type(wrap(4.0)) is float
     assert wrap(np.zeros((2, 0, 3))).shape == (2, 0, 3)
     assert wrap(np.array([4], dtype=np.int64)).dtype == np.float64
+    # The float32 nearest to pi lies above pi; it is reduced in double precision.
+    assert wrap(np.array([math.pi], dtype=np.float32))[0] == float(np.float32(math.pi)) - TURN
 
 
 def test_wrap_does_not_hide_nan() -> None:
