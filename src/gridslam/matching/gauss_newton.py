@@ -12,7 +12,10 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import Beams, FloatArray, Match
 
-__all__ = ["GaussNewton"]
+__all__ = ["LEAST_INFORMATION", "GaussNewton", "undetermined"]
+
+LEAST_INFORMATION = 0.02
+"""Least eigenvalue of the position's information, per agreeing beam, that counts as determined."""
 
 
 @final
@@ -34,8 +37,8 @@ class GaussNewton:
     stop_m, stop_rad : float
         Steps below both end the iteration.
     min_information : float
-        Least information about the position, per agreeing beam and squared metre of residual, that counts as
-        determined; along a direction with less (the axis of a corridor) the guess is kept.
+        Least eigenvalue of the position's information, per agreeing beam, that counts as determined; along a
+        direction with less (the axis of a bare corridor) the guess is kept.
 
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
@@ -46,7 +49,7 @@ class GaussNewton:
     max_step_rad: float = Field(0.1, gt=0)
     stop_m: float = Field(0.001, gt=0)
     stop_rad: float = Field(2e-4, gt=0)
-    min_information: float = Field(0.02, ge=0)
+    min_information: float = Field(LEAST_INFORMATION, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
@@ -59,10 +62,11 @@ class GaussNewton:
         )  # fmt: skip
         return Match(*found)
 
-    def undetermined(self, information: FloatArray, score: float) -> FloatArray | None:
-        """Unit vector (2,) along which the match kept its guess, from its information (3, 3); None if there is none."""
-        turn = max(information[2, 2], 1e-12)
-        position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / turn
-        values, vectors = np.linalg.eigh(position)
-        weakest: FloatArray = vectors[:, 0]
-        return weakest if values[0] < self.min_information * score else None
+
+def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:
+    """Unit vector (2,) along which a match of this information (3, 3) and score kept its guess; None if there is none."""
+    turn = max(float(information[2, 2]), 1e-12)
+    position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / turn
+    values, vectors = np.linalg.eigh(position)
+    weakest: FloatArray = vectors[:, 0]
+    return weakest if values[0] < least * score else None

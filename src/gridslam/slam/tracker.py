@@ -7,52 +7,82 @@ particles take its increments as their control (Haehnel et al. 2003).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose
-from gridslam.grid.tiles import Evidence, TileMaps
+from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.correlative import Correlative
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.types import Beams, FloatArray, IntArray, Odometry
+from gridslam.types import Beams, FloatArray, Odometry
 
-__all__ = ["Tracked", "Tracker", "TrackerState"]
+__all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
 _BOTH = np.array([0, 1], np.int32)
-_ROW = (np.array([0], np.int32), np.array([1], np.int32))
+_ROWS = (np.array([0], np.int32), np.array([1], np.int32))
+_NO_PRIOR = np.diag([1e-6, 1e-6, 1e-6])[None]
 
 
 @final
 @dataclass(slots=True, eq=False)
 class TrackerState:
-    """What the tracker remembers.
+    """What the tracker remembers; arrays in it are replaced, never written to.
 
     Attributes
     ----------
     maps : TileMaps
         Two overlapping local maps.
-    pose : (3,) float64
-        In the tracker's own, slowly drifting frame.
+    pose, odometry : (3,) float64
+        Of the last scan; the pose is in the tracker's own, slowly drifting frame.
+    stamp_ns : int
+        Of the last scan.
     matched_pose, matched_odometry : (3,) float64
-        Tracker pose and odometry of the last scan that was matched.
+        Of the last scan that was matched.
     inserted_pose : (3,) float64
-        Pose of the last scan that was inserted.
+        Of the last scan that was inserted.
     active : int
         Which local map is matched against.
-    scans : list of int
+    scans : (int, int)
         Scans that each local map holds.
     """
 
     maps: TileMaps
     pose: FloatArray
+    odometry: FloatArray
+    stamp_ns: int
     matched_pose: FloatArray
     matched_odometry: FloatArray
     inserted_pose: FloatArray
-    active: int
-    scans: list[int]
+    active: int = 0
+    scans: tuple[int, int] = (1, 0)
+
+    def snapshot(self) -> TrackerState:
+        """Keep a copy for later, at the cost of the maps' tables."""
+        return replace(self, maps=self.maps.snapshot())
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` continues to the same bytes."""
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
+        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans], np.int64)
+        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrackerState:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        maps = TileMaps.from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
+        stamp_ns, active, first, second = (int(v) for v in arrays["counters"])
+        poses = {name: np.array(arrays[name], np.float64) for name in _POSES}
+        return cls(maps, stamp_ns=stamp_ns, active=active, scans=(first, second), **poses)
+
+
+_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "inserted_pose")
 
 
 @final
@@ -60,14 +90,11 @@ class TrackerState:
 class Tracked:
     """What the tracker says of one scan: poses (3,) in its frame.
 
-    `predicted` uses only the scans before this one, `pose` this one too; `information` (3, 3) and `score` are the
-    match's, None for a scan that was not matched.
+    `predicted` uses only the scans before this one, `pose` this one too.
     """
 
     pose: FloatArray
     predicted: FloatArray
-    information: FloatArray | None = None
-    score: float = float("nan")
 
 
 @final
@@ -84,10 +111,17 @@ class Tracker:
     map_scans : int
         A second local map is begun when the first holds this many scans, and replaces it when it does itself.
     odometry_weight : float
-        How much the odometry's information counts against the sum of squared distances in cells. Small: beams are
-        many and agree within a fraction of a cell; 50 times more loses the Intel log by 0.2 m and more.
+        How much the odometry's information counts against the beams' squared distances. Small: beams are many and
+        agree within a fraction of a cell; 50 times more loses the Intel log by 0.2 m and more.
+    jump_m, jump_rad : float
+        Odometry that moves farther between two scans than this and `speed_mps` (`turn_rps`) allow has jumped: it was
+        reset, or a message was lost. Its increment is not used, and the scan is searched for around the last pose.
+    speed_mps, turn_rps : float
+        Above what an indoor robot drives (m/s, rad/s).
     matcher : GaussNewton
         How a scan is matched.
+    recovery : Correlative
+        How a scan is matched after a jump.
     """
 
     still_m: float = Field(0.005, ge=0)
@@ -96,51 +130,82 @@ class Tracker:
     insert_rad: float = Field(0.1, gt=0)
     map_scans: int = Field(20, ge=1)
     odometry_weight: float = Field(0.001, gt=0)
+    jump_m: float = Field(1.0, gt=0)
+    jump_rad: float = Field(1.0, gt=0)
+    speed_mps: float = Field(3.0, ge=0)
+    turn_rps: float = Field(3.0, ge=0)
     matcher: GaussNewton = GaussNewton()
+    recovery: Correlative = Correlative()
 
-    def init(self, odometry: Odometry, beams: Beams, evidence: Evidence, resolution_m: float, reach_cells: float) -> TrackerState:
+    def init(self, odometry: Odometry, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping) -> TrackerState:
         """Start at the origin of the tracker's frame with the first scan."""
-        maps = TileMaps(2, resolution_m=resolution_m, reach_cells=reach_cells, evidence=evidence)
-        pose = np.zeros(3)
-        maps.update(_ROW[0], pose[None], beams)
-        return TrackerState(maps, pose, pose, odometry.pose, pose, 0, [1, 0])
+        maps, pose = mapper.empty(2), np.zeros(3)
+        maps.update(_ROWS[0], pose[None], beams)
+        return TrackerState(maps, pose, odometry.pose, stamp_ns, pose, odometry.pose, pose)
 
-    def step(self, state: TrackerState, odometry: Odometry, beams: Beams) -> Tracked:
+    def step(self, state: TrackerState, odometry: Odometry, stamp_ns: int, beams: Beams) -> Tracked:
         """Track one scan; updates `state`."""
+        jumped = self._jumped(state, odometry.pose, stamp_ns)
+        if jumped:  # as if the robot had not moved since the last scan
+            driven = between(state.matched_odometry, state.odometry)
+            state.matched_odometry = compose(odometry.pose, inverse(driven))
+        state.odometry, state.stamp_ns = odometry.pose, stamp_ns
         increment = between(state.matched_odometry, odometry.pose)
         predicted = compose(state.matched_pose, increment)
         moved, turned = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
-        if (moved < self.still_m and turned < self.still_rad) or not len(beams):
+        if not len(beams) or (moved < self.still_m and turned < self.still_rad and not jumped):
             state.pose = predicted
             return Tracked(predicted, predicted)
-        prior = self._prior(moved, turned, state.maps.resolution_m)
-        match = self.matcher(state.maps, _ROW[state.active], predicted[None], prior[None], beams)
-        pose = match.poses[0]
+        prior, matcher = self._prior(moved, turned, state.maps.resolution_m), self.matcher
+        if jumped:
+            prior, matcher = _NO_PRIOR, self.recovery
+        pose = matcher(state.maps, _ROWS[state.active], predicted[None], prior, beams).poses[0]
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
         self._insert(state, beams)
-        return Tracked(pose, predicted, match.information[0], float(match.score[0]))
+        return Tracked(pose, predicted)
+
+    def _jumped(self, state: TrackerState, pose: FloatArray, stamp_ns: int) -> bool:
+        dx, dy, turn = (pose - state.odometry).tolist()
+        seconds = abs(stamp_ns - state.stamp_ns) * 1e-9
+        far = math.hypot(dx, dy) > self.jump_m + self.speed_mps * seconds
+        return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.turn_rps * seconds
 
     def _prior(self, moved: float, turned: float, cell: float) -> FloatArray:
-        st = 0.5 * (0.2 * cell + 0.3 * moved + turned * cell)
-        sa = 0.003 + 0.05 * turned + 0.002 * moved / cell
-        position = self.odometry_weight * (cell / st) ** 2 / cell**2
-        return np.diag([position, position, self.odometry_weight / sa**2])
+        """Information (1, 3, 3) of the odometry: standard deviations grow with the motion from a tenth of a cell."""
+        sigma_m = 0.1 * cell + 0.15 * moved + 0.5 * cell * turned
+        sigma_rad = 0.003 + 0.05 * turned + 0.04 * moved
+        position = self.odometry_weight / sigma_m**2
+        return np.diag([position, position, self.odometry_weight / sigma_rad**2])[None]
 
     def _insert(self, state: TrackerState, beams: Beams) -> None:
-        since = between(state.inserted_pose, state.pose)
-        if math.hypot(since[0], since[1]) < self.insert_m and abs(since[2]) < self.insert_rad:
+        dx, dy, turn = (state.pose - state.inserted_pose).tolist()
+        if math.hypot(dx, dy) < self.insert_m and abs(math.remainder(turn, math.tau)) < self.insert_rad:
             return
         state.inserted_pose = state.pose
-        active, other = state.active, 1 - state.active
-        if state.scans[active] < self.map_scans:
-            rows: IntArray = _ROW[active]
-        else:
-            rows = _BOTH
-            state.scans[other] += 1
-        state.scans[active] += 1
+        scans, active = list(state.scans), state.active
+        rows = _ROWS[active] if scans[active] < self.map_scans else _BOTH
+        for row in rows.tolist():
+            scans[row] += 1
         state.maps.update(rows, np.repeat(state.pose[None], len(rows), axis=0), beams)
-        if state.scans[other] >= self.map_scans:
+        if scans[1 - active] >= self.map_scans:
             state.maps.clear(active)
-            state.scans[active] = 0
-            state.active = other
+            scans[active], state.active = 0, 1 - active
+        state.scans = (scans[0], scans[1])
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class OdometryTracker:
+    """Takes the odometry as it is, as GMapping does."""
+
+    def init(self, odometry: Odometry, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping) -> TrackerState:
+        """Start at the origin of the tracker's frame."""
+        pose = np.zeros(3)
+        return TrackerState(mapper.empty(2), pose, odometry.pose, stamp_ns, pose, odometry.pose, pose)
+
+    def step(self, state: TrackerState, odometry: Odometry, stamp_ns: int, beams: Beams) -> Tracked:
+        """Track one scan; updates `state`."""
+        state.pose = compose(state.matched_pose, between(state.matched_odometry, odometry.pose))
+        state.odometry, state.stamp_ns = odometry.pose, stamp_ns
+        return Tracked(state.pose, state.pose)

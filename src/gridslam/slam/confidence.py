@@ -1,0 +1,82 @@
+"""What the filter says about how much it knows: covariances, undetermined directions, the lost flag."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose, weighted_covariance
+from gridslam.matching.gauss_newton import undetermined
+from gridslam.particles.weights import effective_sample_size
+from gridslam.slam.proposals import Proposed
+from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.tracker import Tracked
+from gridslam.types import Beams, FloatArray, LaserScan, SkipReason, StepReport
+
+__all__ = ["Confidence"]
+
+_LEAST_INFORMATION = 1e-2
+"""Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Confidence:
+    """Builds the reports of the filter.
+
+    The covariance of a pose is the spread of the particles plus what the best particle's match leaves open; between key
+    scans a random walk is added.
+
+    Parameters
+    ----------
+    sigma_m : float, m
+        Standard deviation of what one beam says about the pose, beams being correlated.
+    lost_below : float
+        Share of the beams that must agree with the best map; below it the pose is not to be trusted. Entering a room
+        for the first time leaves about a third.
+    drift_m, drift_rad : float
+        Standard deviation of the tracker's error after one metre or radian.
+    """
+
+    sigma_m: float = Field(0.05, gt=0)
+    lost_below: float = Field(0.15, ge=0, le=1)
+    drift_m: float = Field(0.02, ge=0)
+    drift_rad: float = Field(0.01, ge=0)
+
+    def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
+        """Report of the scan that the filter begins with: a key scan that weighs nothing."""
+        n_eff = effective_sample_size(state.log_weights)
+        return StepReport(
+            scan.stamp_ns, state.poses[state.best], state.covariance, np.zeros(3), best=state.best, n_eff=n_eff,
+            poses=state.poses, log_weights=state.log_weights,
+        )  # fmt: skip
+
+    def between_key_scans(
+        self, state: GridFastSlamState, scan: LaserScan, tracked: Tracked, reason: SkipReason
+    ) -> StepReport:
+        """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
+        key_from_base = between(state.key_pose, tracked.pose)
+        moved = math.hypot(key_from_base[0], key_from_base[1]) + abs(key_from_base[2])
+        covariance = state.covariance + moved * np.diag([self.drift_m**2, self.drift_m**2, self.drift_rad**2])
+        best = state.best
+        return StepReport(
+            scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
+            skipped=reason, best=best,
+        )  # fmt: skip
+
+    def key_scan(self, state: GridFastSlamState, scan: LaserScan, proposed: Proposed, beams: Beams) -> StepReport:
+        """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
+        best, match = state.best, proposed.match
+        information, score = match.information[best], float(match.score[best])
+        spread = weighted_covariance(state.poses, np.exp(state.log_weights))
+        state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION * np.eye(3))
+        state.lost = score < self.lost_below * len(beams)
+        return StepReport(
+            scan.stamp_ns, state.poses[best], state.covariance, np.zeros(3),
+            undetermined=undetermined(information, score), lost=state.lost, best=best,
+            n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
+        )  # fmt: skip

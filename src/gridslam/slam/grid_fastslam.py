@@ -1,0 +1,135 @@
+"""Grid-based FastSLAM (GMapping): a particle filter over trajectories, each particle with its own occupancy grid.
+
+p(x_1:t, m | z_1:t, u_1:t) = p(x_1:t | z_1:t, u_1:t) p(m | x_1:t, z_1:t): the particles carry the first factor, and given
+its trajectory each particle's map is mapping with known poses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.motion import DiffusionMotion
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.initial import at_pose
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
+from gridslam.particles.resampling import Systematic
+from gridslam.slam.confidence import Confidence
+from gridslam.slam.proposals import Peak, Proposal
+from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.tracker import OdometryTracker, Tracked, Tracker
+from gridslam.types import (
+    Beams, FloatArray, LaserScan, MotionModel, Odometry, Resampler, SensorModel, SkipReason, StepReport,
+)  # fmt: skip
+
+__all__ = ["GridFastSlam"]
+
+
+@final
+@dataclass(frozen=True)
+class GridFastSlam:
+    """The filter; it holds only its parts, and what it knows is in the state that goes in and comes out of `step`.
+
+    Attributes
+    ----------
+    tracker : Tracker
+        Refines the odometry at every scan; its increments are the particles' control.
+    motion : MotionModel
+        p(x_t | u_t, x_{t-1}), conditioned on the control.
+    sensor : SensorModel
+        p(z_t | x_t, m), conditioned on the scan.
+    proposal : Proposal
+        Draws the new poses and weighs them.
+    mapper : OccupancyGridMapping
+        Inserts the scan into each particle's map.
+    resampler : Resampler
+        Which particles survive.
+    when_to_update : UpdatePolicy
+        Which scans are key scans, at which the particles are stepped.
+    when_to_resample : ResamplingPolicy
+        When resampling is worth its loss of diversity.
+    confidence : Confidence
+        How poses' covariances and the lost flag are told.
+    range_min_m, range_max_m : float
+        Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
+        what it hits.
+    threads : int
+        Threads of the kernels; never changes a result.
+
+    Source: Probabilistic Robotics, Table 13.4; Grisetti, Stachniss and Burgard 2007; Haehnel et al. 2003.
+    """
+
+    tracker: Tracker | OdometryTracker = Tracker()
+    motion: MotionModel = DiffusionMotion()
+    sensor: SensorModel = CauchyAgreement()
+    proposal: Proposal = Peak()
+    mapper: OccupancyGridMapping = OccupancyGridMapping()
+    resampler: Resampler = Systematic()
+    when_to_update: UpdatePolicy = MovedAtLeast()
+    when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+    confidence: Confidence = Confidence()
+    range_min_m: float = 0.05
+    range_max_m: float = 30.0
+    threads: int = 1
+
+    def init(
+        self, odometry: Odometry, scan: LaserScan, particles: int | FloatArray = 30, pose: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> tuple[GridFastSlamState, StepReport]:
+        """Begin with a first scan.
+
+        Parameters
+        ----------
+        odometry, scan
+            The first measurement; a scan without a usable beam is fine.
+        particles : int or (N, 3) float64
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`).
+        """
+        poses = at_pose(particles, pose) if isinstance(particles, int) else np.array(particles, np.float64)
+        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
+            raise ArgumentError("particles", "a number or shape (N, 3)", poses.shape)
+        beams = scan.beams(self.range_min_m, self.range_max_m)
+        tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
+        maps = self.mapper.empty(len(poses), self.threads)
+        self.mapper(maps, poses, beams)
+        equal = np.full(len(poses), -np.log(len(poses)))
+        state = GridFastSlamState(
+            tracker, tracker.pose, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)), maps, Ancestry.start(poses)
+        )
+        return state, self.confidence.first_scan(state, scan)
+
+    def step(
+        self, state: GridFastSlamState, odometry: Odometry, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[GridFastSlamState, StepReport]:
+        """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
+
+        Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
+        """
+        state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
+        tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
+        if reason := self._skip(state, tracked, beams):
+            return state, self.confidence.between_key_scans(state, scan, tracked, reason)
+        motion = self.motion(between(state.key_pose, tracked.predicted))  # predict
+        weigh = self.sensor(beams)
+        proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
+        self.mapper(state.maps, proposed.poses, beams)  # map
+        state.advance(proposed, tracked.pose)
+        report = self.confidence.key_scan(state, scan, proposed, beams)
+        if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
+            parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
+            state.resample(parents)
+            report = replace(report, parents=parents, best=state.best)
+        return state, report
+
+    def _skip(self, state: GridFastSlamState, tracked: Tracked, beams: Beams) -> SkipReason | None:
+        moved = between(state.key_pose, tracked.pose)
+        if not self.when_to_update(math.hypot(moved[0], moved[1]), abs(float(moved[2]))):
+            return SkipReason.BETWEEN_KEY_SCANS
+        return None if len(beams) else SkipReason.NO_VALID_BEAM

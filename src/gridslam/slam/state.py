@@ -1,0 +1,132 @@
+"""The state of grid-based FastSLAM: explicit, with one owner, and with one versioned schema."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.grid.tiles import TileMaps
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.weights import normalize
+from gridslam.slam.proposals import Proposed
+from gridslam.slam.tracker import TrackerState
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["STATE_SCHEMA", "GridFastSlamState"]
+
+STATE_SCHEMA = "gridslam.state/1"
+
+
+@final
+@dataclass(slots=True, eq=False)
+class GridFastSlamState:
+    """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
+
+    Attributes
+    ----------
+    tracker : TrackerState
+        The tracker's local maps and pose.
+    key_pose : (3,) float64
+        The tracker's pose at the last key scan.
+    poses : (N, 3) float64
+        The particles at the last key scan, map frame.
+    log_weights : (N,) float64, nats
+        Normalized.
+    log_ancestry : (N,) float64, nats
+        Log weight of each particle accumulated along its ancestry, relative to the greatest.
+    covariance : (3, 3) float64
+        Of the best particle's pose at the last key scan.
+    maps : TileMaps
+        One map for each particle.
+    ancestry : Ancestry
+        All particles' trajectories over the key scans.
+    lost : bool
+        Whether the last key scan agreed with the best map too little.
+    """
+
+    tracker: TrackerState
+    key_pose: FloatArray
+    poses: FloatArray
+    log_weights: FloatArray
+    log_ancestry: FloatArray
+    covariance: FloatArray
+    maps: TileMaps
+    ancestry: Ancestry
+    lost: bool = False
+    consumed: bool = False
+
+    @property
+    def best(self) -> int:
+        """Index of the particle of greatest log weight accumulated along its ancestry."""
+        return int(self.log_ancestry.argmax())
+
+    def take(self) -> GridFastSlamState:
+        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
+        self._check()
+        self.consumed = True
+        return replace(self, consumed=False)
+
+    def advance(self, proposed: Proposed, key_pose: FloatArray) -> None:
+        """Move every particle to its proposed pose and weight; `key_pose` (3,) is the tracker's."""
+        self.poses, self.key_pose = proposed.poses, key_pose
+        self.ancestry.extend(proposed.poses)
+        self.log_weights = normalize(self.log_weights + proposed.log_weights)
+        accumulated = self.log_ancestry + proposed.log_weights
+        self.log_ancestry = accumulated - accumulated.max()
+
+    def resample(self, parents: IntArray) -> None:
+        """Let particle i continue particle parents[i], all with equal weights."""
+        self.poses = self.poses[parents]
+        self.maps.select(parents)
+        self.ancestry.resample(parents)
+        self.log_ancestry = self.log_ancestry[parents]
+        self.log_weights = np.full(len(parents), -np.log(len(parents)))
+
+    def snapshot(self) -> GridFastSlamState:
+        """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
+        self._check()
+        return replace(
+            self, tracker=self.tracker.snapshot(), maps=self.maps.snapshot(), ancestry=self.ancestry.snapshot()
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
+        self._check()
+        own = {name: getattr(self, name) for name in _ARRAYS}
+        parts = {"tracker": self.tracker.to_arrays(), "maps": self.maps.to_arrays(), "ancestry": self.ancestry.to_arrays()}
+        nested = {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+        return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], threads: int = 1) -> GridFastSlamState:
+        """Rebuild a state; raises ArgumentError for another schema or a missing array."""
+        schema = str(arrays.get("schema", "none"))
+        if schema != STATE_SCHEMA:
+            raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
+
+        try:
+            own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+            return cls(
+                tracker=TrackerState.from_arrays(part("tracker")),
+                maps=TileMaps.from_arrays(part("maps"), threads=threads),
+                ancestry=Ancestry.from_arrays(part("ancestry")),
+                lost=bool(arrays["lost"]),
+                **own,
+            )
+        except KeyError as missing:
+            raise ArgumentError("arrays", f"an array {missing}", "none") from None
+
+    def _check(self) -> None:
+        if self.consumed:
+            raise ConsumedStateError
+
+
+_ARRAYS = ("key_pose", "poses", "log_weights", "log_ancestry", "covariance")
