@@ -1,0 +1,183 @@
+"""NumPy twins of the kernels that read maps; see `gridslam.kernels.reference` for the layout that all share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.kernels.reference_update import FloatArray, Int32Array, IntArray, addresses, placed
+
+__all__ = ["cast_rays", "distances", "match"]
+
+FloatMap = NDArray[np.float32]
+
+_OCCUPIED = 255
+_HOLD = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
+
+
+@final
+class _Field(NamedTuple):
+    """Reads the distance fields of maps `rows` (K,)."""
+
+    roots: Int32Array
+    first: tuple[int, int]
+    pages: Int32Array
+    values: NDArray[np.uint8]
+    rows: Int32Array
+
+    def at(self, y: IntArray, x: IntArray) -> NDArray[np.uint8]:
+        """Values (K, B) at cells y, x (K, B)."""
+        return self.values.reshape(-1)[addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)]
+
+    def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
+        """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
+        fu, fv = np.floor(u - 0.5), np.floor(v - 0.5)
+        x, y = fu.astype(np.int64), fv.astype(np.int64)
+        a, b = (u - 0.5 - fu).astype(np.float32), (v - 0.5 - fv).astype(np.float32)
+        f00, f01 = self.at(y, x).astype(np.float32), self.at(y, x + 1).astype(np.float32)
+        f10, f11 = self.at(y + 1, x).astype(np.float32), self.at(y + 1, x + 1).astype(np.float32)
+        low, high = f00 + a * (f01 - f00), f10 + a * (f11 - f10)
+        return low + b * (high - low), (1 - b) * (f01 - f00) + b * (f11 - f10), high - low
+
+
+def distances(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, poses: FloatArray, ends: FloatArray, resolution: float, reach_cells: float, threads: int,
+) -> FloatMap:  # fmt: skip
+    """Distance in m (K, B) float32 from points (B, 2) at poses (K, 3) to the nearest occupied cell's centre.
+
+    Interpolated between cells; the field's reach where nothing is nearer.
+    """
+    scale, reach_m = 1.0 / resolution, reach_cells * resolution
+    x, y = placed(poses, ends)
+    value, _, _ = _Field(roots, first, pages, field, rows).sample(x * scale, y * scale)
+    return (reach_m - reach_m / 255.0 * value.astype(np.float64)).astype(np.float32)
+
+
+def cast_rays(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, resolution: float, max_m: float,
+    threads: int,
+) -> FloatMap:  # fmt: skip
+    """Range in m (K, B) float32 from `origin` (2,) along unit `directions` (B, 2) to the first occupied cell.
+
+    The range is where the ray passes the cell's centre, in [0, `max_m`]; `max_m` where it meets none.
+
+    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing (1987).
+    """
+    place = np.concatenate(placed(poses, origin[None]), axis=1)[:, None]
+    turned = np.stack(placed(poses * [0, 0, 1], directions), axis=-1)
+    lookup = _Field(roots, first, pages, field, rows)
+    cell = np.broadcast_to(np.floor(place * (1.0 / resolution)), turned.shape).astype(np.int64)
+    forward = np.where(turned > 0, 1, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stride = np.where(turned != 0, resolution / np.abs(turned), np.inf)
+        border = np.where(turned != 0, ((cell + (forward > 0)) * resolution - place) / turned, np.inf)
+    ranges = np.full(turned.shape[:2], max_m)
+    k, b = np.nonzero(ranges > 0)
+    while len(k):
+        here = cell[k, b]
+        met = lookup._replace(rows=rows[k]).at(here[:, None, 1], here[:, None, 0])[:, 0] == _OCCUPIED
+        passes = np.sum(((here + 0.5) * resolution - place[k, 0]) * turned[k, b], axis=1)
+        ranges[k[met], b[met]] = np.clip(passes[met], 0.0, max_m)
+        k, b = k[~met], b[~met]
+        axis = np.where(border[k, b, 0] < border[k, b, 1], 0, 1)
+        inside = border[k, b, axis] < max_m
+        k, b, axis = k[inside], b[inside], axis[inside]
+        border[k, b, axis] += stride[k, b, axis]
+        cell[k, b, axis] += forward[k, b, axis]
+    return ranges.astype(np.float32)
+
+
+def match(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, resolution: float,
+    max_passes: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
+    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, threads: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
+
+    Minimizes sum_b w_b d_b^2 + e^T P e with d_b the distance in cells, w_b = 1 / (1 + (d_b / `cauchy_cells`)^2), e the
+    way from the guess and P its information, in m and rad. A step is clipped to `max_step_cells` and `max_step_rad`;
+    one below both `stop_cells` and `stop_rad` is the last. Along a direction with less information than
+    `min_information` per agreeing beam the guess is held.
+
+    Returns
+    -------
+    poses : (K, 3) float64
+    information : (K, 3, 3) float64
+        Of the measurement alone at `poses`, in m and rad.
+    score : (K,) float64
+        Sum of the weights at `poses`.
+
+    Source: Kohlbrecher et al. 2011, with the residual a distance.
+    """
+    unit = np.array([resolution, resolution, 1.0])
+    prior = priors * unit[:, None] * unit
+    guess = guesses / unit
+    pose, going = guess.copy(), np.arange(len(guesses))
+    settings = ends / resolution, cauchy_cells, reach_cells
+    for _ in range(max_passes):
+        lookup = _Field(roots, first, pages, field, rows[going])
+        h, g, score = _linearize(lookup, pose[going], *settings)
+        held = prior[going] + _hold(h, min_information * score)
+        step, solved = _solve(h + held, g + np.einsum("kij,kj->ki", held, pose[going] - guess[going]))
+        step, going = step[solved], going[solved]
+        length = np.hypot(step[:, 0], step[:, 1])
+        shorter = max_step_cells / np.maximum(length, max_step_cells)
+        pose[going, :2] -= shorter[:, None] * step[:, :2]
+        pose[going, 2] -= np.clip(step[:, 2], -max_step_rad, max_step_rad)
+        going = going[(length >= stop_cells) | (np.abs(step[:, 2]) >= stop_rad)]
+        if not len(going):
+            break
+    h, _, score = _linearize(_Field(roots, first, pages, field, rows), pose, *settings)
+    pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
+    return pose * unit, h / (unit[:, None] * unit), score
+
+
+def _linearize(
+    lookup: _Field, poses: FloatArray, ends: FloatArray, cauchy_cells: float, reach_cells: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
+    u, v = placed(poses, ends)
+    value, du, dv = lookup.sample(u, v)
+    to_cells = reach_cells / 255.0
+    d = reach_cells - to_cells * value.astype(np.float64)
+    ju, jv = -to_cells * du.astype(np.float64), -to_cells * dv.astype(np.float64)
+    jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
+    weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
+    weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
+    return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
+
+
+def _hold(h: FloatArray, least: FloatArray) -> FloatArray:
+    """Information (K, 3, 3) that pins the position where its own, the heading marginalized, is below `least` (K,)."""
+    turn = h[:, 2, 2]
+    known = np.where(turn > 0, 1.0 / np.where(turn > 0, turn, 1.0), 0.0)
+    a, b, c = (h[:, i, j] - h[:, i, 2] * h[:, j, 2] * known for i, j in ((0, 0), (0, 1), (1, 1)))
+    mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
+    angle = 0.5 * np.arctan2(2 * b, a - c)
+    weakest = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    held = np.zeros_like(h)
+    one, both = mean - half < least, mean + half < least
+    held[one, :2, :2] = _HOLD * weakest[one, :, None] * weakest[one, None, :]
+    held[both, :2, :2] = _HOLD * np.eye(2)
+    return held
+
+
+def _solve(h: FloatArray, g: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Steps (K, 3) that solve h step = g by Cholesky, and whether each h (K, 3, 3) is positive definite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        l00 = np.sqrt(h[:, 0, 0])
+        l10, l20 = h[:, 1, 0] / l00, h[:, 2, 0] / l00
+        l11 = np.sqrt(h[:, 1, 1] - l10**2)
+        l21 = (h[:, 2, 1] - l20 * l10) / l11
+        l22 = np.sqrt(h[:, 2, 2] - l20**2 - l21**2)
+        y0 = g[:, 0] / l00
+        y1 = (g[:, 1] - l10 * y0) / l11
+        turn = (g[:, 2] - l20 * y0 - l21 * y1) / l22**2
+        y = (y1 - l21 * turn) / l11
+        step = np.stack([(y0 - l10 * y - l20 * turn) / l00, y, turn], axis=1)
+    return step, (l00 > 1e-9) & (l11 > 1e-9) & (l22 > 1e-9)

@@ -1,0 +1,224 @@
+"""NumPy twins of the kernels that write maps; see `gridslam.kernels.reference` for the layout that all share."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.kernels import PAGE, TILE, UNKNOWN
+
+__all__ = [
+    "addresses", "own", "placed", "ray_cells", "touch_cells", "touch_rays", "update_field", "update_log_odds",
+]  # fmt: skip
+
+FloatArray = NDArray[np.float64]
+Int32Array = NDArray[np.int32]
+IntArray = NDArray[np.int64]
+
+_BLOCK = 512  # changed cells whose windows are in memory at once
+
+
+def placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """World coordinates x, y (K, B) in m of points (B, 2) of the base frame seen from poses (K, 3).
+
+    Sine and cosine are the C library's, as in the kernels: NumPy's differ in the last bit, and so would a cell.
+    """
+    c = np.array([math.cos(theta) for theta in poses[:, 2]])[:, None]
+    s = np.array([math.sin(theta) for theta in poses[:, 2]])[:, None]
+    px, py = points[:, 0], points[:, 1]
+    return poses[:, :1] + c * px - s * py, poses[:, 1:2] + s * px + c * py
+
+
+def _cells(poses: FloatArray, points: FloatArray, resolution: float) -> IntArray:
+    """Cells (K, B, 2) = [y, x] that hold points (B, 2) of the base frame."""
+    x, y = placed(poses, points)
+    scale = 1.0 / resolution
+    return np.stack([np.floor(y * scale), np.floor(x * scale)], axis=-1).astype(np.int64)
+
+
+def addresses(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, rows: NDArray[np.integer], y: IntArray, x: IntArray
+) -> IntArray:
+    """Positions (...) of cells y, x (...) of maps `rows` (...) in the flattened tiles; tile 0's where there is none."""
+    ty, tx = y // TILE, x // TILE
+    py, px = ty // PAGE - first[0], tx // PAGE - first[1]
+    inside = (py >= 0) & (py < roots.shape[1]) & (px >= 0) & (px < roots.shape[2])
+    page = np.where(inside, roots[rows, np.where(inside, py, 0), np.where(inside, px, 0)], 0)
+    tile = pages[page, ty % PAGE, tx % PAGE].astype(np.int64)
+    return (tile * TILE + y % TILE) * TILE + x % TILE
+
+
+def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
+    """Cells (N, 2) of the 8-connected lines from the cell `start` (2,) to just before each of `ends` (B, 2).
+
+    Cell i of n = max(abs(d)) lies at start + floor((2 i d + n) / (2 n)): the line's cell nearest to its ideal.
+
+    Source: Bresenham, Algorithm for computer control of a digital plotter (1965).
+    """
+    difference = ends - start
+    steps = np.abs(difference).max(axis=1)
+    i = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)
+    n = np.repeat(steps, steps)[:, None]
+    cells: IntArray = start + (2 * i[:, None] * np.repeat(difference, steps, axis=0) + n) // (2 * n)
+    return cells
+
+
+def touch_rays(
+    rows: Int32Array, poses: FloatArray, ends: FloatArray, origin: FloatArray, resolution: float, threads: int
+) -> Int32Array:
+    """Tiles that the rays from `origin` (2,) to `ends` (B, 2) cross, seen from poses (K, 3).
+
+    Returns
+    -------
+    (N, 3) int32
+        [row, tile y, tile x], each tile of a row once; grouped by pose, ascending within.
+    """
+    starts, tips = _cells(poses, origin[None], resolution)[:, 0], _cells(poses, ends, resolution)
+    touched = [np.zeros((0, 3), np.int32)]
+    for row, start, tip in zip(rows, starts, tips, strict=True):
+        tiles = np.concatenate([ray_cells(start, tip), tip]) // TILE
+        if not len(tiles):
+            continue
+        low = tiles.min(axis=0)
+        marked = np.zeros(tiles.max(axis=0) - low + 1, bool)
+        marked[tuple((tiles - low).T)] = True
+        found = np.argwhere(marked) + low
+        touched.append(np.column_stack([np.full(len(found), row), found]).astype(np.int32))
+    return np.concatenate(touched)
+
+
+def touch_cells(cells: Int32Array, reach: int) -> Int32Array:
+    """Tiles within `reach` cells (1 to 15) of changed `cells` (M, 4) = [row, y, x, occupied].
+
+    Returns
+    -------
+    (N, 3) int32
+        [row, tile y, tile x], ascending, each once. A window of at most a tile's side lies in its four corners' tiles.
+    """
+    corners = np.array([[0, dy, dx] for dy in (-reach, reach) for dx in (-reach, reach)])
+    around = cells[:, None, :3].astype(np.int64) + corners
+    around[..., 1:] //= TILE
+    return np.unique(around.reshape(-1, 3), axis=0).astype(np.int32)
+
+
+def own(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    page_refs: Int32Array, tile_refs: Int32Array, free_pages: Int32Array, free_tiles: Int32Array, touched: Int32Array,
+) -> tuple[int, int]:  # fmt: skip
+    """Copy on write: give every touched tile (N, 3) = [row, tile y, tile x] to its map alone, in order.
+
+    A page or tile that is empty or that more than one owner uses is copied to the last free id not yet taken. A table
+    entry counts as one use of its page, a page's entry as one use of its tile, however many maps share the page.
+
+    Parameters
+    ----------
+    page_refs, tile_refs : (K,), (T,) int32
+        How often each id is used; changed in place, as are `roots`, `pages`, `log_odds` and `field`.
+    free_pages, free_tiles : (F,), (G,) int32
+        Ids that nothing uses, at least N of each.
+
+    Returns
+    -------
+    (int, int)
+        How many free pages and tiles were taken.
+    """
+    pages_left, tiles_left = len(free_pages), len(free_tiles)
+    for row, ty, tx in touched.tolist():
+        at = row, ty // PAGE - first[0], tx // PAGE - first[1]
+        page = roots[at]
+        if page == 0 or page_refs[page] > 1:
+            pages_left -= 1
+            fresh = free_pages[pages_left]
+            pages[fresh] = pages[page]
+            if page != 0:
+                page_refs[page] -= 1
+                tile_refs[pages[page][pages[page] > 0]] += 1  # no tile is twice in a page
+            page_refs[fresh] = 1
+            roots[at] = page = fresh
+        tile = pages[page, ty % PAGE, tx % PAGE]
+        if tile == 0 or tile_refs[tile] > 1:
+            tiles_left -= 1
+            fresh = free_tiles[tiles_left]
+            log_odds[fresh], field[fresh] = log_odds[tile], field[tile]
+            if tile != 0:
+                tile_refs[tile] -= 1
+            tile_refs[fresh] = 1
+            pages[page, ty % PAGE, tx % PAGE] = fresh
+    return len(free_pages) - pages_left, len(free_tiles) - tiles_left
+
+
+def _counted(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Each distinct cell of (N, 2): as one sortable number, as [y, x], and how often it occurs."""
+    keys, counts = np.unique((cells[:, 0] << 32) + (cells[:, 1] + (1 << 31)), return_counts=True)
+    return keys, np.stack([keys >> 32, (keys & 0xFFFFFFFF) - (1 << 31)], axis=1), counts
+
+
+def update_log_odds(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, poses: FloatArray, ends: FloatArray, origin: FloatArray, resolution: float,
+    hit: int, miss: int, min: int, max: int, occupied_above: int, threads: int,
+) -> Int32Array:  # fmt: skip
+    """Binary Bayes filter along the rays of a scan, in place, in maps that own all touched tiles.
+
+    Each ray adds `miss` < 0 to the cells before its end, down to `min`, and `hit` > 0 to the cell at its end, up to
+    `max`; a cell in which any ray of the scan ends is missed by none of them. An unknown cell starts from 0.
+
+    Returns
+    -------
+    (M, 4) int32
+        [row, y, x, occupied] of the cells that came above `occupied_above` (1) or fell to it or below (0), by pose.
+
+    Source: Probabilistic Robotics, Table 9.1.
+    """
+    starts, tips = _cells(poses, origin[None], resolution)[:, 0], _cells(poses, ends, resolution)
+    stored = log_odds.reshape(-1)
+    changed = [np.zeros((0, 4), np.int32)]
+    for row, start, tip in zip(rows, starts, tips, strict=True):
+        end_keys, end_cells, hits = _counted(tip)
+        keys, free_cells, misses = _counted(ray_cells(start, tip))
+        free = ~np.isin(keys, end_keys, assume_unique=True)
+        cells = np.concatenate([free_cells[free], end_cells])
+        evidence = np.concatenate([misses[free] * miss, hits * hit])
+        at = addresses(roots, first, pages, row, cells[:, 0], cells[:, 1])
+        before = np.where(stored[at] == UNKNOWN, 0, stored[at]).astype(np.int64)
+        after = before + evidence
+        after = np.where(evidence < 0, np.maximum(after, min), np.minimum(after, max))
+        stored[at] = after
+        occupied = after > occupied_above
+        flipped = occupied != (before > occupied_above)
+        table = np.column_stack([np.full(len(cells), row), cells, occupied])
+        changed.append(table[flipped].astype(np.int32))
+    return np.concatenate(changed)
+
+
+def update_field(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    cells: Int32Array, cone: NDArray[np.uint8], occupied_above: int, threads: int,
+) -> None:  # fmt: skip
+    """Let the distance field follow changed `cells` (M, 4) = [row, y, x, occupied], in place.
+
+    The field is the grey dilation of the occupied cells by the `cone` (2 r + 1, 2 r + 1). Around a cell that became
+    free it is computed anew; then each new obstacle lifts its surroundings to its cone.
+    """
+    values, stored = field.reshape(-1), log_odds.reshape(-1)
+    reach, side = len(cone) // 2, len(cone)
+
+    def windows(part: Int32Array, around: int) -> IntArray:
+        d = np.arange(-around, around + 1)
+        row, y, x = (part[:, c, None, None].astype(np.int64) for c in range(3))
+        return addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
+
+    freed, met = cells[cells[:, 3] == 0], cells[cells[:, 3] != 0]
+    for part in (freed[i : i + _BLOCK] for i in range(0, len(freed), _BLOCK)):
+        occupied = (stored[windows(part, 2 * reach)] > occupied_above).astype(np.uint8)
+        dilated = np.zeros((len(part), side, side), np.uint8)
+        for (dy, dx), height in np.ndenumerate(cone):
+            if height:
+                np.maximum(dilated, height * occupied[:, dy : dy + side, dx : dx + side], out=dilated)
+        values[windows(part, reach)] = dilated
+    for part in (met[i : i + _BLOCK] for i in range(0, len(met), _BLOCK)):
+        at = windows(part, reach)
+        for (dy, dx), height in np.ndenumerate(cone):  # cells of one offset do not coincide
+            values[at[:, dy, dx]] = np.maximum(values[at[:, dy, dx]], height)
