@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 
 __all__ = ["TileArena"]
@@ -39,6 +40,31 @@ class TileArena:
         self._free_pages: Int32Array = np.arange(7, 0, -1, dtype=np.int32)
         self._free_tiles: Int32Array = np.arange(63, 0, -1, dtype=np.int32)
 
+    @classmethod
+    def from_arrays(
+        cls, roots: Int32Array, pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8]
+    ) -> TileArena:
+        """Build the arena whose pages and tiles are all in use by the one table `roots`; copies.
+
+        Raises
+        ------
+        ArgumentError
+            A dtype or shape is wrong, id 0 is not empty, or an id is unknown or unused.
+        """
+        _check("roots", roots, np.int32, ())
+        _check("pages", pages, np.int32, (PAGE, PAGE))
+        _check("log_odds", log_odds, np.int16, (TILE, TILE))
+        _check("field", field, np.uint8, (TILE, TILE))
+        if len(field) != len(log_odds):
+            raise ArgumentError("field", f"{len(log_odds)} tiles", len(field))
+        if pages[0].any() or (log_odds[0] != UNKNOWN).any() or field[0].any():
+            raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
+        arena = cls()
+        arena.pages, arena.log_odds, arena.field = pages.copy(), log_odds.copy(), field.copy()
+        arena.page_refs, arena.tile_refs = _uses("roots", roots, len(pages)), _uses("pages", pages, len(log_odds))
+        arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
+        return arena
+
     @property
     def tiles_used(self) -> int:
         """Number of tiles that some map uses."""
@@ -47,7 +73,8 @@ class TileArena:
     @property
     def nbytes(self) -> int:
         """Bytes held, used or not."""
-        return self.pages.nbytes + self.log_odds.nbytes + self.field.nbytes + self.page_refs.nbytes + self.tile_refs.nbytes
+        held = (self.pages, self.log_odds, self.field, self.page_refs, self.tile_refs)
+        return sum(array.nbytes for array in held)
 
     def spare(self, n: int) -> tuple[Int32Array, Int32Array]:
         """Free page and tile ids, at least `n` of each; taken from the end by `take`."""
@@ -76,7 +103,9 @@ class TileArena:
 
     def retain(self, roots: Int32Array) -> None:
         """Count one more use of every page in `roots`."""
-        self.page_refs += np.bincount(roots.ravel(), minlength=len(self.page_refs)).astype(np.int32)
+        counts = np.bincount(roots.ravel(), minlength=len(self.page_refs))
+        counts[0] = 0
+        self.page_refs += counts.astype(np.int32)
 
     def release(self, roots: Int32Array) -> None:
         """Count one use less of every page in `roots`; what nothing uses any more becomes free."""
@@ -92,3 +121,20 @@ class TileArena:
         self.tile_refs -= tiles.astype(np.int32)
         dead_tiles = np.flatnonzero((tiles > 0) & (self.tile_refs == 0))
         self._free_tiles = np.concatenate([self._free_tiles, dead_tiles.astype(np.int32)])
+
+
+def _check(name: str, array: NDArray[Any], dtype: type, block: tuple[int, ...]) -> None:
+    if array.dtype != dtype or array.ndim != 3 or not len(array) or (block and array.shape[1:] != block):
+        expected = f"{np.dtype(dtype)} of shape (at least 1, {', '.join(map(str, block)) or 'any, any'})"
+        raise ArgumentError(name, expected, f"{array.dtype} of shape {array.shape}")
+
+
+def _uses(name: str, ids: Int32Array, size: int) -> Int32Array:
+    """How often each id below `size` occurs in `ids`, 0 for the empty one; every other one must."""
+    if ids.size and (ids.min() < 0 or ids.max() >= size):
+        raise ArgumentError(name, f"ids from 0 to {size - 1}", f"{ids.min()} to {ids.max()}")
+    counts = np.bincount(ids.ravel(), minlength=size).astype(np.int32)
+    counts[0] = 0
+    if not counts[1:].all():
+        raise ArgumentError(name, f"every id from 1 to {size - 1} in use", f"no use of {1 + int(counts[1:].argmin())}")
+    return counts

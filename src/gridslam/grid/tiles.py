@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, final
 
 import numpy as np
@@ -36,7 +37,8 @@ class Evidence:
     def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
         steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
         if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] < -UNKNOWN):
-            raise ArgumentError("Evidence", "miss < 0 < hit and clamps within +-327 nats", (hit, miss, minimum, maximum))
+            got = hit, miss, minimum, maximum
+            raise ArgumentError("Evidence", "miss < 0 < hit and clamps within +-327 nats", got)
         self.steps: tuple[int, ...] = steps
         self.occupied_above: int = steps[4]
 
@@ -61,7 +63,9 @@ class TileMaps:
 
     __slots__ = ("_arena", "_cone", "_first", "_roots", "evidence", "reach_cells", "resolution_m", "threads")
 
-    def __init__(self, rows: int, *, resolution_m: float, reach_cells: float, evidence: Evidence, threads: int = 1) -> None:
+    def __init__(
+        self, rows: int, *, resolution_m: float, reach_cells: float, evidence: Evidence, threads: int = 1
+    ) -> None:
         if rows < 1:
             raise ArgumentError("rows", "at least one map", rows)
         if not resolution_m > 0:
@@ -127,10 +131,12 @@ class TileMaps:
         self._roots[row] = 0
 
     def update(self, rows: Int32Array, poses: FloatArray, beams: Beams) -> None:
-        """Insert a scan into maps `rows` (K,) int32 at poses (K, 3): the binary Bayes filter (Prob. Robotics Table 9.1).
+        """Insert a scan into maps `rows` (K,) int32, each at most once, at poses (K, 3): the binary Bayes filter.
 
-        The cell at a beam's end is hit once for each beam, the cells before it are missed once for each; a cell in which some
-        beam of the scan ends is not missed by it. The distance field follows.
+        The cell at a beam's end is hit once for each beam, the cells before it are missed once for each; a cell in
+        which some beam of the scan ends is not missed by it. The distance field follows.
+
+        Source: Probabilistic Robotics, Table 9.1.
         """
         if not len(beams):
             return
@@ -144,14 +150,20 @@ class TileMaps:
             self._own(backend.touch_cells(changed, int(self.reach_cells)))
             backend.update_field(*self._view, changed, self._cone, self.evidence.occupied_above, threads)
 
-    def match(self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float) -> Any:
+    def match(
+        self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Gauss-Newton from guesses (K, 3) with prior information (K, 3, 3); see `gridslam.matching.GaussNewton`."""
-        return backend.match(
+        found: tuple[FloatArray, FloatArray, FloatArray] = backend.match(
             *self._view, rows, guesses, priors, ends, self.resolution_m, *settings, self.threads
         )
+        return found
 
     def distances(self, rows: IntArray | Int32Array, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
-        """Distance in m (K, B) to the nearest occupied cell's centre for points (B, 2) of the base frame; capped at `reach_m`."""
+        """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest occupied cell's centre.
+
+        Capped at `reach_m`; `rows` (K,) says which map belongs to each pose.
+        """
         rows = np.ascontiguousarray(rows, np.int32)
         found: NDArray[np.float32] = backend.distances(
             *self._view, rows, poses, points, self.resolution_m, self.reach_cells, self.threads
@@ -161,7 +173,10 @@ class TileMaps:
     def cast_rays(
         self, rows: IntArray | Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
     ) -> NDArray[np.float32]:
-        """Range in m (K, B) to the first occupied cell along unit directions (B, 2) from origin (2,); `max_m` where none."""
+        """Range in m (K, B) to the first occupied cell, from origin (2,) along unit directions (B, 2) of the base frame.
+
+        `max_m` where there is none; `rows` (K,) says which map belongs to each pose (K, 3).
+        """
         rows = np.ascontiguousarray(rows, np.int32)
         found: NDArray[np.float32] = backend.cast_rays(
             *self._view, rows, poses, origin, directions, self.resolution_m, max_m, self.threads
@@ -184,20 +199,57 @@ class TileMaps:
         known = cells != UNKNOWN
         log_odds = np.where(known, cells, 0).astype(np.float32)
         log_odds *= LOG_ODDS_UNIT
-        return OccupancyGrid(log_odds, known, self.resolution_m, cell_corner(row0 * TILE, col0 * TILE, self.resolution_m))
+        origin = cell_corner(row0 * TILE, col0 * TILE, self.resolution_m)
+        return OccupancyGrid(log_odds, known, self.resolution_m, origin)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays that hold the maps, each shared tile once."""
-        pages, page_of = np.unique(self._roots, return_inverse=True)
-        used = self._arena.pages[pages]
-        tiles, tile_of = np.unique(used, return_inverse=True)
+        """Plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
+
+        Returns
+        -------
+        dict
+            "roots" (rows, P, Q) int32: page ids; "first" (2,) int64: page row and column of their corner; "pages"
+            (K, 16, 16) int32: tile ids; "log_odds" (T, 32, 32) int16; "field" (T, 32, 32) uint8. Ids count from 1 in
+            order of appearance; page 0 and tile 0 are the empty ones.
+        """
+        roots, pages = _renumbered(self._roots)
+        tables, tiles = _renumbered(self._arena.pages[pages])
         return {
-            "roots": page_of.reshape(self._roots.shape).astype(np.int32) + (0 if pages[0] == 0 else 1),
+            "roots": roots,
             "first": np.array(self._first, np.int64),
-            "pages": tile_of.reshape(used.shape).astype(np.int32) + (0 if tiles[0] == 0 else 1),
+            "pages": tables,
             "log_odds": self._arena.log_odds[tiles],
             "field": self._arena.field[tiles],
         }
+
+    @classmethod
+    def from_arrays(
+        cls,
+        arrays: Mapping[str, NDArray[Any]],
+        *,
+        resolution_m: float,
+        reach_cells: float,
+        evidence: Evidence,
+        threads: int = 1,
+    ) -> TileMaps:
+        """Maps from the arrays of `to_arrays`, over an arena of their own; they go on bit for bit as the others would.
+
+        Raises
+        ------
+        ArgumentError
+            An array is missing, has a wrong dtype or shape, or holds an id that is unknown or never used.
+        """
+        names = ("roots", "pages", "log_odds", "field")
+        missing = {*names, "first"} - set(arrays)
+        if missing:
+            raise ArgumentError("arrays", f"the arrays {', '.join(names)} and first", f"none named {sorted(missing)}")
+        first = np.asarray(arrays["first"])
+        if first.shape != (2,) or first.dtype.kind != "i":
+            raise ArgumentError("first", "two integers", f"{first.dtype} of shape {first.shape}")
+        arena = TileArena.from_arrays(*(np.asarray(arrays[name]) for name in names))
+        maps = cls(1, resolution_m=resolution_m, reach_cells=reach_cells, evidence=evidence, threads=threads)
+        maps._arena, maps._roots, maps._first = arena, arrays["roots"].copy(), (int(first[0]), int(first[1]))
+        return maps
 
     def _own(self, touched: Int32Array) -> None:
         arena = self._arena
@@ -206,7 +258,7 @@ class TileMaps:
 
     def _cover(self, poses: FloatArray, beams: Beams) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""
-        reach = float(np.sqrt(np.max(np.sum(beams.ends**2, axis=1)))) + float(np.hypot(*beams.origin)) + 2 * self.reach_m
+        reach = float(np.hypot(*beams.ends.T).max()) + float(np.hypot(*beams.origin)) + 2 * self.reach_m
         low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
         high = np.floor((poses[:, 1::-1].max(axis=0) + reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
         first, shape = np.array(self._first), np.array(self._roots.shape[1:])
@@ -218,3 +270,12 @@ class TileMaps:
         at = first - new_first
         roots[:, at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = self._roots
         self._roots, self._first = roots, (int(new_first[0]), int(new_first[1]))
+
+
+def _renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:
+    """The table `ids` with its ids counted from 1 in order of appearance, 0 kept; and the old id of each new one."""
+    old, first, index = np.unique(np.append(np.int32(0), ids), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    new = np.empty(len(old), np.int32)
+    new[order] = np.arange(len(old), dtype=np.int32)
+    return new[index.ravel()[1:]].reshape(ids.shape), old[order].astype(np.int64)
