@@ -47,7 +47,8 @@ class CarmenLog:
     Notes
     -----
     Ranges at or above the sensor's maximum are NO_RETURN (see `CarmenLasers.range_max_m`); NaN, negative and zero ones
-    are INVALID and counted. ODOM lines are checked only where a scan needs them.
+    are INVALID and counted. ODOM lines are checked only where a scan needs them. A scan's arrays are read-only views of
+    its block's (about 100 scans), so copy those of a few scans that are to be kept for long.
     """
 
     def __init__(self, path: str | Path, *, keep_truncated: bool = False) -> None:

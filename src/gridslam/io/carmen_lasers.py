@@ -54,6 +54,8 @@ class CarmenLasers:
 
     def set_parameter(self, name: str, value: str, line: int) -> None:
         """Take a parameter of the log for the scans that follow it."""
+        if self._parameters.get(name, (None, 0))[0] == value:
+            return
         self._parameters[name] = (value, line)
         self._geometries.clear()
         self.mountings = {sensor: known for sensor, known in self.mountings.items() if known.source == "line"}

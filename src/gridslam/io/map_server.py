@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.map_yaml import MapDescription, read_map_description
+from gridslam.io.map_yaml import FREE_THRESH, OCCUPIED_THRESH, MapDescription, read_map_description
 from gridslam.types import OccupancyGrid
 
 __all__ = ["read_map", "write_map"]
@@ -18,7 +18,7 @@ _OCCUPIED, _FREE, _UNKNOWN = 0, 254, 205
 _SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
 
 
-def write_map(yaml_path: str | Path, image_path: str | Path, grid: OccupancyGrid, *, image: str | None = None) -> None:
+def write_map(yaml_path: str | Path, grid: OccupancyGrid) -> None:
     """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
 
     The image has its first row at the top, where y is largest. free_thresh lies below the 0.19608 that the pixel 205
@@ -26,8 +26,8 @@ def write_map(yaml_path: str | Path, image_path: str | Path, grid: OccupancyGrid
 
     Parameters
     ----------
-    yaml_path, image_path : str or Path
-        The files to write; the image is a binary PGM.
+    yaml_path : str or Path
+        The file to write; its image is a binary PGM of the same name beside it.
     grid : OccupancyGrid
         The map, at least one cell.
     image : str, optional
@@ -37,13 +37,14 @@ def write_map(yaml_path: str | Path, image_path: str | Path, grid: OccupancyGrid
     if height == 0 or width == 0:
         raise ArgumentError("grid", "at least one cell", grid.log_odds.shape)
     pixels = np.full((height, width), _UNKNOWN, dtype=np.uint8)
-    pixels[grid.known & (grid.log_odds > _log_odds(MapDescription.OCCUPIED_THRESH))] = _OCCUPIED
-    pixels[grid.known & (grid.log_odds < _log_odds(MapDescription.FREE_THRESH))] = _FREE
-    with Path(image_path).open("wb") as file:
+    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = _OCCUPIED
+    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = _FREE
+    image_path = Path(yaml_path).with_suffix(".pgm")
+    with image_path.open("wb") as file:
         file.write(f"P5\n{width} {height}\n255\n".encode())
         file.write(pixels[::-1].tobytes())
     x, y = (float(value) for value in grid.origin)
-    description = MapDescription(image or Path(image_path).name, float(grid.resolution_m), (x, y))
+    description = MapDescription(image_path.name, float(grid.resolution_m), (x, y))
     Path(yaml_path).write_text(description.to_yaml(), encoding="utf-8")
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, final
+from typing import final
 
 from gridslam.errors import InputError
 from gridslam.io.text_source import read_text
 
-__all__ = ["MapDescription", "read_map_description"]
+__all__ = ["FREE_THRESH", "OCCUPIED_THRESH", "MapDescription", "read_map_description"]
+
+OCCUPIED_THRESH = 0.65
+FREE_THRESH = 0.196
 
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
@@ -38,15 +41,12 @@ class MapDescription:
         "trinary", "scale" or "raw".
     """
 
-    OCCUPIED_THRESH: ClassVar[float] = 0.65
-    FREE_THRESH: ClassVar[float] = 0.196
-
     image: str
     resolution_m: float
     origin: tuple[float, float]
     negate: bool = False
-    occupied_thresh: float = 0.65
-    free_thresh: float = 0.196
+    occupied_thresh: float = OCCUPIED_THRESH
+    free_thresh: float = FREE_THRESH
     mode: str = "trinary"
 
     def to_yaml(self) -> str:

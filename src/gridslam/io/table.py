@@ -43,9 +43,7 @@ def read_table(path: str | Path, stamps: int, columns: str) -> Table:
         file cannot be read or has no row.
     """
     width = len(columns.split())
-    times: list[list[int]] = []
-    values: list[list[float]] = []
-    lines: list[int] = []
+    times, values, lines = list[list[int]](), list[list[float]](), list[int]()
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.split()
         if not words or words[0].startswith("#"):
@@ -54,14 +52,13 @@ def read_table(path: str | Path, stamps: int, columns: str) -> Table:
             raise InputError(path, f"expected {width} numbers ({columns}), got {len(words)}", number)
         try:
             times.append([parse_stamp_ns(word) for word in words[:stamps]])
-            row = [float(word) for word in words[stamps:]]
+            values.append([float(word) for word in words[stamps:]])
         except LineError as error:
             raise InputError(path, str(error), number) from None
         except ValueError:
             raise InputError(path, f"expected numbers ({columns}), got {line!r}", number) from None
-        if not all(map(math.isfinite, row)):
+        if not all(map(math.isfinite, values[-1])):
             raise InputError(path, f"expected finite numbers ({columns}), got {line!r}", number)
-        values.append(row)
         lines.append(number)
     if not lines:
         raise InputError(path, f"expected rows of {columns}, got none")

@@ -30,7 +30,7 @@ def test_the_pixels_of_each_state(tmp_path):
     # Bottom row: occupied, free, never seen; top row: probabilities between the thresholds 0.196 and 0.65.
     log_odds = np.array([[3, -3, 3], [0.6, 0, -1.4]], dtype=np.float32)
     known = np.array([[True, True, False], [True, True, True]])
-    write_map(tmp_path / "m.yaml", tmp_path / "m.pgm", OccupancyGrid(log_odds, known, 0.05, (-1.0, 2.5)))
+    write_map(tmp_path / "m.yaml", OccupancyGrid(log_odds, known, 0.05, (-1.0, 2.5)))
     assert (tmp_path / "m.pgm").read_bytes() == b"P5\n3 2\n255\n" + bytes([205, 205, 205, 0, 254, 205])
     assert (tmp_path / "m.yaml").read_text() == (
         "image: m.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
@@ -40,7 +40,7 @@ def test_the_pixels_of_each_state(tmp_path):
 
 def test_pillow_agrees_on_the_image(tmp_path):
     grid = OccupancyGrid(np.full((2, 5), 4, np.float32), np.ones((2, 5), bool), 0.1, (0.0, 0.0))
-    write_map(tmp_path / "m.yaml", tmp_path / "m.pgm", grid)
+    write_map(tmp_path / "m.yaml", grid)
     with Image.open(tmp_path / "m.pgm") as image:
         assert (image.size, image.mode, image.getpixel((4, 1))) == ((5, 2), "L", 0)
 
@@ -55,8 +55,8 @@ def test_pillow_agrees_on_the_image(tmp_path):
 def test_round_trip(tmp_path, seed, resolution, origin, name):
     cells = np.random.default_rng(seed).integers(-1, 2, (3, 4))
     grid = OccupancyGrid(np.float32(9) * (2 * cells - 1), cells >= 0, resolution, origin)
-    write_map(tmp_path / "m.yaml", tmp_path / f"{name}.pgm", grid)
-    back = read_map(tmp_path / "m.yaml")
+    write_map(tmp_path / f"{name}.yaml", grid)
+    back = read_map(tmp_path / f"{name}.yaml")
     assert states(back) == cells.tolist()
     assert (back.resolution_m, back.origin) == (resolution, origin)
     assert back.log_odds.dtype == np.float32
@@ -151,7 +151,7 @@ def test_bad_images(tmp_path):
 def test_an_empty_grid_is_refused(tmp_path):
     grid = OccupancyGrid(np.zeros((0, 3), np.float32), np.zeros((0, 3), bool), 0.05, (0.0, 0.0))
     with pytest.raises(ArgumentError, match="at least one cell"):
-        write_map(tmp_path / "m.yaml", tmp_path / "m.pgm", grid)
+        write_map(tmp_path / "m.yaml", grid)
 
 
 @pytest.mark.parametrize("name", ["meeting", "mac_1st_floor_final"])
