@@ -49,7 +49,8 @@ def addresses(
     inside = (py >= 0) & (py < roots.shape[1]) & (px >= 0) & (px < roots.shape[2])
     page = np.where(inside, roots[rows, np.where(inside, py, 0), np.where(inside, px, 0)], 0)
     tile = pages[page, ty & (PAGE - 1), tx & (PAGE - 1)].astype(np.int64)
-    return (((tile << _TILE_BITS) + (y & (TILE - 1))) << _TILE_BITS) + (x & (TILE - 1))
+    found: IntArray = (((tile << _TILE_BITS) + (y & (TILE - 1))) << _TILE_BITS) + (x & (TILE - 1))
+    return found
 
 
 def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
