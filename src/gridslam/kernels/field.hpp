@@ -4,45 +4,71 @@
 
 namespace gridslam {
 
-struct Sample {
-  float value, du, dv;  // field in [0, 255] and its derivatives per cell
+// Values of the field at the centres of four neighbouring cells, for a block of points at once.
+constexpr int kLanes = 8;
+struct Corners {
+  float f00[kLanes], f01[kLanes], f10[kLanes], f11[kLanes];  // at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
 };
 
-class FieldReader {
- public:
-  FieldReader(const Maps& m, int row) : m_(m), root_(m.root(row)) {}
-
-  // (u, v) in cells from the world's origin, along x and y.
-  Sample operator()(double u, double v) {
-    const double fu = std::floor(u - 0.5), fv = std::floor(v - 0.5);
-    const int x = static_cast<int>(fu), y = static_cast<int>(fv);
-    const float a = static_cast<float>(u - 0.5 - fu), b = static_cast<float>(v - 0.5 - fv);
-    float f00, f01, f10, f11;
-    const int ix = x & kTileMask, iy = y & kTileMask;
+inline void gather(const Maps& m, const int32_t* root, const int* x, const int* y, Corners& out) {
+  for (int l = 0; l < kLanes; ++l) {
+    const int ix = x[l] & kTileMask, iy = y[l] & kTileMask;
     if (ix < kTileMask && iy < kTileMask) {
-      const uint8_t* p = tile(y >> kTileBits, x >> kTileBits) + (iy << kTileBits) + ix;
-      f00 = p[0], f01 = p[1], f10 = p[kTile], f11 = p[kTile + 1];
+      const uint8_t* p = m.field + static_cast<int64_t>(m.tile(root, y[l] >> kTileBits, x[l] >> kTileBits)) * kTileCells + (iy << kTileBits) + ix;
+      out.f00[l] = p[0], out.f01[l] = p[1], out.f10[l] = p[kTile], out.f11[l] = p[kTile + 1];
     } else {
-      f00 = m_.field_at(root_, y, x), f01 = m_.field_at(root_, y, x + 1);
-      f10 = m_.field_at(root_, y + 1, x), f11 = m_.field_at(root_, y + 1, x + 1);
+      out.f00[l] = m.field_at(root, y[l], x[l]), out.f01[l] = m.field_at(root, y[l], x[l] + 1);
+      out.f10[l] = m.field_at(root, y[l] + 1, x[l]), out.f11[l] = m.field_at(root, y[l] + 1, x[l] + 1);
     }
-    const float low = f00 + a * (f01 - f00), high = f10 + a * (f11 - f10);
-    return {low + b * (high - low), (1 - b) * (f01 - f00) + b * (f11 - f10), high - low};
   }
+}
 
- private:
-  const uint8_t* tile(int ty, int tx) {
-    if (ty != ty_ || tx != tx_) {
-      ty_ = ty, tx_ = tx;
-      tile_ = m_.field + static_cast<int64_t>(m_.tile(root_, ty, tx)) * kTileCells;
-    }
-    return tile_;
+// End points in cells, in blocks of kLanes; the last block is filled up with points that count nothing.
+struct Ends {
+  int n, blocks;
+  std::vector<float> x, y;
+  Ends(const double* ends, int b, double scale) : n(b), blocks((b + kLanes - 1) / kLanes), x(blocks * kLanes, 0.0f), y(x) {
+    for (int j = 0; j < b; ++j) x[j] = static_cast<float>(ends[2 * j] * scale), y[j] = static_cast<float>(ends[2 * j + 1] * scale);
   }
-
-  const Maps& m_;
-  const int32_t* root_;
-  int ty_ = std::numeric_limits<int>::min(), tx_ = ty_;
-  const uint8_t* tile_ = nullptr;
 };
+
+// Bilinear interpolation between the centres of cells, at the ends seen from one pose. The pose's whole cells are kept
+// apart as integers, so single precision resolves 1e-4 of a cell at any distance from the world's origin.
+struct Block {
+  float rx[kLanes], ry[kLanes];                     // from the pose to the end, world axes, cells
+  float value[kLanes], du[kLanes], dv[kLanes];      // field in [0, 255] and its derivatives per cell
+};
+
+struct CellPose {
+  int x, y;
+  float fx, fy, c, s;
+  CellPose(double px, double py, double theta)
+      : x(static_cast<int>(std::floor(px))), y(static_cast<int>(std::floor(py))), fx(static_cast<float>(px - x - 0.5)),
+        fy(static_cast<float>(py - y - 0.5)), c(static_cast<float>(std::cos(theta))), s(static_cast<float>(std::sin(theta))) {}
+};
+
+inline void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block, Block& out) {
+  const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
+  int x[kLanes], y[kLanes];
+  float a[kLanes], b[kLanes];
+  for (int l = 0; l < kLanes; ++l) {
+    out.rx[l] = pose.c * ex[l] - pose.s * ey[l];
+    out.ry[l] = pose.s * ex[l] + pose.c * ey[l];
+    const float u = pose.fx + out.rx[l], v = pose.fy + out.ry[l];
+    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
+    const int fu = iu - (u < static_cast<float>(iu)), fv = iv - (v < static_cast<float>(iv));
+    a[l] = u - static_cast<float>(fu), b[l] = v - static_cast<float>(fv);
+    x[l] = pose.x + fu, y[l] = pose.y + fv;
+  }
+  Corners f;
+  gather(m, root, x, y, f);
+  for (int l = 0; l < kLanes; ++l) {
+    const float dx0 = f.f01[l] - f.f00[l], dx1 = f.f11[l] - f.f10[l];
+    const float low = f.f00[l] + a[l] * dx0, high = f.f10[l] + a[l] * dx1;
+    out.value[l] = low + b[l] * (high - low);
+    out.du[l] = dx0 + b[l] * (dx1 - dx0);
+    out.dv[l] = high - low;
+  }
+}
 
 }  // namespace gridslam

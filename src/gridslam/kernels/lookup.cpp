@@ -6,14 +6,16 @@ namespace gridslam {
 
 void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, double resolution,
                double reach_cells, int threads, float* out) {
-  const double scale = 1.0 / resolution;
-  const double reach_m = reach_cells * resolution, to_m = reach_m / 255.0;
+  const Ends in_cells(ends, b, 1.0 / resolution);
+  const float reach_m = static_cast<float>(reach_cells * resolution), to_m = reach_m / 255.0f;
   parallel_for(k, threads, [&](int i) {
-    const Pose pose(poses + 3 * i);
-    FieldReader field(m, rows[i]);
-    for (int j = 0; j < b; ++j) {
-      const Sample f = field(pose.world_x(ends + 2 * j) * scale, pose.world_y(ends + 2 * j) * scale);
-      out[static_cast<int64_t>(i) * b + j] = static_cast<float>(reach_m - to_m * f.value);
+    const CellPose pose(poses[3 * i] / resolution, poses[3 * i + 1] / resolution, poses[3 * i + 2]);
+    float* row = out + static_cast<int64_t>(i) * b;
+    Block f;
+    for (int block = 0; block < in_cells.blocks; ++block) {
+      interpolate(m, m.root(rows[i]), pose, in_cells, block, f);
+      const int first = block * kLanes, filled = std::min(kLanes, b - first);
+      for (int l = 0; l < filled; ++l) row[first + l] = reach_m - to_m * f.value[l];
     }
   });
 }

@@ -9,23 +9,32 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
   double h00 = 0, h01 = 0, h02 = 0, h11 = 0, h12 = 0, h22 = 0, g0 = 0, g1 = 0, g2 = 0, score = 0;
 };
 
-Normal linearize(FieldReader& field, double x, double y, double theta, const double* ends, int b, double scale, const MatchSettings& s) {
-  const double c = std::cos(theta) * scale, sn = std::sin(theta) * scale;
-  const double to_cells = s.reach_cells / 255.0, inverse_square = 1.0 / (s.cauchy_cells * s.cauchy_cells);
-  Normal n;
-  for (int j = 0; j < b; ++j) {
-    const double rx = c * ends[2 * j] - sn * ends[2 * j + 1], ry = sn * ends[2 * j] + c * ends[2 * j + 1];
-    const Sample f = field(x + rx, y + ry);
-    const double d = s.reach_cells - to_cells * f.value;
-    const double w = 1.0 / (1.0 + d * d * inverse_square);
-    const double ju = -to_cells * f.du, jv = -to_cells * f.dv, jt = jv * rx - ju * ry;
-    const double wu = w * ju, wv = w * jv, wt = w * jt;
-    n.h00 += wu * ju, n.h01 += wu * jv, n.h02 += wu * jt;
-    n.h11 += wv * jv, n.h12 += wv * jt, n.h22 += wt * jt;
-    n.g0 += wu * d, n.g1 += wv * d, n.g2 += wt * d;
-    n.score += w;
+enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
+
+Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const MatchSettings& s) {
+  const CellPose pose(x, y, theta);
+  const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
+  const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
+  float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: the same bytes whatever the instruction set
+  Block f;
+  for (int block = 0; block < ends.blocks; ++block) {
+    interpolate(m, root, pose, ends, block, f);
+    const int filled = ends.n - block * kLanes;
+    for (int l = 0; l < kLanes; ++l) {
+      const float d = reach - to_cells * f.value[l];
+      const float w = (l < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
+      const float ju = -to_cells * f.du[l], jv = -to_cells * f.dv[l], jt = jv * f.rx[l] - ju * f.ry[l];
+      const float wu = w * ju, wv = w * jv, wt = w * jt;
+      sums[kH00][l] += wu * ju, sums[kH01][l] += wu * jv, sums[kH02][l] += wu * jt;
+      sums[kH11][l] += wv * jv, sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
+      sums[kG0][l] += wu * d, sums[kG1][l] += wv * d, sums[kG2][l] += wt * d;
+      sums[kScore][l] += w;
+    }
   }
-  return n;
+  double total[kSums] = {};
+  for (int i = 0; i < kSums; ++i)
+    for (int l = 0; l < kLanes; ++l) total[i] += sums[i][l];
+  return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12], total[kH22], total[kG0], total[kG1], total[kG2], total[kScore]};
 }
 
 // Holds the guess along the direction in which the scan says too little about the position (a corridor's axis).
@@ -61,18 +70,18 @@ bool solve(const double h[6], const double g[3], double step[3]) {
 
 double wrapped(double a) { return a - 2 * M_PI * std::floor((a + M_PI) / (2 * M_PI)); }
 
-void match_one(const Maps& m, int row, const double* guess, const double* prior, const double* ends, int b, double resolution,
+void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, double resolution,
                const MatchSettings& s, double* pose, double* information, double* score) {
   const double scale = 1.0 / resolution;
   const double p[6] = {prior[0] * resolution * resolution, prior[1] * resolution * resolution, prior[2] * resolution,
                        prior[4] * resolution * resolution, prior[5] * resolution, prior[8]};
   const double x0 = guess[0] * scale, y0 = guess[1] * scale;
   double x = x0, y = y0, theta = guess[2];
-  FieldReader field(m, row);
+  const int32_t* root = m.root(row);
   Normal n;
   bool current = false;
   for (int pass = 0; pass < s.max_passes; ++pass) {
-    n = linearize(field, x, y, theta, ends, b, scale, s);
+    n = linearize(m, root, x, y, theta, ends, s);
     current = true;
     double h[6] = {p[0], p[1], p[2], p[3], p[4], p[5]};
     hold_undetermined(n, s, h);
@@ -88,7 +97,7 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
     current = false;
     if (length < s.stop_cells && std::abs(step[2]) < s.stop_rad) break;
   }
-  if (!current) n = linearize(field, x, y, theta, ends, b, scale, s);
+  if (!current) n = linearize(m, root, x, y, theta, ends, s);
   pose[0] = x * resolution, pose[1] = y * resolution, pose[2] = wrapped(theta);
   *score = n.score;
   const double squared = scale * scale;
@@ -102,8 +111,9 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
 
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score) {
+  const Ends in_cells(ends, b, 1.0 / resolution);
   parallel_for(k, threads, [&](int i) {
-    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, ends, b, resolution, s, poses + 3 * i, information + 9 * i, score + i);
+    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, resolution, s, poses + 3 * i, information + 9 * i, score + i);
   });
 }
 

@@ -7,31 +7,39 @@ namespace {
 
 inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
 
-// Frees the cells of a line but its last; remembers those that stop being occupied.
+// Frees the cells of a line but its last; remembers those that stop being occupied. Walks tile by tile: within one, a
+// step is an addition to a pointer.
 void free_line(const Maps& m, const int32_t* root, const Line& line, const Evidence& e, int row, std::vector<Cell>& crossed) {
   const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
   const int major_step = (along_x ? line.dx : line.dy) >= 0 ? 1 : -1, minor_step = (along_x ? line.dy : line.dx) >= 0 ? 1 : -1;
-  const int minor_d = std::abs(along_x ? line.dy : line.dx);
-  // floor((2 i d + n) / (2 n)) for d >= 0 steps up at ties, for d < 0 the minor axis stays at ties: start the error accordingly.
+  const int twice_minor = 2 * std::abs(along_x ? line.dy : line.dx), twice_n = 2 * line.n;
+  const int major_stride = major_step * (along_x ? 1 : kTile), minor_stride = minor_step * (along_x ? kTile : 1);
+  // floor((2 i d + n) / (2 n)) of Line steps at a tie for d >= 0 and after it for d < 0: the error starts accordingly.
   int error = minor_step > 0 ? line.n : line.n - 1;
-  int x = line.x0, y = line.y0, tile_key_y = y >> kTileBits, tile_key_x = x >> kTileBits;
-  int16_t* cells = m.log_odds + static_cast<int64_t>(m.tile(root, tile_key_y, tile_key_x)) * kTileCells;
-  for (int i = 0; i < line.n; ++i) {
-    if ((y >> kTileBits) != tile_key_y || (x >> kTileBits) != tile_key_x) {
-      tile_key_y = y >> kTileBits, tile_key_x = x >> kTileBits;
-      cells = m.log_odds + static_cast<int64_t>(m.tile(root, tile_key_y, tile_key_x)) * kTileCells;
+  int major = along_x ? line.x0 : line.y0, minor = along_x ? line.y0 : line.x0;
+  for (int left = line.n; left > 0;) {
+    const int x = along_x ? major : minor, y = along_x ? minor : major;
+    int16_t* cell = m.log_odds + static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x);
+    const int major_in = major & kTileMask, minor_in = minor & kTileMask;
+    const int run = std::min(left, major_step > 0 ? kTile - major_in : major_in + 1);
+    const int turns_allowed = minor_step > 0 ? kTileMask - minor_in : minor_in;
+    int turns = 0, i = 0;
+    while (i < run && turns <= turns_allowed) {
+      const int before = value_or_zero(*cell);
+      const int after = std::max(before + e.miss, e.min);
+      *cell = static_cast<int16_t>(after);
+      if (before > e.occupied_above && after <= e.occupied_above) [[unlikely]] {
+        const int u = major + i * major_step, v = minor + turns * minor_step;
+        crossed.push_back({row, along_x ? v : u, along_x ? u : v, 0});
+      }
+      error += twice_minor;
+      const int turn = error >= twice_n;
+      error -= turn ? twice_n : 0;
+      cell += major_stride + (turn ? minor_stride : 0);
+      turns += turn;
+      ++i;
     }
-    int16_t& cell = cells[Maps::inside(y, x)];
-    const int before = value_or_zero(cell);
-    const int after = std::max(before + e.miss, e.min);
-    cell = static_cast<int16_t>(after);
-    if (before > e.occupied_above && after <= e.occupied_above) crossed.push_back({row, y, x, 0});
-    error += 2 * minor_d;
-    const bool turn = error >= 2 * line.n;
-    error -= turn ? 2 * line.n : 0;
-    const int minor = turn ? minor_step : 0;
-    x += along_x ? major_step : minor;
-    y += along_x ? minor : major_step;
+    major += i * major_step, minor += turns * minor_step, left -= i;
   }
 }
 
