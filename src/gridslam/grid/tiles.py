@@ -148,7 +148,7 @@ class TileMaps:
         )
         if len(changed):
             self._own(backend.touch_cells(changed, int(self.reach_cells)))
-            backend.update_field(*self._view, changed, self._cone, self.evidence.occupied_above, threads)
+            backend.update_field(*self._view, changed, self._cone, threads)
 
     def match(
         self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float

@@ -88,11 +88,11 @@ auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vec
   return as_rows(changed.data(), changed.size(), 4);
 }
 
-void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const uint8_t, 2> cone, int occupied_above, int threads) {
+void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const uint8_t, 2> cone, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   nb::gil_scoped_release release;
   update_field(m, reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), cone.data(),
-               static_cast<int>(cone.shape(0) / 2), occupied_above, threads);
+               static_cast<int>(cone.shape(0) / 2), threads);
 }
 
 auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution, int max_passes,
@@ -145,7 +145,7 @@ NB_MODULE(_compiled, m) {
         "free_tiles"_a, "touched"_a);
   m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "hit"_a,
         "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
-  m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "occupied_above"_a, "threads"_a);
+  m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "threads"_a);
   m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a, "max_passes"_a,
         "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a,
         "threads"_a);

@@ -112,7 +112,7 @@ struct Evidence {
 };
 void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
                      double resolution, const Evidence& e, int threads, std::vector<Cell>& changed);
-void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int occupied_above, int threads);
+void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads);
 
 struct MatchSettings {
   int max_passes;

@@ -62,12 +62,19 @@ void touch_rays(const int32_t* rows, const double* poses, int k, const double* e
 }
 
 void touch_cells(const Cell* cells, int n, int reach, Touched& out) {
-  for (int i = 0; i < n; ++i)
-    for (int dy = -reach; dy <= reach; dy += 2 * reach)
-      for (int dx = -reach; dx <= reach; dx += 2 * reach)
-        out.push_back({cells[i].row, (cells[i].y + dy) >> kTileBits, (cells[i].x + dx) >> kTileBits});
-  std::sort(out.begin(), out.end());
-  out.erase(std::unique(out.begin(), out.end()), out.end());
+  for (int first = 0, last; first < n; first = last) {  // cells come grouped by row
+    int y_min = cells[first].y, y_max = y_min, x_min = cells[first].x, x_max = x_min;
+    for (last = first; last < n && cells[last].row == cells[first].row; ++last) {
+      y_min = std::min(y_min, cells[last].y), y_max = std::max(y_max, cells[last].y);
+      x_min = std::min(x_min, cells[last].x), x_max = std::max(x_max, cells[last].x);
+    }
+    TileSet set((y_min - reach) >> kTileBits, (y_max + reach) >> kTileBits, (x_min - reach) >> kTileBits, (x_max + reach) >> kTileBits);
+    for (int i = first; i < last; ++i)
+      for (int dy = -reach; dy <= reach; dy += 2 * reach)
+        for (int dx = -reach; dx <= reach; dx += 2 * reach)
+          set.mark((cells[i].y + dy) >> kTileBits, (cells[i].x + dx) >> kTileBits);
+    set.emit(cells[first].row, out);
+  }
 }
 
 }  // namespace gridslam

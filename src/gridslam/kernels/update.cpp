@@ -76,11 +76,9 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
   }
 }
 
-// Rows of the window [x0, x1] x [y0, y1] of one cell's cone, as a maximum over what is there.
-void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, int y0, int y1, int x0, int x1) {
-  const int side = 2 * reach + 1;
-  y0 = std::max(y0, cy - reach), y1 = std::min(y1, cy + reach);
-  x0 = std::max(x0, cx - reach), x1 = std::min(x1, cx + reach);
+// A newly occupied cell's cone, as a maximum over what is there.
+void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach) {
+  const int side = 2 * reach + 1, y0 = cy - reach, y1 = cy + reach, x0 = cx - reach, x1 = cx + reach;
   for (int xs = x0; xs <= x1;) {
     const int xe = std::min(x1, xs | kTileMask);
     for (int ys = y0; ys <= y1;) {
@@ -97,23 +95,46 @@ void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* co
   }
 }
 
-template <class Visit>  // visit(tile, y, first x, last x) for the rows of a window, cut at tiles
-void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
-  for (int y = y0; y <= y1; ++y)
-    for (int xs = x0; xs <= x1;) {
-      const int xe = std::min(x1, xs | kTileMask);
-      visit(static_cast<int64_t>(m.tile(root, y >> kTileBits, xs >> kTileBits)) * kTileCells, y, xs, xe);
-      xs = xe + 1;
+// Occupied cells of the window, read off the field; `list` is reused.
+void find_occupied(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, std::vector<std::array<int, 2>>& list) {
+  list.clear();
+  for (int xs = x0; xs <= x1; xs = (xs | kTileMask) + 1) {
+    const int xe = std::min(x1, xs | kTileMask);
+    for (int ys = y0; ys <= y1; ys = (ys | kTileMask) + 1) {
+      const int ye = std::min(y1, ys | kTileMask);
+      const int64_t tile = m.tile(root, ys >> kTileBits, xs >> kTileBits);
+      if (tile == 0) continue;
+      for (int y = ys; y <= ye; ++y) {
+        const uint8_t* row = m.field + tile * kTileCells + Maps::inside(y, xs);
+        uint8_t greatest = 0;
+        for (int x = 0; x <= xe - xs; ++x) greatest = std::max(greatest, row[x]);
+        if (greatest != kOccupiedField) continue;
+        for (int x = 0; x <= xe - xs; ++x)
+          if (row[x] == kOccupiedField) list.push_back({y, xs + x});
+      }
     }
+  }
 }
 
-void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, int occupied_above) {
-  window_rows(m, root, cy - 2 * reach, cy + 2 * reach, cx - 2 * reach, cx + 2 * reach, [&](int64_t tile, int y, int xs, int xe) {
-    if (tile == 0) return;
-    const int16_t* cells = m.log_odds + tile + Maps::inside(y, xs);
-    for (int x = xs; x <= xe; ++x)
-      if (cells[x - xs] > occupied_above) stamp(m, root, y, x, cone, reach, cy - reach, cy + reach, cx - reach, cx + reach);
-  });
+// Mends the field around a cell that is no longer occupied: only where that cell was the nearest obstacle.
+void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, std::vector<std::array<int, 2>>& list) {
+  find_occupied(m, root, cy - 2 * reach, cy + 2 * reach, cx - 2 * reach, cx + 2 * reach, list);
+  const int side = 2 * reach + 1;
+  for (int dy = -reach; dy <= reach; ++dy)
+    for (int dx = -reach; dx <= reach; ++dx) {
+      const uint8_t was = cone[(dy + reach) * side + dx + reach];
+      if (was == 0) continue;
+      const int y = cy + dy, x = cx + dx;
+      uint8_t& value = m.field[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x)];
+      if (value != was && (dy != 0 || dx != 0)) continue;
+      uint8_t nearest = 0;
+      for (const auto& [oy, ox] : list) {
+        const int ey = y - oy + reach, ex = x - ox + reach;
+        if (static_cast<unsigned>(ey) < static_cast<unsigned>(side) && static_cast<unsigned>(ex) < static_cast<unsigned>(side))
+          nearest = std::max(nearest, cone[ey * side + ex]);
+      }
+      value = nearest;
+    }
 }
 
 }  // namespace
@@ -125,24 +146,23 @@ void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, in
   for (const auto& part : found) changed.insert(changed.end(), part.begin(), part.end());
 }
 
-void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int occupied_above, int threads) {
+void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads) {
   std::vector<int> starts;  // cells come grouped by row
   for (int i = 0; i < n; ++i)
     if (i == 0 || cells[i].row != cells[i - 1].row) starts.push_back(i);
   starts.push_back(n);
   parallel_for(static_cast<int>(starts.size()) - 1, threads, [&](int g) {
     const int32_t* root = m.root(cells[starts[g]].row);
-    for (int i = starts[g]; i < starts[g + 1]; ++i)
-      if (!cells[i].occupied)
-        window_rows(m, root, cells[i].y - reach, cells[i].y + reach, cells[i].x - reach, cells[i].x + reach,
-                    [&](int64_t tile, int y, int xs, int xe) { std::fill_n(m.field + tile + Maps::inside(y, xs), xe - xs + 1, uint8_t{0}); });
+    std::vector<std::array<int, 2>> list;
     for (int i = starts[g]; i < starts[g + 1]; ++i) {
       const Cell& c = cells[i];
       if (c.occupied)
-        stamp(m, root, c.y, c.x, cone, reach, c.y - reach, c.y + reach, c.x - reach, c.x + reach);
-      else
-        rebuild(m, root, c.y, c.x, cone, reach, occupied_above);
+        stamp(m, root, c.y, c.x, cone, reach);
+      else  // no cell's nearest obstacle is found at it from now on
+        m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells + Maps::inside(c.y, c.x)] = 0;
     }
+    for (int i = starts[g]; i < starts[g + 1]; ++i)
+      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone, reach, list);
   });
 }
 
