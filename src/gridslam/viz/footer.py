@@ -1,0 +1,99 @@
+"""The footer of the picture: caption, scale bar and the key to the colours of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from gridslam.types import Trajectory
+from gridslam.viz.layout import (
+    KEY_GAP,
+    MARGIN,
+    SCALE_WIDTH,
+    TEXT_LINE,
+    TEXT_SIZE,
+    TIME_WIDTH,
+    TITLE_LINE,
+    TITLE_SIZE,
+    Layout,
+    font,
+)
+from gridslam.viz.palette import FAINT, FREE, OCCUPIED, RULE, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.strokes import disc
+
+__all__ = ["paint_footer", "round_length"]
+
+
+def round_length(limit_m: float) -> float:
+    """Greatest length of the series 1, 2, 5, 10, 20, ... (and its tenths, hundredths, ...) m that is <= `limit_m`."""
+    power = 10.0 ** math.floor(math.log10(limit_m))
+    return max(step * power for step in (1, 2, 5) if step * power <= limit_m)
+
+
+def paint_footer(
+    page: Image.Image,
+    layout: Layout,
+    title: str,
+    caption: Sequence[str],
+    trajectory: Trajectory | None,
+    has_truth: bool,
+) -> None:
+    """Paint the caption at the left and the keys to scale and time at the right, under a thin line."""
+    u, draw = layout.unit, ImageDraw.Draw(page)
+    margin = round(MARGIN * u)
+    left, right, rule = margin, page.width - margin, layout.map_box[3] + margin
+    draw.rectangle((0, rule, *page.size), fill=UNKNOWN)  # a path may lead off the map
+    draw.line((left, rule, right, rule), fill=RULE, width=round(u))
+    top = line_top = rule + margin // 2
+    if title:
+        draw.text((left, top + 24 * u), title, fill=OCCUPIED, font=font(TITLE_SIZE, u), anchor="ls")
+        line_top += round(TITLE_LINE * u)
+    for k, line in enumerate(caption):
+        draw.text((left, line_top + (TEXT_LINE * k + 14) * u), line, fill=FAINT, font=font(TEXT_SIZE, u), anchor="ls")
+    if trajectory is not None and len(trajectory):
+        _paint_time_key(page, right - round(TIME_WIDTH * u), top, trajectory, u)
+        right -= round((TIME_WIDTH + KEY_GAP) * u)
+    _paint_scale(draw, right, top, layout)
+    if has_truth:
+        draw.text((right, top + 64 * u), "truth", fill=TRUTH, font=font(TEXT_SIZE, u), anchor="rs")
+
+
+def _paint_scale(draw: ImageDraw.ImageDraw, right: int, top: int, layout: Layout) -> None:
+    """Paint a bar as long as a round length, one half light."""
+    u = layout.unit
+    length_m = round_length(SCALE_WIDTH * u / layout.px_per_m)
+    length, height, rim = round(length_m * layout.px_per_m), round(10 * u), round(2 * u)
+    left, bottom = right - length, top + height - 1
+    draw.rectangle((left, top, right - 1, bottom), fill=OCCUPIED)
+    draw.rectangle((left + length // 2, top + rim, right - 1 - rim, bottom - rim), fill=FREE)
+    label = f"{length_m:g} m" if length_m >= 1 else f"{100 * length_m:g} cm"
+    _label(draw, left, right, top, ("0", label), u)
+
+
+def _paint_time_key(page: Image.Image, left: int, top: int, trajectory: Trajectory, u: float) -> None:
+    """Paint a bar of the colours of time with the marks of start and end, and how long that was."""
+    width, height = round(TIME_WIDTH * u), round(10 * u)
+    colours = np.array([time_colours(np.linspace(0.0, 1.0, width))], dtype=np.uint8)
+    page.paste(Image.fromarray(colours).resize((width, height)), (left, top))
+    middle, radius = top + height / 2, 8 * u
+    disc(page, (left + radius, middle), radius, FREE, TIME_ENDS[0])
+    disc(page, (left + width - radius, middle), radius, TIME_ENDS[1], OCCUPIED)
+    end = f"end, {_duration(float(np.ptp(trajectory.stamps_ns)) * 1e-9)}"
+    _label(ImageDraw.Draw(page), left, left + width, top, ("start", end), u)
+
+
+def _label(draw: ImageDraw.ImageDraw, left: int, right: int, top: int, texts: tuple[str, str], u: float) -> None:
+    """Write under both ends of a bar."""
+    for x, text, anchor in zip((left, right), texts, ("ls", "rs"), strict=True):
+        draw.text((x, top + 38 * u), text, fill=FAINT, font=font(TEXT_SIZE, u), anchor=anchor)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours}:{minutes:02}:{rest:02} h"
+    return f"{minutes}:{rest:02} min" if minutes else f"{rest} s"

@@ -1,0 +1,112 @@
+"""The map as a picture for people: what is known, the way the robot took, a scale, and a caption."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image
+
+from gridslam.types import FloatArray, OccupancyGrid, Trajectory
+from gridslam.viz.footer import paint_footer
+from gridslam.viz.layout import Layout, lay_out
+from gridslam.viz.palette import FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.strokes import disc, stroke
+
+__all__ = ["draw_map"]
+
+_NODE_PX = 3.0  # a path is thinned to nodes this far apart
+_ROWS = 256  # cells are turned to bytes this many rows at a time
+_LEVELS_PER_NAT, _EVEN = 32, 128  # log-odds as a byte: 128 is even odds, also for an unknown cell
+
+
+def _ramp(first: int, last: int) -> list[int]:
+    """Table of 256 levels that rises (or falls) from 0 at `first` to 255 at `last`."""
+    return [round(255 * min(max((level - first) / (last - first), 0.0), 1.0)) for level in range(256)]
+
+
+_OCCUPIED_LEVELS = _ramp(_EVEN, _EVEN + 40)  # fully dark from a probability of 0.78 on
+_FREE_LEVELS = [max(a, b) for a, b in zip(_ramp(_EVEN, _EVEN - 24), _ramp(_EVEN, _EVEN + 8), strict=True)]
+_CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
+
+
+def draw_map(
+    grid: OccupancyGrid,
+    trajectory: Trajectory | None = None,
+    *,
+    title: str = "",
+    caption: Sequence[str] = (),
+    truth: Trajectory | None = None,
+    walls: FloatArray | None = None,
+) -> Image.Image:
+    """Draw the known part of a map with the trajectory over it, a scale bar and a caption under it.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    trajectory : Trajectory, optional
+        In the frame of the grid; coloured by time, with its start (white) and end (filled) marked.
+    title : str
+        First line of the caption, in larger letters.
+    caption : sequence of str
+        Further lines.
+    truth : Trajectory, optional
+        The true trajectory in the frame of the grid, drawn under the other.
+    walls : (S, 4) float64, m, optional
+        A floor plan in the frame of the grid, drawn in the colour of the truth.
+
+    Returns
+    -------
+    PIL.Image.Image
+        RGB, its long side about 1400 to 4000 px.
+    """
+    layout = lay_out(grid, title, caption)
+    page = Image.new("RGB", layout.size, UNKNOWN)
+    _paint_cells(page, grid, layout)
+    if walls is not None and len(walls):
+        ends = layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4)
+        stroke(page, ends, [TRUTH] * len(ends), 1.2 * layout.unit)
+    if truth is not None and len(truth):
+        ends, _ = _path(truth, layout)
+        stroke(page, ends, [TRUTH] * len(ends), 2.0 * layout.unit)
+    if trajectory is not None and len(trajectory):
+        _paint_trajectory(page, trajectory, layout)
+    paint_footer(page, layout, title, caption, trajectory, truth is not None or walls is not None)
+    return page
+
+
+def _paint_cells(page: Image.Image, grid: OccupancyGrid, layout: Layout) -> None:
+    """Blend FREE and then OCCUPIED into the page, each through a mask of how much a cell is so."""
+    log_odds, known = grid.log_odds[layout.rows, layout.columns], grid.known[layout.rows, layout.columns]
+    levels = np.full(known.shape, _EVEN, dtype=np.uint8)
+    for top in range(0, len(known), _ROWS):
+        block = np.clip(log_odds[top : top + _ROWS] * _LEVELS_PER_NAT + _EVEN, 0, 255)
+        np.copyto(levels[top : top + _ROWS], block, where=known[top : top + _ROWS], casting="unsafe")
+    if not levels.size:
+        return
+    cells = Image.fromarray(levels[::-1])
+    left, top, right, bottom = layout.map_box
+    size = (right - left, bottom - top)
+    larger = size[0] > cells.width
+    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
+        mask = cells.point(table).resize(size, Image.Resampling.BICUBIC if larger else Image.Resampling.BOX)
+        page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
+
+
+def _path(trajectory: Trajectory, layout: Layout) -> tuple[FloatArray, FloatArray]:
+    """Segments (K, 4) of a path in px, thinned, and when each of them ends, as a share (K,) of the whole time."""
+    points = layout.pixels(trajectory.poses[:, :2])
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    walked = np.concatenate([[0.0], np.cumsum(steps)]) // _NODE_PX
+    kept = np.union1d(np.flatnonzero(np.diff(walked, prepend=-1.0)), len(points) - 1)
+    passed = np.maximum.accumulate(trajectory.stamps_ns - trajectory.stamps_ns[0]).astype(np.float64)
+    nodes = points[kept]
+    return np.concatenate([nodes[:-1], nodes[1:]], axis=1), passed[kept[1:]] / max(passed[-1], 1.0)
+
+
+def _paint_trajectory(page: Image.Image, trajectory: Trajectory, layout: Layout) -> None:
+    segments, shares = _path(trajectory, layout)
+    stroke(page, segments, time_colours(shares), 3.0 * layout.unit)
+    (start, end), (first, last) = layout.pixels(trajectory.poses[[0, -1], :2]).tolist(), TIME_ENDS
+    disc(page, start, 8.0 * layout.unit, FREE, first)
+    disc(page, end, 8.0 * layout.unit, last, OCCUPIED)
