@@ -19,6 +19,7 @@ IntArray = NDArray[np.int64]
 
 # Shifts and masks: NumPy's floor division of signed integers takes several times as long.
 _TILE_BITS, _PAGE_BITS = TILE.bit_length() - 1, PAGE.bit_length() - 1
+_OCCUPIED = 255
 _BLOCK = 512  # changed cells whose windows are in memory at once
 
 
@@ -93,7 +94,7 @@ def touch_rays(
 
 
 def touch_cells(cells: Int32Array, reach: int) -> Int32Array:
-    """Tiles within `reach` cells (1 to 15) of changed `cells` (M, 4) = [row, y, x, occupied].
+    """Tiles within `reach` cells (1 to 15) of changed `cells` (M, 4) = [row, y, x, occupied], grouped by row.
 
     Returns
     -------
@@ -198,24 +199,24 @@ def update_log_odds(
 
 def update_field(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    cells: Int32Array, cone: NDArray[np.uint8], occupied_above: int, threads: int,
+    cells: Int32Array, cone: NDArray[np.uint8], threads: int,
 ) -> None:  # fmt: skip
-    """Let the distance field follow changed `cells` (M, 4) = [row, y, x, occupied], in place.
+    """Let the distance field follow changed `cells` (M, 4) = [row, y, x, occupied], grouped by row, in place.
 
-    The field is the grey dilation of the occupied cells by the `cone` (2 r + 1, 2 r + 1). Around a cell that became
-    free it is computed anew; then each new obstacle lifts its surroundings to its cone.
+    The field is the grey dilation of the occupied cells, those at 255, by the `cone` (2 r + 1, 2 r + 1). Around a cell
+    that became free it is computed anew; then each new obstacle lifts its surroundings to its cone.
     """
-    values, stored = field.reshape(-1), log_odds.reshape(-1)
-    reach, side = len(cone) // 2, len(cone)
+    values, reach, side = field.reshape(-1), len(cone) // 2, len(cone)
 
     def windows(part: Int32Array, around: int) -> IntArray:
         d = np.arange(-around, around + 1)
         row, y, x = (part[:, c, None, None].astype(np.int64) for c in range(3))
         return addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
 
+    values[windows(cells, 0)[:, 0, 0]] = np.where(cells[:, 3] != 0, _OCCUPIED, 0)
     freed, met = cells[cells[:, 3] == 0], cells[cells[:, 3] != 0]
     for part in (freed[i : i + _BLOCK] for i in range(0, len(freed), _BLOCK)):
-        occupied = (stored[windows(part, 2 * reach)] > occupied_above).astype(np.uint8)
+        occupied = (values[windows(part, 2 * reach)] == _OCCUPIED).astype(np.uint8)
         dilated = np.zeros((len(part), side, side), np.uint8)
         for (dy, dx), height in np.ndenumerate(cone):
             if height:

@@ -1,0 +1,281 @@
+"""Every compiled kernel agrees with its NumPy twin: the integer ones to the last bit, the others to rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gridslam.grid.tiles as tiles_module
+from gridslam.grid import Evidence, TileMaps
+from gridslam.kernels import reference
+from gridslam.types import Beams, LaserScan, ScanGeometry
+
+compiled = pytest.importorskip("gridslam.kernels._compiled")
+
+KERNELS = ("touch_rays", "touch_cells", "own", "update_log_odds", "update_field", "match", "distances", "cast_rays")
+SEEDS = range(25)
+CELL = 0.05
+SINGLE = 4e-4
+"""Cells by which single precision may move the end of a beam.
+
+Ends are at most 512 cells away along each axis, 724 in all: a coordinate is the sum of two products, each of an end
+rounded at 2^-24 * 512 = 3e-5 with a sine rounded at 2^-24, so six such roundings at the very most. The distance changes
+by at most a cell per cell along each axis.
+"""
+ROWS = np.arange(3, dtype=np.int32)
+ORIGIN = np.array([0.11, -0.07])
+EVIDENCES = (
+    Evidence(2.4, -0.4, -16, 32, 2.0),
+    Evidence(0.06, -0.05, -0.1, 0.13, 0.05),  # clamps are met within three scans
+    Evidence(1.0, -1.0, -2.0, 2.0, 0.0),
+)
+
+
+def random_ends(rng, beams=60):
+    """Ends in all directions; some on borders of cells, tiles and pages, at the laser, twice, or along an axis."""
+    ends = rng.uniform(-1, 1, (beams, 2)) * rng.choice([0.2, 3.0, 20.0], (beams, 1))
+    kind = rng.integers(0, 8, beams)
+    side = CELL * rng.choice([1, 32, 512], (beams, 1))
+    ends[kind == 0] = (np.round(ends / side) * side)[kind == 0]
+    ends[kind == 1] = ORIGIN
+    ends[kind == 2] = ends[rng.integers(0, beams, np.count_nonzero(kind == 2))]
+    ends[kind == 3, 0] = ORIGIN[0]
+    ends[kind == 4, 1] = ORIGIN[1]
+    return ends
+
+
+def random_poses(rng, count=3):
+    """Poses around the world's origin, where four pages meet, and at other pages' corners, some exactly on borders."""
+    poses = rng.normal(scale=[1.0, 1.0, 2.0], size=(count, 3))
+    poses[:, :2] += 512 * CELL * rng.integers(-1, 2, (count, 2))
+    on_border = rng.random(count) < 0.3
+    poses[on_border, :2] = np.round(poses[on_border, :2] / (32 * CELL)) * (32 * CELL)
+    straight = rng.random(count) < 0.3
+    poses[straight, 2] = np.pi / 2 * rng.integers(-2, 3, np.count_nonzero(straight))
+    return poses
+
+
+def beams_to(ends, origin=ORIGIN):
+    """The beams that end at `ends`, as far as the maps look at them."""
+    geometry = ScanGeometry(np.zeros(len(ends)))
+    scan = LaserScan.from_ranges(0, np.ones(len(ends)), geometry)
+    return Beams(scan, np.arange(len(ends)), np.ascontiguousarray(ends), origin)
+
+
+def random_maps(rng, scans=4):
+    """Three maps that share some tiles, with unknown, free and occupied cells, and cells that became free again."""
+    evidence = EVIDENCES[rng.integers(len(EVIDENCES))]
+    maps = TileMaps(3, resolution_m=CELL, reach_cells=rng.choice([1.0, 3.7, 10.5, 15.5]), evidence=evidence)
+    for _ in range(scans):
+        beams = beams_to(random_ends(rng))
+        poses = random_poses(rng)
+        maps.update(ROWS, poses, beams)
+        maps.update(ROWS[:1], poses[:1] + np.array([0.03, 0.02, 0.01]), beams)
+        maps.select(np.sort(rng.integers(0, 3, 3)))
+    return maps
+
+
+def copies(view):
+    """A copy of the five arguments that describe maps."""
+    return tuple(part.copy() if isinstance(part, np.ndarray) else part for part in view)
+
+
+def as_set(table):
+    """The rows of a table, each of which must be there once."""
+    rows = set(map(tuple, table.tolist()))
+    assert len(rows) == len(table)
+    return rows
+
+
+def assert_same_maps(one, other):
+    for name, a, b in zip(("roots", "first", "pages", "log_odds", "field"), one, other, strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+
+
+def test_both_offer_the_same_functions():
+    assert all(callable(getattr(compiled, name)) and callable(getattr(reference, name)) for name in KERNELS)
+    assert set(reference.__all__) == set(KERNELS)
+    assert {name for name in dir(compiled) if not name.startswith("_")} == set(KERNELS)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_touched_tiles(seed):
+    rng = np.random.default_rng(seed)
+    poses, ends = random_poses(rng), random_ends(rng)
+    by_rays = [k.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 2) for k in (compiled, reference)]
+    assert as_set(by_rays[0]) == as_set(by_rays[1])
+    assert len(by_rays[0]) > 3
+    cells = np.column_stack([np.sort(rng.integers(0, 3, 40)), rng.integers(-600, 600, (40, 2)), rng.integers(0, 2, 40)])
+    cells[:9, 1:3] = [[y, x] for y in (-512, -1, 0) for x in (-32, 31, 512)]
+    for reach in (1, 10, 15):
+        by_cells = [k.touch_cells(cells.astype(np.int32), reach) for k in (compiled, reference)]
+        assert as_set(by_cells[0]) == as_set(by_cells[1])
+
+
+def test_nothing_is_touched_without_poses_or_changes():
+    for kernels in (compiled, reference):
+        none = kernels.touch_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
+        assert none.shape == kernels.touch_cells(np.zeros((0, 4), np.int32), 3).shape == (0, 3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_owned_tiles(seed):
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    poses, ends = random_poses(rng), random_ends(rng)
+    keep = maps.snapshot()
+    maps._cover(poses, beams_to(ends))
+    touched = compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
+    spare = maps._arena.spare(len(touched))
+    results = []
+    for kernels in (compiled, reference):
+        view, refs = copies(maps._view), (maps._arena.page_refs.copy(), maps._arena.tile_refs.copy())
+        used = kernels.own(*view, *refs, *spare, touched)
+        results.append((view, refs, used))
+    assert_same_maps(results[0][0], results[1][0])
+    np.testing.assert_array_equal(results[0][1][0], results[1][1][0])
+    np.testing.assert_array_equal(results[0][1][1], results[1][1][1])
+    assert tuple(results[0][2]) == results[1][2]
+    assert results[1][2][1] > 0
+    del keep
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_updated_log_odds_and_field(seed):
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    for poses, ends in ((random_poses(rng), random_ends(rng)) for _ in range(3)):
+        maps._cover(poses, beams_to(ends))
+        maps._own(compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
+        views = copies(maps._view), copies(maps._view)
+        changed = [
+            kernels.update_log_odds(*view, ROWS, poses, ends, ORIGIN, CELL, *maps.evidence.steps, 2)
+            for kernels, view in zip((compiled, reference), views, strict=True)
+        ]
+        assert as_set(changed[0]) == as_set(changed[1])
+        assert_same_maps(*views)
+        maps._arena.log_odds[:] = views[0][3]
+        maps._own(compiled.touch_cells(changed[0], int(maps.reach_cells)))
+        views = copies(maps._view), copies(maps._view)
+        for kernels, view in zip((compiled, reference), views, strict=True):
+            kernels.update_field(*view, changed[0], maps._cone, 2)
+        assert_same_maps(*views)
+        assert not views[0][4][0].any()
+        maps._arena.field[:] = views[0][4]
+
+
+def test_updates_meet_every_case():
+    """The seeds above are no proof unless cells become occupied, become free, and meet both clamps."""
+    kinds, least, greatest = set(), set(), set()
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        maps = random_maps(rng)
+        poses, ends = random_poses(rng), random_ends(rng)
+        maps._cover(poses, beams_to(ends))
+        maps._own(reference.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
+        steps = maps.evidence.steps
+        changed = reference.update_log_odds(*maps._view, ROWS, poses, ends, ORIGIN, CELL, *steps, 1)
+        kinds |= set(changed[:, 3].tolist())
+        least.add(bool((maps._arena.log_odds == steps[2]).any()))
+        greatest.add(bool((maps._arena.log_odds == steps[3]).any()))
+    assert kinds == {0, 1}
+    assert True in least
+    assert True in greatest
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_distances_and_ray_casting(seed):
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    poses, points = random_poses(rng, 5), random_ends(rng)
+    rows = rng.integers(0, 3, 5).astype(np.int32)
+    bearings = np.concatenate([rng.uniform(-np.pi, np.pi, 40), np.pi / 4 * np.arange(8)])
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    directions[-3:] = [[1, 0], [0, -1], [0, 0]]
+    far = (rows, poses, points, CELL, maps.reach_cells, 2)
+    ray = (rows, poses, ORIGIN, directions, CELL, 12.0, 2)
+    np.testing.assert_allclose(
+        compiled.distances(*maps._view, *far), reference.distances(*maps._view, *far), rtol=0, atol=SINGLE * CELL
+    )
+    ranges = compiled.cast_rays(*maps._view, *ray)
+    np.testing.assert_allclose(ranges, reference.cast_rays(*maps._view, *ray), rtol=0, atol=2e-6)
+    assert (ranges >= 0).all()
+    assert (ranges[:, -1] >= np.float32(12.0)).sum() + (ranges[:, -1] == 0).sum() == len(rows)
+
+
+def settings_of(maps, passes, least):
+    return passes, 2.0, 2.0, 0.1, 0.02, 2e-4, maps.reach_cells, least, 2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("passes", [1, 2])
+def test_steps_of_a_match(seed, passes):
+    """Anywhere, even where there is nothing to match, a step is that of the twin as far as single precision reaches."""
+    rng = np.random.default_rng(seed)
+    maps = random_maps(rng)
+    truth, ends = random_poses(rng), random_ends(rng)
+    maps.update(ROWS, truth, beams_to(ends))
+    guesses = truth + rng.normal(scale=[0.05, 0.05, 0.01], size=truth.shape)
+    guesses[0] += [500.0, 0.0, 0.0]  # nothing is there: the prior alone
+    priors = np.repeat(np.diag([0.1, 0.2, 0.1])[None] / CELL**2, 3, axis=0)  # the steps are well conditioned by it
+    settings = settings_of(maps, passes, float(rng.choice([0.0, 0.02, 0.3])))
+    one, other = (k.match(*maps._view, ROWS, guesses, priors, ends, CELL, *settings) for k in (compiled, reference))
+    np.testing.assert_allclose(one[0][0], guesses[0] - [0, 0, 2 * np.pi * np.floor(guesses[0, 2] / 2 / np.pi + 0.5)])
+    np.testing.assert_allclose(one[0], other[0], rtol=0, atol=SINGLE * CELL)
+    # A residual in [0, 15.5] cells moves by SINGLE, a weight by at most that over 2 c = 4 cells, for 60 beams
+    np.testing.assert_allclose(one[2], other[2], rtol=0, atol=60 * SINGLE / 4)
+    greatest = np.abs(other[1]).max(axis=(1, 2), keepdims=True)
+    # An end that crosses the border of four cells takes another gradient: one of 60 beams, rarely
+    np.testing.assert_allclose(one[1] / (1 + greatest), other[1] / (1 + greatest), rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_matches_in_a_room(seed):
+    """Where there is a minimum both find it, from guesses up to 10 cm and 2 degrees away, with a prior and without."""
+    rng = np.random.default_rng(seed)
+    half = rng.uniform(2, 8, 2)
+    truth = np.concatenate([rng.uniform(-0.5, 0.5, 2) * half, rng.uniform(-np.pi, np.pi, 1)])
+    bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+    directions = np.column_stack([np.cos(bearings + truth[2]), np.sin(bearings + truth[2])])
+    with np.errstate(divide="ignore"):
+        ranges = ((half * np.sign(directions) - truth[:2]) / directions).min(axis=1)
+    ends = ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    maps = TileMaps(3, resolution_m=CELL, reach_cells=10.5, evidence=EVIDENCES[0])
+    maps.update(ROWS, np.repeat(truth[None], 3, axis=0), beams_to(ends, np.zeros(2)))
+    guesses = truth + rng.uniform(-1, 1, (3, 3)) * [0.1, 0.1, 0.035]
+    priors = np.array([0.0, 1.0, 100.0])[:, None, None] * np.eye(3)
+    settings = settings_of(maps, 10, 0.02)
+    one, other = (k.match(*maps._view, ROWS, guesses, priors, ends, CELL, *settings) for k in (compiled, reference))
+    # Both stop when a step is below 0.02 cells; where one takes one pass more they differ by a part of that
+    np.testing.assert_allclose(one[0], other[0], rtol=0, atol=0.01 * CELL)
+    np.testing.assert_allclose(one[0][:, :2], np.repeat(truth[None, :2], 3, axis=0), rtol=0, atol=0.5 * CELL)
+    np.testing.assert_allclose(one[2], other[2], rtol=1e-3)
+
+
+def test_matches_without_beams_stay_at_the_guess():
+    maps = random_maps(np.random.default_rng(0))
+    guess = np.array([[1.0, -2.0, 3.0]])
+    for prior in (np.zeros((1, 3, 3)), np.eye(3)[None]):
+        for kernels in (compiled, reference):
+            poses, information, score = kernels.match(
+                *maps._view, ROWS[:1], guess, prior, np.zeros((0, 2)), CELL, 10, 2.0, 2.0, 0.1, 0.02, 2e-4, 3.0, 0.02, 1
+            )
+            np.testing.assert_allclose(poses, guess, atol=1e-15)
+            assert not information.any()
+            assert not score.any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whole_maps_grow_alike(seed, monkeypatch):
+    """The same scans, selections and snapshots through either backend end in the same bytes."""
+    states = []
+    for kernels in (compiled, reference):
+        monkeypatch.setattr(tiles_module, "backend", kernels)
+        rng = np.random.default_rng(seed)
+        maps = random_maps(rng)
+        twin = maps.snapshot()
+        twin.update(ROWS[1:], random_poses(rng, 2), beams_to(random_ends(rng)))
+        states.append((maps.to_arrays(), twin.to_arrays()))
+    for one, other in zip(*states, strict=True):
+        assert one.keys() == other.keys()
+        assert all(one[name].tobytes() == other[name].tobytes() for name in one)
