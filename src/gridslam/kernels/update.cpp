@@ -7,39 +7,49 @@ namespace {
 
 inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
 
-// Frees the cells of a line but its last; remembers those that stop being occupied. Walks tile by tile: within one, a
-// step is an addition to a pointer.
+// Frees cells i in [first, n) of a line within one tile, up to and including the first that stops being occupied: returns
+// its i, or n. `aside` is the minor axis as a 32.32 fixed point number, so that no cell waits for the one before it.
+int free_run(int16_t* cells, int first, int n, int major_stride, int minor_stride, uint64_t& aside, uint64_t slope, int miss, int least,
+             int occupied) {
+  uint64_t a = aside;
+  int i = first;
+  for (; i < n; ++i) {
+    int16_t& cell = cells[i * major_stride + static_cast<int>(a >> 32) * minor_stride];
+    const int before = value_or_zero(cell), after = std::max(before + miss, least);
+    cell = static_cast<int16_t>(after);
+    a += slope;
+    if (before > occupied && after <= occupied) break;
+  }
+  aside = a;
+  return i;
+}
+
+// Frees the cells of a line but its last, tile by tile; remembers those that stop being occupied. The start of the fixed
+// point is biased by more than the slope's rounding adds up to, and by far less than what tells two cells apart: ties go
+// up for d >= 0 and down for d < 0, as in Line.
 void free_line(const Maps& m, const int32_t* root, const Line& line, const Evidence& e, int row, std::vector<Cell>& crossed) {
+  if (line.n == 0) return;
   const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
   const int major_step = (along_x ? line.dx : line.dy) >= 0 ? 1 : -1, minor_step = (along_x ? line.dy : line.dx) >= 0 ? 1 : -1;
-  const int twice_minor = 2 * std::abs(along_x ? line.dy : line.dx), twice_n = 2 * line.n;
   const int major_stride = major_step * (along_x ? 1 : kTile), minor_stride = minor_step * (along_x ? kTile : 1);
-  // floor((2 i d + n) / (2 n)) of Line steps at a tie for d >= 0 and after it for d < 0: the error starts accordingly.
-  int error = minor_step > 0 ? line.n : line.n - 1;
+  const uint64_t slope = (static_cast<uint64_t>(std::abs(along_x ? line.dy : line.dx)) << 32) / line.n;
+  uint64_t aside = (1ull << 31) + (minor_step > 0 ? line.n : -1);
   int major = along_x ? line.x0 : line.y0, minor = along_x ? line.y0 : line.x0;
   for (int left = line.n; left > 0;) {
     const int x = along_x ? major : minor, y = along_x ? minor : major;
-    int16_t* cell = m.log_odds + static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x);
+    int16_t* cells = m.log_odds + static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x);
     const int major_in = major & kTileMask, minor_in = minor & kTileMask;
-    const int run = std::min(left, major_step > 0 ? kTile - major_in : major_in + 1);
-    const int turns_allowed = minor_step > 0 ? kTileMask - minor_in : minor_in;
-    int turns = 0, i = 0;
-    while (i < run && turns <= turns_allowed) {
-      const int before = value_or_zero(*cell);
-      const int after = std::max(before + e.miss, e.min);
-      *cell = static_cast<int16_t>(after);
-      if (before > e.occupied_above && after <= e.occupied_above) [[unlikely]] {
-        const int u = major + i * major_step, v = minor + turns * minor_step;
-        crossed.push_back({row, along_x ? v : u, along_x ? u : v, 0});
-      }
-      error += twice_minor;
-      const int turn = error >= twice_n;
-      error -= turn ? twice_n : 0;
-      cell += major_stride + (turn ? minor_stride : 0);
-      turns += turn;
-      ++i;
+    int run = std::min(left, major_step > 0 ? kTile - major_in : major_in + 1);
+    const uint64_t edge = static_cast<uint64_t>(minor_step > 0 ? kTile - minor_in : minor_in + 1) << 32;
+    if (aside + run * slope > edge) run = static_cast<int>((edge - aside - 1) / slope) + 1;
+    for (int i = 0; i < run; ++i) {
+      i = free_run(cells, i, run, major_stride, minor_stride, aside, slope, e.miss, e.min, e.occupied_above);
+      if (i == run) break;
+      const int u = major + i * major_step, v = minor + static_cast<int>((aside - slope) >> 32) * minor_step;
+      crossed.push_back({row, along_x ? v : u, along_x ? u : v, 0});
     }
-    major += i * major_step, minor += turns * minor_step, left -= i;
+    major += run * major_step, minor += static_cast<int>(aside >> 32) * minor_step, left -= run;
+    aside &= 0xffffffffull;
   }
 }
 
