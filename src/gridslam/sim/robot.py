@@ -103,8 +103,7 @@ def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
     for piece in pieces[:-1]:
         starts.append(se2.compose(starts[-1], se2.exp(piece.twist)))
     begins = np.concatenate([[0.0], np.cumsum([piece.length_m for piece in pieces])])
-    driven, times = _timetable(pieces, begins, robot.acceleration_m_s2)
-    at = np.interp(np.arange(0.0, times[-1], period_s), times, driven)
+    at = _driven(pieces, begins, robot.acceleration_m_s2, period_s)
     index = np.searchsorted(begins[1:-1], at, side="right")
     share = (at - begins[index]) / np.diff(begins)[index]
     twists = np.array([piece.twist for piece in pieces])
@@ -135,8 +134,20 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
     return [piece for piece in pieces if piece.length_m > 1e-9]
 
 
-def _timetable(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the metres driven and the seconds passed at the nodes of the path (both ascending from 0)."""
+def _driven(pieces: list[_Piece], begins: FloatArray, acceleration: float, period_s: float) -> FloatArray:
+    """Metres driven (N,) after each period; between nodes on the path the acceleration is constant."""
+    nodes, speed = _speeds(pieces, begins, acceleration)
+    times = np.concatenate([[0.0], np.cumsum(2 * np.diff(nodes) / (speed[1:] + speed[:-1]))])
+    t = period_s * np.arange(math.floor(times[-1] / period_s + 1e-9) + 1)
+    node = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    passed = t - times[node]
+    gain = (np.diff(speed) / np.diff(times))[node]
+    driven: FloatArray = nodes[node] + (speed[node] + 0.5 * gain * passed) * passed
+    return np.minimum(driven, nodes[-1])
+
+
+def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tuple[FloatArray, FloatArray]:
+    """Nodes along the path in metres, ascending, and the greatest speed that all limits allow there."""
     nodes, limits, before = [], [], 0.0
     for piece, begin in zip(pieces, begins[:-1].tolist(), strict=True):
         count = max(2, math.ceil(piece.length_m / _STEP_M))
@@ -150,9 +161,7 @@ def _timetable(pieces: list[_Piece], begins: FloatArray, acceleration: float) ->
     ramp = 2 * acceleration * driven
     square = np.minimum.accumulate(square - ramp) + ramp  # speeding up: v^2 grows by 2 a for each metre
     square = np.minimum.accumulate((square + ramp)[::-1])[::-1] - ramp  # braking: the same backward
-    speed = np.sqrt(np.maximum(square, 0.0))
-    seconds = 2 * np.diff(driven) / (speed[1:] + speed[:-1])
-    return driven, np.concatenate([[0.0], np.cumsum(seconds)])
+    return driven, np.sqrt(np.maximum(square, 0.0))
 
 
 def read_odometry(truth: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:

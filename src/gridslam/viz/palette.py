@@ -19,8 +19,8 @@ FAINT: Colour = (104, 113, 126)
 RULE: Colour = (196, 201, 207)
 TRUTH: Colour = (0, 150, 136)
 
-# From early to late: lightness (CIE L*) rises evenly from 22 to 73 while the hue turns from violet to orange, so the order can
-# be read in grey as well, and the lightest colour still stands out from white.
+# From early to late: lightness (CIE L*) rises evenly from 22 to 73 while the hue turns from violet to orange, so the
+# order can be read in grey as well, and the lightest colour still stands out from white.
 _TIME_STOPS: tuple[Colour, ...] = (
     (62, 24, 138), (121, 28, 152), (174, 38, 132), (214, 69, 97), (238, 112, 62), (247, 160, 40)
 )  # fmt: skip

@@ -1,0 +1,166 @@
+"""The picture shows the right colours in the right places, at a size fit for people."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PIL import ImageDraw
+
+from gridslam.types import OccupancyGrid, Trajectory
+from gridslam.viz import draw_map
+from gridslam.viz.footer import round_length
+from gridslam.viz.layout import MARGIN, lay_out
+from gridslam.viz.palette import FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+
+RESOLUTION = 0.05
+
+
+def _grid(shape, known=True, log_odds=-2.0, origin=(0.0, 0.0)):
+    return OccupancyGrid(np.full(shape, log_odds, np.float32), np.full(shape, known), RESOLUTION, origin)
+
+
+def _straight(start, end, count=101):
+    poses = np.zeros((count, 3))
+    poses[:, :2] = np.linspace(start, end, count)
+    return Trajectory(np.arange(count, dtype=np.int64) * 10**9, poses)
+
+
+def _colour_at(page, layout, x, y):
+    column, row = layout.pixels(np.array([[x, y]]))[0]
+    return page.getpixel((int(column), int(row)))
+
+
+@pytest.mark.parametrize(
+    "shape", [(60, 80), (700, 700), (90, 1299), (1301, 40), (2000, 1500), (200, 5000), (5000, 300)]
+)
+def test_page_is_large_enough_to_see_and_small_enough_to_send(shape):
+    page = draw_map(_grid(shape), title="a log", caption=["one line", "another", "a third"])
+    assert page.mode == "RGB"
+    assert 1400 <= max(page.size) <= 4000
+    assert page.size[0] * page.size[1] < 16e6
+
+
+def test_cells_have_their_colours_and_y_points_up():
+    grid = _grid((40, 60), origin=(-1.0, 2.0))
+    grid.log_odds[30:34, 10:14] = 4.0  # occupied, in the upper left part
+    grid.known[4:10, 40:50] = False  # unknown, in the lower right part
+    page, layout = draw_map(grid), lay_out(grid)
+    assert _colour_at(page, layout, -1.0 + 12 * RESOLUTION, 2.0 + 32 * RESOLUTION) == OCCUPIED
+    assert _colour_at(page, layout, -1.0 + 45 * RESOLUTION, 2.0 + 7 * RESOLUTION) == UNKNOWN
+    assert _colour_at(page, layout, -1.0 + 12 * RESOLUTION, 2.0 + 7 * RESOLUTION) == FREE
+    x, y = layout.pixels(np.array([[-1.0 + 12 * RESOLUTION, 2.0 + 32 * RESOLUTION]]))[0]
+    left, top, right, bottom = layout.map_box
+    assert x < (left + right) / 2
+    assert y < (top + bottom) / 2
+
+
+def test_log_odds_of_an_unknown_cell_do_not_show():
+    grid = _grid((30, 30))
+    grid.known[10:20, 10:20] = False
+    grid.log_odds[10:20, 10:20] = np.nan
+    assert _colour_at(draw_map(grid), lay_out(grid), 15 * RESOLUTION, 15 * RESOLUTION) == UNKNOWN
+
+
+def test_only_the_known_part_is_shown():
+    grid = _grid((500, 400), known=False)
+    grid.known[100:200, 50:100] = True
+    layout = lay_out(grid)
+    assert (layout.rows, layout.columns) == (slice(100, 200), slice(50, 100))
+    left, top, right, bottom = layout.map_box
+    assert (bottom - top) == 2 * (right - left)
+    corner = layout.pixels(np.array([[50 * RESOLUTION, 200 * RESOLUTION]]))[0]
+    assert corner == pytest.approx([left, top])
+
+
+def test_map_larger_than_the_page_is_reduced_and_its_walls_stay_visible():
+    grid = _grid((400, 6000))
+    grid.log_odds[200] = 4.0
+    page, layout = draw_map(grid), lay_out(grid)
+    column = layout.pixels(np.array([[150.0, 10.0]]))[0, 0]
+    wall = [page.getpixel((int(column), row))[0] for row in range(layout.map_box[1], layout.map_box[3])]
+    assert min(wall) < (OCCUPIED[0] + FREE[0]) / 2
+
+
+@pytest.mark.parametrize(
+    ("grid", "shown"),
+    [
+        (_grid((0, 0)), UNKNOWN),
+        (_grid((20, 30), known=False), UNKNOWN),
+        (_grid((1, 1)), FREE),
+        (_grid((1, 1), log_odds=5.0), OCCUPIED),
+    ],
+    ids=["no cell", "nothing known", "one free cell", "one occupied cell"],
+)
+def test_grids_with_next_to_nothing_in_them(grid, shown):
+    page, layout = draw_map(grid, _straight((0, 0), (0, 0), 0), title="t"), lay_out(grid, "t")
+    left, top, right, bottom = layout.map_box
+    assert page.getpixel(((left + right) // 2, (top + bottom) // 2)) == shown
+    draw_map(grid, _straight((0, 0), (0, 0), 1), truth=_straight((0, 0), (0, 0), 1), walls=np.empty((0, 4)))
+
+
+def test_trajectory_has_the_colours_of_time_and_marks_at_its_ends():
+    grid = _grid((100, 100))
+    page, layout = draw_map(grid, _straight((1.0, 1.0), (4.0, 4.0))), lay_out(grid)
+    assert _colour_at(page, layout, 1.0, 1.0) == FREE
+    assert _colour_at(page, layout, 4.0, 4.0) == TIME_ENDS[1]
+    for share in (0.25, 0.5, 0.75):
+        seen = _colour_at(page, layout, 1 + 3 * share, 1 + 3 * share)
+        assert seen == pytest.approx(time_colours(np.array([share]))[0], abs=3)
+    assert _colour_at(page, layout, 1.0, 4.0) == FREE
+
+
+def test_colour_follows_time_and_not_the_way():
+    grid, line = _grid((100, 100)), _straight((1.0, 1.0), (4.0, 1.0))
+    waited = line.stamps_ns + np.where(np.arange(101) > 50, 300 * 10**9, 0)
+    page, layout = draw_map(grid, Trajectory(waited, line.poses)), lay_out(grid)
+    assert _colour_at(page, layout, 2.2, 1.0) == pytest.approx(time_colours(np.array([0.1]))[0], abs=3)
+    assert _colour_at(page, layout, 2.8, 1.0) == pytest.approx(time_colours(np.array([0.9]))[0], abs=3)
+
+
+def test_stamps_that_go_backward_are_drawn_all_the_same():
+    line = _straight((1.0, 1.0), (4.0, 1.0))
+    draw_map(_grid((100, 100)), Trajectory(line.stamps_ns[::-1].copy(), line.poses))
+
+
+def test_truth_is_drawn_in_its_own_colour_and_stays_off_the_footer():
+    grid = _grid((100, 100))
+    walls = np.array([[2.0, 1.0, 2.0, 4.0]])
+    page, layout = draw_map(grid, truth=_straight((3.0, 4.0), (3.0, -9.0)), walls=walls), lay_out(grid)
+    assert _colour_at(page, layout, 3.0, 2.0) == TRUTH
+    assert _colour_at(page, layout, 2.0, 2.5)[1] > FREE[1] - 140
+    assert _colour_at(page, layout, 2.0, 2.5) != FREE
+    column = int(layout.pixels(np.array([[3.0, 0.0]]))[0, 0])
+    assert page.getpixel((column, page.height - 5)) == UNKNOWN
+
+
+def test_lightness_of_time_rises():
+    red, green, blue = np.array(time_colours(np.linspace(0, 1, 50))).T
+    assert (np.diff(0.2126 * red + 0.7152 * green + 0.0722 * blue) > 0).all()
+
+
+@pytest.mark.parametrize("shape", [(60, 80), (300, 420), (700, 700), (1500, 3000)])
+def test_scale_bar_is_as_long_as_its_label_says(shape, monkeypatch):
+    texts = []
+    write = ImageDraw.ImageDraw.text
+
+    def recording(self, xy, text, **options):
+        texts.append(text)
+        write(self, xy, text, **options)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", recording)
+    grid = _grid(shape)
+    page, layout = draw_map(grid), lay_out(grid)
+    margin = round(MARGIN * layout.unit)
+    top_edge = np.asarray(page)[layout.map_box[3] + margin + margin // 2]
+    length_px = (top_edge == OCCUPIED).all(axis=1).sum()
+    (number, unit), zero = texts[1].split(), texts[0]
+    assert zero == "0"
+    length_m = float(number) * {"m": 1.0, "cm": 0.01}[unit]
+    assert length_px == pytest.approx(length_m * layout.px_per_m, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("limit", "length"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (9.99, 5.0), (0.3, 0.2), (123.0, 100.0)]
+)
+def test_round_length_is_the_greatest_of_its_series(limit, length):
+    assert round_length(limit) == pytest.approx(length)
