@@ -142,8 +142,8 @@ def _driven(pieces: list[_Piece], begins: FloatArray, acceleration: float, perio
     node = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     passed = t - times[node]
     gain = (np.diff(speed) / np.diff(times))[node]
-    driven: FloatArray = nodes[node] + (speed[node] + 0.5 * gain * passed) * passed
-    return np.minimum(driven, nodes[-1])
+    driven: FloatArray = np.minimum(nodes[node] + (speed[node] + 0.5 * gain * passed) * passed, nodes[-1])
+    return driven
 
 
 def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tuple[FloatArray, FloatArray]:
