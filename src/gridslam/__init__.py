@@ -1,3 +1,51 @@
-"""gridslam: 2D lidar SLAM with grid-based FastSLAM (GMapping) and its family."""
+"""gridslam: 2D lidar SLAM with grid-based FastSLAM (GMapping) and its family.
+
+Names are imported when they are first used, so that ``import gridslam`` itself is quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gridslam.api import MapResult, map_log
+    from gridslam.config import Configuration, build, preset
+    from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError, OutputError
+    from gridslam.io.carmen import CarmenLog
+    from gridslam.pipeline import run
+    from gridslam.slam.grid_fastslam import GridFastSlam
+    from gridslam.slam.state import GridFastSlamState
+    from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, StepReport, Trajectory
+
+__all__ = [
+    "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GridFastSlam", "GridFastSlamState",
+    "GridslamError", "InputError", "LaserScan", "MapResult", "OccupancyGrid", "Odometry", "OutputError", "ScanGeometry",
+    "StepReport", "Trajectory", "__version__", "build", "map_log", "preset", "run",
+]  # fmt: skip
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "api": ("MapResult", "map_log"),
+    "config": ("Configuration", "build", "preset"),
+    "errors": ("ArgumentError", "ConfigurationError", "GridslamError", "InputError", "OutputError"),
+    "io.carmen": ("CarmenLog",),
+    "pipeline": ("run",),
+    "slam.grid_fastslam": ("GridFastSlam",),
+    "slam.state": ("GridFastSlamState",),
+    "types": ("LaserScan", "OccupancyGrid", "Odometry", "ScanGeometry", "StepReport", "Trajectory"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'gridslam' has no attribute {name!r}")
+    value = getattr(import_module(f"gridslam.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

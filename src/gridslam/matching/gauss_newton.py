@@ -29,7 +29,7 @@ class GaussNewton:
     Parameters
     ----------
     max_passes : int
-        Linearizations at most; a good guess needs three.
+        Linearizations at most; a good guess needs three, and 0 only evaluates the guess.
     cauchy_m : float, m
         Distance c at which a beam counts half: two cells of 5 cm, about the thickness of a mapped wall.
     max_step_m, max_step_rad : float
@@ -43,7 +43,7 @@ class GaussNewton:
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
 
-    max_passes: int = Field(10, ge=1)
+    max_passes: int = Field(10, ge=0)
     cauchy_m: float = Field(0.1, gt=0)
     max_step_m: float = Field(0.1, gt=0)
     max_step_rad: float = Field(0.1, gt=0)

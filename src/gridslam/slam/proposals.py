@@ -18,6 +18,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.types import Beams, FloatArray, Match, MotionSampler, Weigher
 
 __all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
@@ -103,7 +104,7 @@ class Peak:
 
     Parameters
     ----------
-    matcher : Matcher
+    matcher : GaussNewton or HillClimbing
         How the peak is reached.
     prior_weight : float
         How much of the motion model's information holds the match near its draw.
@@ -111,7 +112,7 @@ class Peak:
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
     """
 
-    matcher: GaussNewton = GaussNewton()
+    matcher: GaussNewton | HillClimbing = GaussNewton()
     prior_weight: float = Field(1e-4, ge=0)
 
     def __call__(

@@ -1,0 +1,177 @@
+"""All parameters of a run in one tree, TOML in and out, and the filter that is built from them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, Literal, final
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.errors import ConfigurationError
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.models.beam import BeamRangeFinder
+from gridslam.models.endpoint import CauchyAgreement, EndPoint
+from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
+from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
+from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
+from gridslam.slam.confidence import Confidence
+from gridslam.slam.grid_fastslam import GridFastSlam
+from gridslam.slam.proposals import Gaussian, Peak, Prior
+from gridslam.slam.tracker import OdometryTracker, Tracker
+from gridslam.types import Resampler
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["PARAMETERS", "Configuration", "build", "dumps", "load", "loads", "override"]
+
+PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
+    "particles": ("particles", "number of particles"),
+    "resolution_m": ("mapper.resolution_m", "side of a cell of the map"),
+    "range_min_m": ("range_min_m", "shorter beams are not used: they see the robot itself"),
+    "range_max_m": ("range_max_m", "beams of this range or more are not used"),
+    "key_scan_m": ("when_to_update.translation_m", "the particles are stepped after this much motion"),
+    "key_scan_rad": ("when_to_update.rotation_rad", "... or after this much turning"),
+    "insert_m": ("tracker.insert_m", "the tracker adds a scan to its local map after this much motion"),
+    "insert_rad": ("tracker.insert_rad", "... or after this much turning"),
+    "odometry_weight": ("tracker.odometry_weight", "how much the odometry counts against a scan"),
+    "noise_m": ("motion.sigma_xy_m", "how far the particles spread over a metre of tracked motion"),
+    "noise_rad": ("motion.sigma_theta_rad", "... and how much they turn"),
+    "tempering": ("sensor.tempering", "share of a beam's evidence that is new"),
+    "resample_below": ("when_to_resample.fraction", "resample below this share of effective particles"),
+    "resampler": ("resampler", "systematic, stratified, residual, multinomial or wheel"),
+    "lost_below": ("confidence.lost_below", "lost where a smaller share of the beams agrees with the map"),
+}
+"""The parameters that face the user: short name, dotted name and what it is."""
+
+_RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
+    "systematic": Systematic,
+    "stratified": Stratified,
+    "residual": Residual,
+    "multinomial": Multinomial,
+    "wheel": ResamplingWheel,
+}
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Configuration:
+    """All parameters of grid-based FastSLAM; those of a part are explained at its class.
+
+    Parameters
+    ----------
+    particles : int, [1, 100000]
+        Number of particles; 30 hold the loops of an office floor, and each costs 50 to 100 us a key scan.
+    range_min_m, range_max_m : float, m
+        Beams outside are not used (see `GridFastSlam`).
+    resampler : str
+        "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, confidence
+        The parts of `GridFastSlam`.
+    """
+
+    particles: int = Field(30, ge=1, le=100_000)
+    range_min_m: float = Field(0.05, ge=0)
+    range_max_m: float = Field(30.0, gt=0)
+    resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
+    tracker: Tracker | OdometryTracker = Tracker()
+    motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
+    sensor: CauchyAgreement | EndPoint | LikelihoodField | BeamRangeFinder = CauchyAgreement()
+    proposal: Peak | Prior | Gaussian = Peak()
+    mapper: OccupancyGridMapping = OccupancyGridMapping()
+    when_to_update: MovedAtLeast = MovedAtLeast()
+    when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
+    confidence: Confidence = Confidence()
+
+
+def build(config: Configuration, threads: int = 1) -> GridFastSlam:
+    """Assemble the filter; `threads` is no parameter of it, as the number never changes a result."""
+    return GridFastSlam(
+        tracker=config.tracker,
+        motion=config.motion,
+        sensor=config.sensor,
+        proposal=config.proposal,
+        mapper=config.mapper,
+        resampler=_RESAMPLERS[config.resampler](),
+        when_to_update=config.when_to_update,
+        when_to_resample=config.when_to_resample,
+        confidence=config.confidence,
+        range_min_m=config.range_min_m,
+        range_max_m=config.range_max_m,
+        threads=threads,
+    )
+
+
+def dumps(config: Configuration) -> str:
+    """TOML text from which `loads` gives an equal configuration."""
+    import tomli_w  # only who writes TOML pays for its import
+
+    return tomli_w.dumps(to_table(config))
+
+
+def loads(text: str, base: Configuration | None = None) -> Configuration:
+    """Read TOML; what it does not say stays as in `base`, or at the defaults.
+
+    Raises
+    ------
+    ConfigurationError
+        The text is no TOML, or a parameter is unknown, of a wrong type or out of range.
+    """
+    try:
+        changes = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"expected TOML: {error}") from None
+    return changed(base or Configuration(), changes)
+
+
+def load(path: str | Path, base: Configuration | None = None) -> Configuration:
+    """Read a TOML file as `loads` does; errors name the file, and one that cannot be read is a ConfigurationError."""
+    try:
+        return loads(Path(path).read_text(encoding="utf-8"), base)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: expected a text file, got binary data") from None
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+
+
+def override(config: Configuration, *assignments: str) -> Configuration:
+    """Change parameters by ``name=value``, names short (see `PARAMETERS`) or dotted; checked when all are made.
+
+    Raises
+    ------
+    ConfigurationError
+        An assignment is malformed, or a parameter is unknown, of a wrong type or out of range.
+    """
+    changes: Table = {}
+    known = [*PARAMETERS, *names(config)]
+    for assignment in assignments:
+        name, equals, text = (part.strip() for part in assignment.partition("="))
+        if not (name and equals and text):
+            raise ConfigurationError(f"expected name=value, got {assignment!r}")
+        *above, last = PARAMETERS.get(name, (name,))[0].split(".")
+        table = changes
+        for key in above:
+            table = table.setdefault(key, {})
+            if not isinstance(table, dict):
+                raise ConfigurationError(f"{name}: no such parameter{meant(name, known)}")
+        if not above and last not in to_table(config):
+            raise ConfigurationError(f"{name}: no such parameter{meant(name, known)}")
+        table[last] = _value(text)
+    return changed(config, changes)
+
+
+def _value(text: str) -> Any:
+    """A TOML value, or the text itself where it is none, so that words need no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,125 @@
+"""The one loop that drives the filter, offline and live: source -> algorithm -> observers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from typing import Protocol, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.slam.grid_fastslam import GridFastSlam
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import LaserScan, Odometry, StepReport
+
+__all__ = ["Observer", "Stopwatch", "run"]
+
+
+class Observer(Protocol):
+    """Sees every scan's report; trajectories, statistics, progress and publishers are observers."""
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Take note of a step that took `seconds`; `state` may be read now, but belongs to the filter."""
+
+
+@final
+class Stopwatch:
+    """Wall and CPU time (s) of the stages of a run; every moment belongs to the stage whose `lap` comes next.
+
+    Parameters
+    ----------
+    wall_s, cpu_s : float, optional
+        `time.perf_counter()` and `time.process_time()` of the begin; now if not given.
+
+    Attributes
+    ----------
+    stages : dict of str to [float, float]
+        Wall and CPU seconds by name of the stage.
+    """
+
+    __slots__ = ("_last", "stages")
+
+    def __init__(self, wall_s: float | None = None, cpu_s: float | None = None) -> None:
+        """Begin."""
+        self.stages: dict[str, list[float]] = {}
+        self._last = (
+            time.perf_counter() if wall_s is None else wall_s,
+            time.process_time() if cpu_s is None else cpu_s,
+        )
+
+    def lap(self, stage: str) -> float:
+        """Count the time since the last lap to `stage`; return its wall seconds."""
+        wall, cpu = now = time.perf_counter(), time.process_time()
+        before, self._last = self._last, now
+        passed = wall - before[0]
+        if times := self.stages.get(stage):
+            times[0] += passed
+            times[1] += cpu - before[1]
+        else:
+            self.stages[stage] = [passed, cpu - before[1]]
+        return passed
+
+    def total(self) -> tuple[float, float]:
+        """Wall and CPU seconds of all stages."""
+        times = self.stages.values()
+        return sum(wall for wall, _ in times), sum(cpu for _, cpu in times)
+
+
+def run(
+    source: Iterable[tuple[Odometry | None, LaserScan]],
+    slam: GridFastSlam,
+    *,
+    particles: int = 30,
+    rng: np.random.Generator,
+    observers: Sequence[Observer] = (),
+    state: GridFastSlamState | None = None,
+    stopwatch: Stopwatch | None = None,
+) -> GridFastSlamState:
+    """Take all measurements of a source, one after the other.
+
+    Parameters
+    ----------
+    source : iterable of (Odometry, LaserScan)
+        Measurements in their true order.
+    slam : GridFastSlam
+        The filter.
+    particles : int
+        How many particles begin, where no `state` is given.
+    rng : numpy.random.Generator
+        Where all randomness comes from.
+    observers : sequence of Observer
+        Called after each step, in this order.
+    state : GridFastSlamState, optional
+        Continue from here, consuming it, instead of beginning with the first measurement.
+    stopwatch : Stopwatch, optional
+        Gets the stages "read" (the source), "track" (scans that did not step the particles), "step" (key scans) and
+        "observe".
+
+    Returns
+    -------
+    GridFastSlamState
+        After the last measurement.
+
+    Raises
+    ------
+    ArgumentError
+        The source is empty and there is no state, or a measurement has no odometry.
+    """
+    watch = stopwatch or Stopwatch()
+    for odometry, scan in source:
+        watch.lap("read")
+        if odometry is None:
+            raise ArgumentError("source", "odometry with every scan", f"none with the scan at {scan.stamp_ns} ns")
+        if state is None:
+            state, report = slam.init(odometry, scan, particles)
+        else:
+            state, report = slam.step(state, odometry, scan, rng)
+        seconds = watch.lap("track" if report.skipped else "step")
+        for observe in observers:
+            observe(report, state, seconds)
+        watch.lap("observe")
+    watch.lap("read")
+    if state is None:
+        raise ArgumentError("source", "at least one measurement", "none")
+    return state
