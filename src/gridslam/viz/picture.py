@@ -63,12 +63,7 @@ def draw_map(
     layout = lay_out(grid, title, caption)
     page = Image.new("RGB", layout.size, UNKNOWN)
     _paint_cells(page, grid, layout)
-    if walls is not None and len(walls):
-        ends = layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4)
-        stroke(page, ends, [TRUTH] * len(ends), 1.2 * layout.unit)
-    if truth is not None and len(truth):
-        ends, _ = _path(truth, layout)
-        stroke(page, ends, [TRUTH] * len(ends), 2.0 * layout.unit)
+    _paint_truth(page, truth, walls, layout)
     if trajectory is not None and len(trajectory):
         _paint_trajectory(page, trajectory, layout)
     paint_footer(page, layout, title, caption, trajectory, truth is not None or walls is not None)
@@ -102,6 +97,15 @@ def _path(trajectory: Trajectory, layout: Layout) -> tuple[FloatArray, FloatArra
     passed = np.maximum.accumulate(trajectory.stamps_ns - trajectory.stamps_ns[0]).astype(np.float64)
     nodes = points[kept]
     return np.concatenate([nodes[:-1], nodes[1:]], axis=1), passed[kept[1:]] / max(passed[-1], 1.0)
+
+
+def _paint_truth(page: Image.Image, truth: Trajectory | None, walls: FloatArray | None, layout: Layout) -> None:
+    if walls is not None and len(walls):
+        ends = layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4)
+        stroke(page, ends, [TRUTH] * len(ends), 1.2 * layout.unit)
+    if truth is not None and len(truth):
+        ends, _ = _path(truth, layout)
+        stroke(page, ends, [TRUTH] * len(ends), 2.0 * layout.unit)
 
 
 def _paint_trajectory(page: Image.Image, trajectory: Trajectory, layout: Layout) -> None:
