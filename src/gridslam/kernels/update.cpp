@@ -86,65 +86,72 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
   }
 }
 
-// A newly occupied cell's cone, as a maximum over what is there.
-void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach) {
-  const int side = 2 * reach + 1, y0 = cy - reach, y1 = cy + reach, x0 = cx - reach, x1 = cx + reach;
-  for (int xs = x0; xs <= x1;) {
-    const int xe = std::min(x1, xs | kTileMask);
-    for (int ys = y0; ys <= y1;) {
-      const int ye = std::min(y1, ys | kTileMask);
-      uint8_t* tile = m.field + static_cast<int64_t>(m.tile(root, ys >> kTileBits, xs >> kTileBits)) * kTileCells;
-      for (int y = ys; y <= ye; ++y) {
-        uint8_t* to = tile + Maps::inside(y, xs);
-        const uint8_t* from = cone + (y - cy + reach) * side + (xs - cx + reach);
-        for (int x = 0; x <= xe - xs; ++x) to[x] = std::max(to[x], from[x]);
-      }
-      ys = ye + 1;
-    }
-    xs = xe + 1;
-  }
-}
-
-// Occupied cells of the window, read off the field; `list` is reused.
-void find_occupied(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, std::vector<std::array<int, 2>>& list) {
-  list.clear();
+// Calls visit(offset of the first cell, y, first x, last x) for the rows of a window, cut at tiles; the empty tile is left out.
+template <class Visit>
+void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
   for (int xs = x0; xs <= x1; xs = (xs | kTileMask) + 1) {
     const int xe = std::min(x1, xs | kTileMask);
     for (int ys = y0; ys <= y1; ys = (ys | kTileMask) + 1) {
       const int ye = std::min(y1, ys | kTileMask);
       const int64_t tile = m.tile(root, ys >> kTileBits, xs >> kTileBits);
       if (tile == 0) continue;
-      for (int y = ys; y <= ye; ++y) {
-        const uint8_t* row = m.field + tile * kTileCells + Maps::inside(y, xs);
-        uint8_t greatest = 0;
-        for (int x = 0; x <= xe - xs; ++x) greatest = std::max(greatest, row[x]);
-        if (greatest != kOccupiedField) continue;
-        for (int x = 0; x <= xe - xs; ++x)
-          if (row[x] == kOccupiedField) list.push_back({y, xs + x});
-      }
+      for (int y = ys; y <= ye; ++y) visit(tile * kTileCells + Maps::inside(y, xs), y, xs, xe);
     }
   }
 }
 
+// A newly occupied cell's cone, as a maximum over what is there.
+void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach) {
+  window_rows(m, root, cy - reach, cy + reach, cx - reach, cx + reach, [&](int64_t first, int y, int xs, int xe) {
+    uint8_t* to = m.field + first;
+    const uint8_t* from = cone + (y - cy + reach) * (2 * reach + 1) + xs - cx + reach;
+    for (int x = 0; x <= xe - xs; ++x) to[x] = std::max(to[x], from[x]);
+  });
+}
+
+struct Obstacles {  // relative to some cell, near enough for squares in 16 bits
+  std::vector<int16_t> y, x;
+};
+
+// Occupied cells of the window of this half width around a cell, read off the field.
+void find_occupied(const Maps& m, const int32_t* root, int cy, int cx, int half, Obstacles& out) {
+  out.y.clear(), out.x.clear();
+  window_rows(m, root, cy - half, cy + half, cx - half, cx + half, [&](int64_t first, int y, int xs, int xe) {
+    const uint8_t* row = m.field + first;
+    uint8_t greatest = 0;
+    for (int x = 0; x <= xe - xs; ++x) greatest = std::max(greatest, row[x]);
+    if (greatest != kOccupiedField) return;
+    for (int x = 0; x <= xe - xs; ++x)
+      if (row[x] == kOccupiedField) out.y.push_back(static_cast<int16_t>(y - cy)), out.x.push_back(static_cast<int16_t>(xs + x - cx));
+  });
+}
+
+int nearest_squared(const Obstacles& o, int16_t y, int16_t x) {
+  int16_t nearest = std::numeric_limits<int16_t>::max();
+  for (size_t i = 0; i < o.y.size(); ++i) {
+    const int16_t dy = static_cast<int16_t>(o.y[i] - y), dx = static_cast<int16_t>(o.x[i] - x);
+    const int16_t squared = static_cast<int16_t>(dy * dy + dx * dx);
+    nearest = std::min(nearest, squared);
+  }
+  return nearest;
+}
+
 // Mends the field around a cell that is no longer occupied: only where that cell was the nearest obstacle.
-void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, std::vector<std::array<int, 2>>& list) {
-  find_occupied(m, root, cy - 2 * reach, cy + 2 * reach, cx - 2 * reach, cx + 2 * reach, list);
+void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, Obstacles& near) {
+  find_occupied(m, root, cy, cx, 2 * reach, near);
   const int side = 2 * reach + 1;
-  for (int dy = -reach; dy <= reach; ++dy)
-    for (int dx = -reach; dx <= reach; ++dx) {
-      const uint8_t was = cone[(dy + reach) * side + dx + reach];
-      if (was == 0) continue;
-      const int y = cy + dy, x = cx + dx;
-      uint8_t& value = m.field[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x)];
-      if (value != was && (dy != 0 || dx != 0)) continue;
-      uint8_t nearest = 0;
-      for (const auto& [oy, ox] : list) {
-        const int ey = y - oy + reach, ex = x - ox + reach;
-        if (static_cast<unsigned>(ey) < static_cast<unsigned>(side) && static_cast<unsigned>(ex) < static_cast<unsigned>(side))
-          nearest = std::max(nearest, cone[ey * side + ex]);
-      }
-      value = nearest;
+  uint8_t by_square[2 * kTile * kTile] = {};
+  for (int y = 0; y <= reach; ++y)
+    for (int x = 0; x <= reach; ++x) by_square[y * y + x * x] = cone[(y + reach) * side + x + reach];
+  window_rows(m, root, cy - reach, cy + reach, cx - reach, cx + reach, [&](int64_t first, int y, int xs, int xe) {
+    const uint8_t* was = cone + (y - cy + reach) * side + xs - cx + reach;
+    for (int x = 0; x <= xe - xs; ++x) {
+      uint8_t& value = m.field[first + x];
+      if (was[x] == 0 || (value != was[x] && (y != cy || xs + x != cx))) continue;
+      const int squared = nearest_squared(near, static_cast<int16_t>(y - cy), static_cast<int16_t>(xs + x - cx));
+      value = squared <= 2 * reach * reach ? by_square[squared] : 0;
     }
+  });
 }
 
 }  // namespace
@@ -163,7 +170,7 @@ void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, 
   starts.push_back(n);
   parallel_for(static_cast<int>(starts.size()) - 1, threads, [&](int g) {
     const int32_t* root = m.root(cells[starts[g]].row);
-    std::vector<std::array<int, 2>> list;
+    Obstacles near;
     for (int i = starts[g]; i < starts[g + 1]; ++i) {
       const Cell& c = cells[i];
       if (c.occupied)
@@ -172,7 +179,7 @@ void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, 
         m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells + Maps::inside(c.y, c.x)] = 0;
     }
     for (int i = starts[g]; i < starts[g + 1]; ++i)
-      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone, reach, list);
+      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone, reach, near);
   });
 }
 
