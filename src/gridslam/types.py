@@ -41,6 +41,9 @@ class BeamStatus(IntEnum):
     INVALID = 2
 
 
+_HIT = np.uint8(BeamStatus.HIT)
+
+
 @final
 class ScanGeometry:
     """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
@@ -147,10 +150,13 @@ class LaserScan:
 
     def beams(self, min_m: float, max_m: float) -> Beams:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame."""
-        usable = np.flatnonzero((self.status == BeamStatus.HIT) & (self.ranges >= min_m) & (self.ranges < max_m))
-        geometry = self.geometry
-        ends = geometry.origin + self.ranges[usable, None] * geometry.directions[usable]
-        return Beams(self, usable, ends, geometry.origin)
+        ranges, geometry = self.ranges, self.geometry
+        usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
+        used = ranges.take(usable)
+        ends = geometry.directions.take(usable, axis=0)
+        ends *= used[:, None]
+        ends += geometry.origin
+        return Beams(self, usable, ends, geometry.origin, float(used.max()) if len(used) else 0.0)
 
 
 @final
@@ -168,12 +174,15 @@ class Beams:
         End points in the base frame.
     origin : (2,) float64, m
         The laser's place in the base frame.
+    farthest_m : float, m
+        Greatest range among them; 0 where there is none.
     """
 
     scan: LaserScan
     indices: IntArray
     ends: FloatArray
     origin: FloatArray
+    farthest_m: float
 
     def __len__(self) -> int:
         """Return the number of usable beams K."""

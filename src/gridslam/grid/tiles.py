@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -258,18 +259,20 @@ class TileMaps:
 
     def _cover(self, poses: FloatArray, beams: Beams) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""
-        reach = float(np.hypot(*beams.ends.T).max()) + float(np.hypot(*beams.origin)) + 2 * self.reach_m
-        low = np.floor((poses[:, 1::-1].min(axis=0) - reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
-        high = np.floor((poses[:, 1::-1].max(axis=0) + reach) / (self.resolution_m * _PAGE_CELLS)).astype(int)
-        first, shape = np.array(self._first), np.array(self._roots.shape[1:])
-        if (low >= first).all() and (high < first + shape).all():
+        reach = beams.farthest_m + math.hypot(*beams.origin.tolist()) + 2 * self.reach_m
+        page_m = self.resolution_m * _PAGE_CELLS
+        (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
+        low = (math.floor((y0 - reach) / page_m), math.floor((x0 - reach) / page_m))
+        high = (math.floor((y1 + reach) / page_m) + 1, math.floor((x1 + reach) / page_m) + 1)
+        (row, column), (_, rows, columns) = self._first, self._roots.shape
+        if low[0] >= row and low[1] >= column and high[0] <= row + rows and high[1] <= column + columns:
             return
-        new_first = np.minimum(first, low)
-        new_shape = np.maximum(first + shape, high + 1) - new_first
-        roots = np.zeros((len(self._roots), *new_shape), np.int32)
-        at = first - new_first
-        roots[:, at[0] : at[0] + shape[0], at[1] : at[1] + shape[1]] = self._roots
-        self._roots, self._first = roots, (int(new_first[0]), int(new_first[1]))
+        first = (min(row, low[0]), min(column, low[1]))
+        last = (max(row + rows, high[0]), max(column + columns, high[1]))
+        roots = np.zeros((len(self._roots), last[0] - first[0], last[1] - first[1]), np.int32)
+        row, column = row - first[0], column - first[1]
+        roots[:, row : row + rows, column : column + columns] = self._roots
+        self._roots, self._first = roots, first
 
 
 def _renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:

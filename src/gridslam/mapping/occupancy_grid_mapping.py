@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import final
+from collections.abc import Mapping
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
@@ -39,13 +41,18 @@ class OccupancyGridMapping:
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:
         """Make `rows` maps in which nothing is known."""
+        return TileMaps(rows, threads=threads, **self._form())
+
+    def restore(self, arrays: Mapping[str, NDArray[Any]], threads: int = 1) -> TileMaps:
+        """Make maps from the arrays of `TileMaps.to_arrays`; raises ArgumentError where they are no maps."""
+        return TileMaps.from_arrays(arrays, threads=threads, **self._form())
+
+    def _form(self) -> dict[str, Any]:
         model = self.inverse_sensor
         evidence = Evidence(
             model.log_odds_hit, model.log_odds_miss, model.log_odds_min, model.log_odds_max, model.log_odds_occupied
         )
-        return TileMaps(
-            rows, resolution_m=self.resolution_m, reach_cells=self.reach_cells, evidence=evidence, threads=threads
-        )
+        return {"resolution_m": self.resolution_m, "reach_cells": self.reach_cells, "evidence": evidence}
 
     def __call__(self, maps: TileMaps, poses: FloatArray, beams: Beams) -> None:
         """Insert one scan into every map, seen from its own pose of poses (rows, 3)."""

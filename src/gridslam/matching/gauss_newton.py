@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -65,8 +66,10 @@ class GaussNewton:
 
 def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:
     """Unit vector (2,) along which a match of this information (3, 3) and score kept its guess; None if there is none."""
-    turn = max(float(information[2, 2]), 1e-12)
-    position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / turn
-    values, vectors = np.linalg.eigh(position)
-    weakest: FloatArray = vectors[:, 0]
-    return weakest if values[0] < least * score else None
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
+    turn = 1 / max(tt, 1e-12)
+    a, b, c = xx - xt * xt * turn, xy - xt * yt * turn, yy - yt * yt * turn
+    if 0.5 * (a + c) - math.hypot(0.5 * (a - c), b) >= least * score:
+        return None
+    angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
+    return np.array([-math.sin(angle), math.cos(angle)])

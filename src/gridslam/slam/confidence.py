@@ -9,15 +9,17 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, weighted_covariance
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose
 from gridslam.matching.gauss_newton import undetermined
 from gridslam.particles.weights import effective_sample_size
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import Tracked
 from gridslam.types import Beams, FloatArray, LaserScan, SkipReason, StepReport
 
 __all__ = ["Confidence"]
+
+_DIAGONAL = np.diag_indices(3)
 
 _LEAST_INFORMATION = 1e-2
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
@@ -28,8 +30,8 @@ _LEAST_INFORMATION = 1e-2
 class Confidence:
     """Builds the reports of the filter.
 
-    The covariance of a pose is the spread of the particles plus what the best particle's match leaves open; between key
-    scans a random walk is added.
+    The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
+    key scans a random walk is added.
 
     Parameters
     ----------
@@ -56,13 +58,12 @@ class Confidence:
         )  # fmt: skip
 
     def between_key_scans(
-        self, state: GridFastSlamState, scan: LaserScan, tracked: Tracked, reason: SkipReason
+        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, reason: SkipReason
     ) -> StepReport:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
-        key_from_base = between(state.key_pose, tracked.pose)
-        moved = math.hypot(key_from_base[0], key_from_base[1]) + abs(key_from_base[2])
-        covariance = state.covariance + moved * np.diag([self.drift_m**2, self.drift_m**2, self.drift_rad**2])
-        best = state.best
+        dx, dy, turn = key_from_base.tolist()
+        covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
+        covariance[_DIAGONAL] += (moved * self.drift_m**2, moved * self.drift_m**2, moved * self.drift_rad**2)
         return StepReport(
             scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
             skipped=reason, best=best,
@@ -72,7 +73,9 @@ class Confidence:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
-        spread = weighted_covariance(state.poses, np.exp(state.log_weights))
+        away = state.poses - state.poses[best]
+        away[:, 2] = wrap(away[:, 2])
+        spread = (np.exp(state.log_weights) * away.T) @ away
         state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION * np.eye(3))
         state.lost = score < self.lost_below * len(beams)
         return StepReport(

@@ -25,7 +25,7 @@ from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import OdometryTracker, Tracked, Tracker
+from gridslam.slam.tracker import OdometryTracker, Tracker
 from gridslam.types import (
     Beams, FloatArray, LaserScan, MotionModel, Odometry, Resampler, SensorModel, SkipReason, StepReport,
 )  # fmt: skip
@@ -114,8 +114,9 @@ class GridFastSlam:
         """
         state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
         tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
-        if reason := self._skip(state, tracked, beams):
-            return state, self.confidence.between_key_scans(state, scan, tracked, reason)
+        moved = between(state.key_pose, tracked.pose)
+        if reason := self._skip(moved, beams):
+            return state, self.confidence.between_key_scans(state, scan, moved, reason)
         motion = self.motion(between(state.key_pose, tracked.predicted))  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
@@ -128,8 +129,8 @@ class GridFastSlam:
             report = replace(report, parents=parents, best=state.best)
         return state, report
 
-    def _skip(self, state: GridFastSlamState, tracked: Tracked, beams: Beams) -> SkipReason | None:
-        moved = between(state.key_pose, tracked.pose)
-        if not self.when_to_update(math.hypot(moved[0], moved[1]), abs(float(moved[2]))):
+    def _skip(self, moved: FloatArray, beams: Beams) -> SkipReason | None:
+        dx, dy, turn = moved.tolist()
+        if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
             return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM

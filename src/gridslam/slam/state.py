@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.weights import normalize
 from gridslam.slam.proposals import Proposed
@@ -69,7 +70,10 @@ class GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
         self._check()
         self.consumed = True
-        return replace(self, consumed=False)
+        return GridFastSlamState(
+            self.tracker, self.key_pose, self.poses, self.log_weights, self.log_ancestry, self.covariance, self.maps,
+            self.ancestry, self.lost,
+        )  # fmt: skip
 
     def advance(self, proposed: Proposed, key_pose: FloatArray) -> None:
         """Move every particle to its proposed pose and weight; `key_pose` (3,) is the tracker's."""
@@ -98,13 +102,15 @@ class GridFastSlamState:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
-        parts = {"tracker": self.tracker.to_arrays(), "maps": self.maps.to_arrays(), "ancestry": self.ancestry.to_arrays()}
-        nested = {f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()}
+        parts = {"tracker": self.tracker, "maps": self.maps, "ancestry": self.ancestry}
+        nested = {f"{name}.{key}": array for name, part in parts.items() for key, array in part.to_arrays().items()}
         return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], threads: int = 1) -> GridFastSlamState:
-        """Rebuild a state; raises ArgumentError for another schema or a missing array."""
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
+    ) -> GridFastSlamState:
+        """Rebuild the state of a filter with this mapper; raises ArgumentError for another schema or a missing array."""
         schema = str(arrays.get("schema", "none"))
         if schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
@@ -115,8 +121,8 @@ class GridFastSlamState:
         try:
             own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
             return cls(
-                tracker=TrackerState.from_arrays(part("tracker")),
-                maps=TileMaps.from_arrays(part("maps"), threads=threads),
+                tracker=TrackerState.from_arrays(part("tracker"), mapper),
+                maps=mapper.restore(part("maps"), threads),
                 ancestry=Ancestry.from_arrays(part("ancestry")),
                 lost=bool(arrays["lost"]),
                 **own,

@@ -74,9 +74,9 @@ class TrackerState:
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrackerState:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        maps = TileMaps.from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
+        maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
         stamp_ns, active, first, second = (int(v) for v in arrays["counters"])
         poses = {name: np.array(arrays[name], np.float64) for name in _POSES}
         return cls(maps, stamp_ns=stamp_ns, active=active, scans=(first, second), **poses)
@@ -176,7 +176,7 @@ class Tracker:
         sigma_m = 0.1 * cell + 0.15 * moved + 0.5 * cell * turned
         sigma_rad = 0.003 + 0.05 * turned + 0.04 * moved
         position = self.odometry_weight / sigma_m**2
-        return np.diag([position, position, self.odometry_weight / sigma_rad**2])[None]
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, self.odometry_weight / sigma_rad**2]]])
 
     def _insert(self, state: TrackerState, beams: Beams) -> None:
         dx, dy, turn = (state.pose - state.inserted_pose).tolist()
