@@ -152,11 +152,10 @@ class LaserScan:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame."""
         ranges, geometry = self.ranges, self.geometry
         usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
-        used = ranges.take(usable)
         ends = geometry.directions.take(usable, axis=0)
-        ends *= used[:, None]
+        ends *= ranges.take(usable)[:, None]
         ends += geometry.origin
-        return Beams(self, usable, ends, geometry.origin, float(used.max()) if len(used) else 0.0)
+        return Beams(self, usable, ends, geometry.origin)
 
 
 @final
@@ -174,19 +173,23 @@ class Beams:
         End points in the base frame.
     origin : (2,) float64, m
         The laser's place in the base frame.
-    farthest_m : float, m
-        Greatest range among them; 0 where there is none.
     """
 
     scan: LaserScan
     indices: IntArray
     ends: FloatArray
     origin: FloatArray
-    farthest_m: float
 
     def __len__(self) -> int:
         """Return the number of usable beams K."""
         return len(self.ends)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
+        ends, origin = self.ends, self.origin
+        farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
+        return float(farthest) ** 0.5
 
 
 @final

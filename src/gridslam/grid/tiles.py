@@ -259,7 +259,7 @@ class TileMaps:
 
     def _cover(self, poses: FloatArray, beams: Beams) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""
-        reach = beams.farthest_m + math.hypot(*beams.origin.tolist()) + 2 * self.reach_m
+        reach = beams.reach_m + 2 * self.reach_m
         page_m = self.resolution_m * _PAGE_CELLS
         (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
         low = (math.floor((y0 - reach) / page_m), math.floor((x0 - reach) / page_m))
