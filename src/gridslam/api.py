@@ -60,6 +60,8 @@ class MapResult:
         As given.
     source : Path
         The log.
+    digest : str
+        Its SHA-256.
     record : RecordWriter
         The particles at each key scan.
     stopwatch : Stopwatch
@@ -76,6 +78,7 @@ class MapResult:
     seed: int
     threads: int
     source: Path
+    digest: str
     record: RecordWriter
     stopwatch: Stopwatch
 
@@ -95,7 +98,6 @@ class MapResult:
         from gridslam.viz import draw_map  # only drawing pays for Pillow's import
 
         self.stopwatch.lap("between")
-        digest = sha256_of(self.source)
         write_map(out.file("map.yaml"), self.map)
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
@@ -104,7 +106,7 @@ class MapResult:
         picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
         picture.save(out.file("map.png"), optimize=False)
         self.stopwatch.lap("draw")
-        document = self.document(digest)
+        document = self.document()
         out.write_json("run.json", document)
         return document
 
@@ -118,8 +120,8 @@ class MapResult:
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]
 
-    def document(self, digest: str) -> dict[str, Any]:
-        """What run.json says; `digest` is the log's SHA-256."""
+    def document(self) -> dict[str, Any]:
+        """What run.json says."""
         wall, cpu = self.stopwatch.total()
         stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stopwatch.stages.items()}
         return {
@@ -128,7 +130,7 @@ class MapResult:
             "seed": self.seed,
             "threads": self.threads,
             "kernels": "compiled" if compiled else "reference",
-            "input": _input(self.source, digest, self.log),
+            "input": _input(self.source, self.digest, self.log),
             "scans": _scans(self.statistics, self.log),
             "filter": _filter(self.statistics, self.state, self.map),
             "time": {"wall_s": wall, "cpu_s": cpu, "stages": stages},
@@ -139,7 +141,7 @@ class MapResult:
 
 
 def map_log(
-    path: str | Path,
+    log: str | Path | CarmenLog,
     particles: int | None = None,
     seed: int = 0,
     *,
@@ -154,7 +156,7 @@ def map_log(
 
     Parameters
     ----------
-    path : str or Path
+    log : str, Path or CarmenLog
         The log.
     particles : int, optional
         Number of particles; the preset's own if not given. Not together with `configuration`.
@@ -182,7 +184,7 @@ def map_log(
     """
     config = configuration or preset(preset_name, particles)
     watch = stopwatch or Stopwatch()
-    log = CarmenLog(path, keep_truncated=keep_truncated)
+    source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
 
     def keep(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -190,7 +192,7 @@ def map_log(
 
     watch.lap("start")
     state = run(
-        _with_odometry(log),
+        _with_odometry(source),
         build(config, threads),
         particles=config.particles,
         rng=np.random.default_rng(seed),
@@ -203,11 +205,12 @@ def map_log(
         map=state.maps.occupancy(state.best),
         state=state,
         statistics=statistics.summary(),
-        log=log.statistics,
+        log=source.statistics,
         configuration=config,
         seed=seed,
         threads=threads,
-        source=Path(path),
+        source=source.path,
+        digest=sha256_of(source.path),
         record=record,
         stopwatch=watch,
     )

@@ -6,6 +6,7 @@ Works on any pydantic dataclass. Where a field allows several classes its table 
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 import types
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from gridslam.errors import ConfigurationError
 
-__all__ = ["Table", "changed", "meant", "names", "to_table"]
+__all__ = ["Table", "changed", "meant", "names", "to_table", "value_of"]
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")
@@ -34,6 +35,11 @@ def to_table(part: Any) -> Table:
         kind = {"kind": type(value).__name__} if len(kinds) > 1 else {}
         table[name] = kind | to_table(value) if kinds else value
     return table
+
+
+def value_of(part: Any, name: str) -> Any:
+    """Value of the parameter of that dotted name."""
+    return functools.reduce(getattr, name.split("."), part)
 
 
 def names(part: Any, where: str = "") -> Iterator[str]:

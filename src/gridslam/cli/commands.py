@@ -1,0 +1,120 @@
+"""The commands and their options; what a command does is imported when it runs, so that help comes at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam import __version__
+
+__all__ = ["gridslam"]
+
+_PATH = click.Path(path_type=Path)
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+_SEED = click.IntRange(min=0)
+
+_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress.")
+
+
+@click.group(context_settings=_SETTINGS)
+@click.version_option(__version__, prog_name="gridslam", message="%(prog)s %(version)s")
+def gridslam() -> None:
+    """2D lidar SLAM: from a robot's laser scans and odometry to a map and a trajectory.
+
+    Start with `gridslam demo`, which needs no data.
+    """
+
+
+class _MapCommand(click.Command):
+    """Lists the parameters in its help; only then they are imported."""
+
+    def format_epilog(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the parameters that face the user."""
+        from gridslam.config import PARAMETERS, Configuration
+        from gridslam.config.tables import value_of
+
+        defaults = Configuration()
+        rows = [(name, f"{what} [{value_of(defaults, path)}]") for name, (path, what) in PARAMETERS.items()]
+        with formatter.section("Parameters for --set (m, rad) [default]"):
+            formatter.write_dl(rows)
+        formatter.write_paragraph()
+        formatter.write_text(
+            "Every other parameter goes by its dotted name, as run.json and --config have it: "
+            "--set tracker.map_scans=30 --set motion.kind=OdometryMotion."
+        )
+
+
+@gridslam.command("map", cls=_MapCommand)
+@click.argument("log", type=_PATH)
+@click.option("-o", "--out", type=_PATH, required=True, help="Folder for the results; made if need be.")
+@click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]")
+@click.option("--seed", type=_SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
+@click.option("--threads", type=click.IntRange(1, 256), default=1, show_default=True, help="Never changes a result.")
+@click.option("--preset", default="default", show_default=True, help="default, fast, accurate or gmapping.")
+@click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's.")
+@click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
+@click.option("--no-loop-closure", is_flag=True, help="For scripts that must not change: there is none yet.")
+@click.option("--keep-truncated", is_flag=True, help="Map a log that is cut off as far as it goes.")
+@_json
+def map_command(no_loop_closure: bool, **options: Any) -> None:
+    """Map LOG, a CARMEN log (plain, .gz or .bz2), with grid-based FastSLAM.
+
+    OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan), trajectory_online.tum (what was said
+    at the time), record.npz (the particles at each key scan) and run.json (counts, times, parameters).
+    """
+    from gridslam.cli.map import map_to_folder
+
+    map_to_folder(**options)
+
+
+@gridslam.command("demo")
+@click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder for the results.")
+@click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the simulation and of the filter.")
+@_json
+def demo_command(**options: Any) -> None:
+    """Simulate a robot in a small office, and map it; needs no data.
+
+    OUT gets what `gridslam map` writes, and demo.clf.gz (the log) and truth.tum.
+    """
+    from gridslam.cli.demo import demo
+
+    demo(**options)
+
+
+@gridslam.command("evaluate")
+@click.argument("trajectory", type=_PATH)
+@click.argument("reference", type=_PATH)
+@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, help="Of the RPE's pairs, m.")
+@_json
+def evaluate_command(**options: Any) -> None:
+    """Compare TRAJECTORY (TUM) with REFERENCE.
+
+    A REFERENCE named *.relations holds true relative poses (Kuemmerle et al. 2009); any other is a trajectory (TUM), and
+    the absolute (ATE, aligned) and relative (RPE) errors are told.
+    """
+    from gridslam.cli.evaluate import evaluate
+
+    evaluate(**options)
+
+
+@gridslam.command("simulate")
+@click.argument("world")
+@click.option("-o", "--out", type=_PATH, required=True, help="The log; compressed if named .gz or .bz2.")
+@click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the noise, and of the world `random`.")
+@click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams of a scan.")
+@click.option("--fov", "fov_deg", type=float, default=180.0, show_default=True, help="Field of view, degrees.")
+@click.option("--range-max", "range_max_m", type=float, default=30.0, show_default=True, help="No return beyond, m.")
+@click.option("--rate", "rate_hz", type=float, default=5.0, show_default=True, help="Scans a second.")
+@click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="People who walk about.")
+@click.option("--duration", "duration_s", type=float, help="End the log after so many seconds.")
+@_json
+def simulate_command(**options: Any) -> None:
+    """Simulate a robot in WORLD (demo, loop, rooms, hall, corridor or random) and write its log.
+
+    Beside LOG.clf goes LOG.truth.tum, the true trajectory.
+    """
+    from gridslam.cli.simulate import simulate_to_log
+
+    simulate_to_log(**options)

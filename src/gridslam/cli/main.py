@@ -1,0 +1,59 @@
+"""Entry of the command line: environment, signals, exit status. Nothing heavy is imported before a command runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from gridslam.cli.commands import gridslam
+from gridslam.cli.interrupt import handled_signals
+from gridslam.errors import ConfigurationError, GridslamError, InputError
+
+__all__ = ["main"]
+
+_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0 done, 1 failed, 2 bad usage or input, 130 interrupted."""
+    for name in _BLAS_THREADS:  # before NumPy is imported: its matrices are 3 x 3 here, its threads would only wait
+        os.environ.setdefault(name, "1")
+    try:
+        with handled_signals():
+            status = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
+            sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except BaseException as error:
+        return _failed(error)
+
+
+def _failed(error: BaseException) -> int:
+    """Say in one line why the command ended, and with which status."""
+    if isinstance(error, SystemExit | GeneratorExit):
+        raise error
+    if isinstance(error, KeyboardInterrupt | click.Abort):
+        return _say("interrupted", 130)
+    if isinstance(error, click.ClickException):
+        return _say(error.format_message(), 2)
+    if isinstance(error, InputError | ConfigurationError):
+        return _say(str(error), 2)
+    if isinstance(error, BrokenPipeError):  # whoever read the output has gone; Python must not flush to it again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    if isinstance(error, GridslamError | OSError | MemoryError):
+        return _say(str(error) or type(error).__name__, 1)
+    traceback.print_exception(error)
+    return _say(f"this is a bug, please report it: {type(error).__name__}: {error}", 1)
+
+
+def _say(problem: str, status: int) -> int:
+    print("gridslam:", " ".join(problem.split()), file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

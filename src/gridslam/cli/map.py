@@ -1,0 +1,102 @@
+"""gridslam map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.api import MapResult, map_log
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.cli.progress import progress
+from gridslam.config import Configuration, load, override, preset
+from gridslam.io.carmen import CarmenLog
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.pipeline import Stopwatch
+
+__all__ = ["map_shown", "map_to_folder", "summary"]
+
+_MANY = 0.1
+"""Share of scans stamped before their predecessor from which on the order of the log is in doubt; jitter makes 0.05."""
+
+
+def map_to_folder(
+    log: Path,
+    out: Path,
+    particles: int | None,
+    seed: int,
+    threads: int,
+    preset: str,
+    config: Path | None,
+    assignments: Sequence[str],
+    keep_truncated: bool,
+    as_json: bool,
+) -> None:
+    """Map a log into a folder and say what came of it."""
+    watch = Stopwatch(cpu_s=0.0)
+    configuration = _configuration(preset, particles, config, assignments)
+    source = CarmenLog(log, keep_truncated=keep_truncated)
+    with opened(out) as folder:
+        result = map_shown(source, configuration, seed, threads, not as_json, watch)
+        document = result.write(folder)
+    for warning in _warnings(result.log):
+        click.echo(f"gridslam: {log}: {warning}", err=True)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(summary(document, result, out)))
+
+
+def map_shown(
+    source: CarmenLog, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch
+) -> MapResult:
+    """Map a log while progress is shown."""
+    with progress(lambda: source.statistics, shown=shown) as observers:
+        return map_log(
+            source, configuration=configuration, seed=seed, threads=threads,
+            observers=[stop_if_interrupted, *observers], stopwatch=watch,
+        )  # fmt: skip
+
+
+def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]:
+    """What a person wants to know of a run, in a few lines."""
+    scans, filter_, seconds = document["scans"], document["filter"], document["time"]["wall_s"]
+    latency, log = document["latency"]["all_scans"], result.log
+    lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
+    return [
+        f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven",
+        f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, {scans['read'] / seconds:.0f} scans/s, "
+        f"{document['peak_memory_bytes'] / 1e6:.0f} MB",
+        f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles']} on average, "
+        f"resampled {filter_['resamplings']} times{lost}",
+        f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
+        f"{1e3 * latency['max_s']:.1f} ms (longest)",
+        f"map of {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
+        f"trajectory: {out / 'trajectory.tum'}",
+    ]
+
+
+def _configuration(
+    name: str, particles: int | None, path: Path | None, assignments: Sequence[str]
+) -> Configuration:
+    """The preset, then the file, then single parameters; --particles has the last word on their number."""
+    config = preset(name, particles)
+    if path is not None:
+        config = load(path, config)
+    if particles is not None:
+        config = override(config, f"particles={particles}")
+    return override(config, *assignments)
+
+
+def _warnings(log: LogStatistics) -> Iterator[str]:
+    """What makes the map doubtful."""
+    if log.truncated:
+        yield f"the log is cut off; {log.scan_count} scans were there"
+    if log.backward_stamps > _MANY * log.scan_count:
+        yield f"{log.backward_stamps} of {log.scan_count} scans are stamped before their predecessor: is the log in order?"
+    beams = sum(count * scans for count, scans in log.beam_counts.items())
+    if log.invalid_beams > 0.5 * beams:
+        yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"

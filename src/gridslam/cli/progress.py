@@ -1,0 +1,82 @@
+"""How far a run has come: a bar on a terminal, a line every few seconds elsewhere; both on stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.pipeline import Observer
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import StepReport
+
+__all__ = ["progress"]
+
+_BAR_EVERY_S, _LINE_EVERY_S = 0.25, 5.0
+
+
+@contextmanager
+def progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[list[Observer]]:
+    """Give the observers that show how far the reading of a log has come; none where nothing is to be shown."""
+    if not shown:
+        yield []
+    elif sys.stderr.isatty():
+        with _bar() as show:
+            yield [_Progress(statistics, show, _BAR_EVERY_S)]
+    else:
+        yield [_Progress(statistics, _print_line, _LINE_EVERY_S)]
+
+
+def _print_line(share: float, text: str) -> None:
+    print(f"{share:4.0%}  {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[float, str], None]]:
+    from rich.console import Console  # only terminals pay for its import
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = BarColumn(24), TextColumn("{task.percentage:>3.0f} %  {task.description}")
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False, transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def show(share: float, text: str) -> None:
+            bar.update(task, completed=share, description=text, refresh=True)
+
+        yield show
+
+
+class _Progress:
+    """Observer that tells rate, effective sample size, size of the map and time left, now and then."""
+
+    def __init__(
+        self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float
+    ) -> None:
+        self._statistics, self._show, self._every_s = statistics, show, every_s
+        self._began = time.perf_counter()
+        self._due = self._began + min(every_s, 1.0)
+        self._scans, self._n_eff, self._first_ns = 0, 0.0, 0
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        self._first_ns = self._first_ns if self._scans else report.stamp_ns
+        self._scans += 1
+        if report.skipped is None:
+            self._n_eff = report.n_eff
+        if (now := time.perf_counter()) >= self._due:
+            self._due = now + self._every_s
+            self._tell(now - self._began, report, state)
+
+    def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
+        log = self._statistics()
+        share = log.bytes_read / max(log.total_bytes, 1)
+        height, width = state.maps.occupancy(state.best).known.shape
+        side = state.maps.resolution_m
+        real = (report.stamp_ns - self._first_ns) * 1e-9 / seconds
+        left = f"{seconds * (1 - share) / share:.0f} s left" if share else ""
+        self._show(
+            share,
+            f"{self._scans} scans, {self._scans / seconds:.0f}/s, {real:.0f} x real time, N_eff {self._n_eff:.1f} of "
+            f"{len(state.poses)}, map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
+        )
