@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
@@ -10,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from gridslam.errors import ArgumentError
 from gridslam.grid import LOG_ODDS_UNIT, Evidence, TileMaps
-from gridslam.types import Beams, LaserScan, ScanGeometry
+from gridslam.types import LaserScan, ScanGeometry
 
 CELL = 0.25  # a power of two: cells of the model are exact
 ROWS = 3
@@ -18,10 +20,11 @@ EVIDENCE = Evidence(0.9, -0.4, -1.0, 2.0, 0.5)
 SETTINGS = {"resolution_m": CELL, "reach_cells": 3.5, "evidence": EVIDENCE}
 
 
-def beams_to(ends, origin=(0.0, 0.0)):
+def beams_to(ends):
+    """Beams from the base's origin that end exactly at `ends`, some of them of length 0."""
     ends = np.array(ends, dtype=np.float64).reshape(-1, 2)
-    scan = LaserScan.from_ranges(0, np.ones(len(ends)), ScanGeometry(np.zeros(len(ends))))
-    return Beams(scan, np.arange(len(ends)), ends, np.array(origin))
+    scan = LaserScan.from_ranges(0, np.hypot(*ends.T), ScanGeometry(np.zeros(len(ends))))
+    return replace(scan.beams(0.0, np.inf), indices=np.arange(len(ends)), ends=ends)
 
 
 def line(start, end):

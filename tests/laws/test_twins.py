@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import gridslam.grid.tiles as tiles_module
 from gridslam.grid import Evidence, TileMaps
 from gridslam.kernels import reference
-from gridslam.types import Beams, LaserScan, ScanGeometry
+from gridslam.types import LaserScan, ScanGeometry
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
@@ -56,10 +58,9 @@ def random_poses(rng, count=3):
 
 
 def beams_to(ends, origin=ORIGIN):
-    """The beams that end at `ends`, as far as the maps look at them."""
-    geometry = ScanGeometry(np.zeros(len(ends)))
-    scan = LaserScan.from_ranges(0, np.ones(len(ends)), geometry)
-    return Beams(scan, np.arange(len(ends)), np.ascontiguousarray(ends), origin)
+    """Beams that end exactly at `ends` (B, 2), some of them of length 0."""
+    scan = LaserScan.from_ranges(0, np.hypot(*(ends - origin).T), ScanGeometry(np.zeros(len(ends))))
+    return replace(scan.beams(0.0, np.inf), indices=np.arange(len(ends)), ends=ends, origin=origin)
 
 
 def random_maps(rng, scans=4):
