@@ -93,8 +93,11 @@ class MapResult:
         with OutputFolder(folder) as out:
             return self.write(out)
 
-    def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says."""
+    def write(self, out: OutputFolder, *, truth: Trajectory | None = None) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says.
+
+        A true trajectory in the map's frame is drawn into the picture, too.
+        """
         from gridslam.viz import draw_map  # only drawing pays for Pillow's import
 
         self.stopwatch.lap("between")
@@ -103,7 +106,7 @@ class MapResult:
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         self.record.write(out.file("record.npz"))
         self.stopwatch.lap("write")
-        picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
+        picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth)
         picture.save(out.file("map.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = self.document()

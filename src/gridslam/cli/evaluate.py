@@ -1,0 +1,74 @@
+"""gridslam evaluate."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.cli.output import print_json
+from gridslam.errors import ArgumentError, InputError
+from gridslam.evaluation.relations import RelationErrors, relation_errors
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, relative_errors_by_distance
+from gridslam.io.relations import read_relations
+from gridslam.io.trajectory import read_tum
+from gridslam.types import Trajectory
+
+__all__ = ["EVALUATION_SCHEMA", "against_truth", "evaluate", "tell"]
+
+EVALUATION_SCHEMA = "gridslam.evaluation/1"
+
+
+def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
+    """Score a trajectory against relations, or against another trajectory."""
+    if not distance_m > 0:
+        raise click.BadParameter("expected a length above 0 m", param_hint="--distance")
+    estimate = read_tum(trajectory)
+    try:
+        if reference.suffix == ".relations":
+            relations = relation_errors(estimate, read_relations(reference))
+            scores: dict[str, Any] = {"relations": asdict(relations)}
+            lines = [_of_relations(relations)]
+        else:
+            scores = against_truth(estimate, read_tum(reference), distance_m)
+            lines = tell(scores)
+    except ArgumentError as error:  # the two files do not belong together
+        raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
+    if as_json:
+        print_json({"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores})
+    else:
+        click.echo("\n".join(lines))
+
+
+def against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
+    """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values."""
+    absolute = absolute_errors(estimate, truth)
+    relative = relative_errors_by_distance(estimate, truth, distance_m)
+    return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
+
+
+def tell(scores: dict[str, Any]) -> list[str]:
+    """The scores of `against_truth` in words."""
+    rpe = dict(scores["rpe"])
+    distance_m = rpe.pop("distance_m")
+    return [
+        f"ATE: {_of_poses(PoseErrors(**scores['ate']))} (aligned)",
+        f"RPE: {_of_poses(PoseErrors(**rpe))} (over {distance_m:g} m)",
+    ]
+
+
+def _of_poses(errors: PoseErrors) -> str:
+    return (
+        f"{errors.trans_rmse_m:.4f} m and {errors.rot_rmse_deg:.3f} deg rms, at most {errors.trans_max_m:.4f} m and "
+        f"{errors.rot_max_deg:.3f} deg, {errors.n} poses"
+    )
+
+
+def _of_relations(errors: RelationErrors) -> str:
+    return (
+        f"relations: {errors.trans_mean_m:.4f} +- {errors.trans_std_m:.4f} m and {errors.rot_mean_deg:.3f} +- "
+        f"{errors.rot_std_deg:.3f} deg, at most {errors.trans_max_m:.4f} m and {errors.rot_max_deg:.3f} deg, "
+        f"{errors.n} relations, {errors.exact:.1%} of the poses at their exact time"
+    )

@@ -1,0 +1,81 @@
+"""gridslam simulate."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+import numpy as np
+from pydantic import ValidationError
+
+from gridslam.cli.output import opened, print_json
+from gridslam.errors import ArgumentError
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.trajectory import write_tum
+from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.types import Trajectory
+
+__all__ = ["SIMULATION_SCHEMA", "simulate_to_log"]
+
+SIMULATION_SCHEMA = "gridslam.simulation/1"
+
+
+def simulate_to_log(
+    world: str,
+    out: Path,
+    seed: int,
+    beams: int,
+    fov_deg: float,
+    range_max_m: float,
+    rate_hz: float,
+    people: int,
+    duration_s: float | None,
+    as_json: bool,
+) -> None:
+    """Write a simulated log, and the truth beside it."""
+    if out.is_dir() or not out.name:
+        raise click.UsageError(f"{out}: expected the name of a file, got a folder")
+    lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
+    scans = None if duration_s is None else math.floor(duration_s * rate_hz) + 1
+    if scans is not None and scans < 1:
+        raise click.BadParameter("expected a time of 0 s or more", param_hint="--duration")
+    rng = np.random.default_rng(seed)
+    truth_name = f"{out.name.split('.')[0] or 'log'}.truth.tum"
+    with opened(out.parent) as folder:
+        try:
+            log = simulate(
+                make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=people)
+            )
+        except ArgumentError as error:
+            raise click.UsageError(f"WORLD: {error}") from None
+        kept = _first(log.truth, scans)
+        write_carmen(folder.file(out.name), log.measurements[:scans])
+        write_tum(folder.file(truth_name), kept)
+    _tell(log, kept, world, seed, out, out.parent / truth_name, as_json)
+
+
+def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> LidarConfig:
+    try:
+        return LidarConfig(
+            beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise click.UsageError(f"{first['loc'][0]}: {first['msg']}, got {first['input']}") from None
+
+
+def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
+    return Trajectory(trajectory.stamps_ns[:scans], trajectory.poses[:scans])
+
+
+def _tell(log: SimulatedLog, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool) -> None:
+    steps = np.diff(kept.poses[:, :2], axis=0)
+    length_m, duration_s = float(np.hypot(*steps.T).sum()), float(np.ptp(kept.stamps_ns)) * 1e-9
+    if as_json:
+        print_json({
+            "schema": SIMULATION_SCHEMA, "world": world, "seed": seed, "log": str(out), "truth": str(truth),
+            "scans": len(kept), "walls": len(log.walls), "duration_s": duration_s, "length_m": length_m,
+        })  # fmt: skip
+    else:
+        click.echo(f"{world}: {len(kept)} scans, {duration_s:.0f} s, {length_m:.0f} m driven\nlog: {out}\ntruth: {truth}")
