@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from array import array
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import final
+from typing import Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
@@ -39,6 +42,29 @@ class TrajectoryRecorder:
         self._keys.append(self._steps - 1)
         self._online.extend(report.pose.tolist())
         self._from_key.extend(report.key_from_base.tolist())
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `from_key` (N, 3) float64."""
+        return {
+            "stamps_ns": _integers(self._stamps_ns),
+            "keys": _integers(self._keys),
+            "online": _poses(self._online),
+            "from_key": _poses(self._from_key),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrajectoryRecorder:
+        """Go on from what `to_arrays` gave; raises ArgumentError for other arrays."""
+        self, count = cls(), len(arrays.get("stamps_ns", ()))
+        for name, kept, shape in (
+            ("stamps_ns", self._stamps_ns, (count,)),
+            ("keys", self._keys, (count,)),
+            ("online", self._online, (count, 3)),
+            ("from_key", self._from_key, (count, 3)),
+        ):
+            _take(kept, arrays, name, shape)
+        self._steps = self._keys[-1] + 1 if count else 0
+        return self
 
     def online(self) -> Trajectory:
         """Give the online-SLAM answer: what the best particle said at the time of each scan."""
@@ -124,6 +150,31 @@ class StatisticsRecorder:
         self._resamplings += report.parents is not None
         self._undetermined += report.undetermined is not None
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays: `seconds` (N,) and `n_eff` (K,) float64, `is_key` (N,) int8, `counts` int64.
+
+        The counts are resamplings, lost and undetermined scans, and those skipped for each reason.
+        """
+        skipped = [self._skipped[reason] for reason in SkipReason]
+        return {
+            "seconds": np.frombuffer(self._seconds.tobytes()),
+            "is_key": np.frombuffer(self._is_key.tobytes(), np.int8),
+            "n_eff": np.frombuffer(self._n_eff.tobytes()),
+            "counts": np.array([self._resamplings, self._lost, self._undetermined, *skipped], np.int64),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> StatisticsRecorder:
+        """Go on from what `to_arrays` gave; raises ArgumentError for other arrays."""
+        self, counts = cls(), array("q")
+        _take(self._seconds, arrays, "seconds", (-1,))
+        _take(self._is_key, arrays, "is_key", (len(self._seconds),))
+        _take(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
+        _take(counts, arrays, "counts", (3 + len(SkipReason),))
+        self._resamplings, self._lost, self._undetermined, *skipped = counts
+        self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
+        return self
+
     def summary(self) -> RunStatistics:
         """Summarize the scans so far."""
         seconds, is_key = np.frombuffer(self._seconds.tobytes()), np.frombuffer(self._is_key.tobytes(), np.bool_)
@@ -140,6 +191,17 @@ class StatisticsRecorder:
             latency=Latency.of(seconds),
             key_latency=Latency.of(seconds[is_key]),
         )
+
+
+def _take(kept: array[Any], arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
+    """Append the array of that name to `kept`; -1 in `shape` means any length."""
+    given = arrays.get(name)
+    if given is None:
+        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
+    fits = given.ndim == len(shape) and all(want in (-1, got) for want, got in zip(shape, given.shape, strict=True))
+    if given.dtype != np.dtype(kept.typecode) or not fits:
+        raise ArgumentError(name, f"{np.dtype(kept.typecode)} {shape} (-1: any)", f"{given.dtype} {given.shape}")
+    kept.frombytes(np.ascontiguousarray(given).tobytes())
 
 
 def _integers(values: array[int]) -> IntArray:

@@ -1,0 +1,143 @@
+"""A run between two scans as one file, so that it can be resumed to the same bytes."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.config import Configuration, dumps, loads
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.output import written_aside
+from gridslam.io.text_source import open_for_reading
+from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.slam.state import GridFastSlamState
+
+__all__ = ["SavedRun", "read_state", "write_state"]
+
+_SCHEMA = "gridslam.saved_run/1"
+_GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
+"""Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedRun:
+    """All that a run is between two scans: build the filter from `configuration`, and go on with `pipeline.run`.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        What the filter is built from.
+    state : GridFastSlamState
+        The filter's state; a file is written from it without consuming it.
+    rng : numpy.random.Generator
+        Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
+    trajectory : TrajectoryRecorder
+        The scans so far; their number tells how many of the log are done.
+    statistics : StatisticsRecorder
+        Counts and latencies so far.
+    """
+
+    configuration: Configuration
+    state: GridFastSlamState
+    rng: np.random.Generator
+    trajectory: TrajectoryRecorder = field(default_factory=TrajectoryRecorder)
+    statistics: StatisticsRecorder = field(default_factory=StatisticsRecorder)
+
+
+def write_state(path: str | Path, run: SavedRun) -> None:
+    """Write a run to an .npz file of plain arrays and text (no pickle); it appears under its name once it is whole.
+
+    Raises
+    ------
+    ArgumentError
+        The generator's state is not plain integers.
+    OutputError
+        The file cannot be written.
+    """
+    generator = run.rng.bit_generator.state
+    if generator["bit_generator"] not in _GENERATORS:
+        raise ArgumentError("run.rng", f"a generator over {' or '.join(_GENERATORS)}", generator["bit_generator"])
+    parts = {
+        "state": run.state.to_arrays(),
+        "trajectory": run.trajectory.to_arrays(),
+        "statistics": run.statistics.to_arrays(),
+    }
+    arrays: dict[str, Any] = {f"{part}.{name}": array for part, own in parts.items() for name, array in own.items()}
+    arrays["schema"] = np.array(_SCHEMA)
+    arrays["configuration"] = np.array(dumps(run.configuration))
+    arrays["generator"] = np.array(json.dumps(generator))
+    with written_aside(path) as aside, aside.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_state(path: str | Path, threads: int = 1) -> SavedRun:
+    """Read a run; going on with it gives the same bytes as if it had not been interrupted.
+
+    Parameters
+    ----------
+    path : str or Path
+        What `write_state` wrote.
+    threads : int
+        Threads of the kernels; never changes a result.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another schema, or its arrays do not belong together.
+    """
+    arrays = _read_arrays(path)
+
+    def part(prefix: str) -> dict[str, NDArray[Any]]:
+        return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
+
+    try:
+        configuration = loads(_text(arrays, "configuration"))
+        return SavedRun(
+            configuration,
+            GridFastSlamState.from_arrays(part("state"), configuration.mapper, threads),
+            _generator(_text(arrays, "generator")),
+            TrajectoryRecorder.from_arrays(part("trajectory")),
+            StatisticsRecorder.from_arrays(part("statistics")),
+        )
+    except (ArgumentError, ConfigurationError) as error:
+        raise InputError(path, f"expected a saved run: {error}") from None
+
+
+def _read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
+    with open_for_reading(path) as file:
+        try:
+            with zipfile.ZipFile(file):
+                file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(path, f"expected a saved run, got: {error}") from None
+    schema = str(arrays.get("schema", "none"))
+    if schema != _SCHEMA:
+        raise InputError(path, f"expected schema {_SCHEMA}, got {schema}")
+    return arrays
+
+
+def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
+    if name not in arrays:
+        raise ArgumentError("arrays", f"a text named {name}", sorted(arrays))
+    return str(arrays[name])
+
+
+def _generator(text: str) -> np.random.Generator:
+    try:
+        state = json.loads(text)
+        bits = _GENERATORS[state["bit_generator"]]()
+        bits.state = state
+    except (ValueError, KeyError, TypeError) as error:
+        raise ArgumentError("generator", f"the state of {' or '.join(_GENERATORS)} as JSON", error) from None
+    return np.random.Generator(bits)
