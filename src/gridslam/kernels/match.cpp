@@ -100,11 +100,11 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
   if (!current) n = linearize(m, root, x, y, theta, ends, s);
   pose[0] = x * resolution, pose[1] = y * resolution, pose[2] = wrapped(theta);
   *score = n.score;
-  const double squared = scale * scale;
-  information[0] = n.h00 * squared, information[4] = n.h11 * squared, information[8] = n.h22;
-  information[1] = information[3] = n.h01 * squared;
-  information[2] = information[6] = n.h02 * scale;
-  information[5] = information[7] = n.h12 * scale;
+  const double squared = resolution * resolution;  // of residuals in m: a metre across a wall is a metre of distance
+  information[0] = n.h00, information[4] = n.h11, information[8] = n.h22 * squared;
+  information[1] = information[3] = n.h01;
+  information[2] = information[6] = n.h02 * resolution;
+  information[5] = information[7] = n.h12 * resolution;
 }
 
 }  // namespace

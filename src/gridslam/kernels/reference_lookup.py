@@ -108,7 +108,7 @@ def match(
     -------
     poses : (K, 3) float64
     information : (K, 3, 3) float64
-        Of the measurement alone at `poses`, in m and rad.
+        Of the measurement alone at `poses`: the normal matrix of residuals in m, over m and rad.
     score : (K,) float64
         Sum of the weights at `poses`.
 
@@ -134,7 +134,7 @@ def match(
             break
     h, _, score = _linearize(_Field(roots, first, pages, field, rows), pose, *settings)
     pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
-    return pose * unit, h / (unit[:, None] * unit), score
+    return pose * unit, h * resolution**2 / (unit[:, None] * unit), score
 
 
 def _linearize(

@@ -1,0 +1,207 @@
+"""Gauss-Newton on the distance field: finds displacements, says what it knows, and what it does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import compose
+from gridslam.grid import Evidence, TileMaps
+from gridslam.matching import GaussNewton
+from gridslam.matching.gauss_newton import undetermined
+from gridslam.types import LaserScan, ScanGeometry
+
+CELL = 0.05
+ROW = np.zeros(1, np.int32)
+GEOMETRY = ScanGeometry(np.deg2rad(np.arange(360) - 179.5))
+ROOM = np.array([3.02, 2.02])
+"""Half the sides of the room, m: the walls lie near the middle of a row or column of cells."""
+
+
+def scan_of_room(pose, half=ROOM, noise=None, max_m=30.0):
+    """What a laser at `pose` sees of an empty rectangle |x| <= half[0], |y| <= half[1]."""
+    angles = GEOMETRY.bearings + pose[2]
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    ranges = ((half * np.sign(directions) - pose[:2]) / directions).min(axis=1)
+    if noise is not None:
+        ranges = ranges + noise
+    return LaserScan.from_ranges(0, ranges, GEOMETRY, range_max_m=max_m).beams(0.05, max_m)
+
+
+def map_of_room(half=ROOM, max_m=30.0, places=((0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.5, 0.6, 2.0))):
+    """The room as mapped from known poses."""
+    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
+    for place in places:
+        maps.update(ROW, np.array([place]), scan_of_room(np.array(place), half, max_m=max_m))
+    return maps
+
+
+def prior(position=0.0, heading=0.0):
+    return np.diag([position, position, heading])[None]
+
+
+@pytest.fixture(scope="module")
+def room():
+    return map_of_room()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_known_displacement_is_found(room, seed):
+    """From up to 15 cm and 3 degrees away; the map's cells are 5 cm, so a fifth of a cell is asked for."""
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(-1, 1, 3) * [1.0, 0.8, np.pi]
+    guess = compose(truth, rng.uniform(-1, 1, 3) * [0.15, 0.15, 0.05])
+    match = GaussNewton()(room, ROW, guess[None], prior(), scan_of_room(truth))
+    np.testing.assert_allclose(match.poses[0, :2], truth[:2], atol=0.01)
+    off = (match.poses[0, 2] - truth[2] + np.pi) % (2 * np.pi) - np.pi
+    assert abs(off) < 0.003
+    assert match.score[0] > 0.95 * 360
+
+
+def test_many_guesses_are_matched_apart(room):
+    """A batch gives to each guess what it gets alone."""
+    truth = np.array([0.3, -0.2, 0.7])
+    guesses = truth + np.random.default_rng(0).uniform(-1, 1, (5, 3)) * [0.1, 0.1, 0.03]
+    beams = scan_of_room(truth)
+    together = GaussNewton()(room, np.zeros(5, np.int32), guesses, np.repeat(prior(1.0, 1.0), 5, axis=0), beams)
+    for i in range(5):
+        alone = GaussNewton()(room, ROW, guesses[i : i + 1], prior(1.0, 1.0), beams)
+        np.testing.assert_array_equal(together.poses[i], alone.poses[0])
+        np.testing.assert_array_equal(together.information[i], alone.information[0])
+        assert together.score[i] == alone.score[0]
+
+
+def test_the_information_is_that_of_the_walls(room):
+    """Symmetric and positive; each beam informs by one across its wall: a metre moved is a metre of residual.
+
+    From the centre of the room beams of angles up to atan(h_y / h_x) hit the walls x = +-h_x: a share of
+    2 atan(h_y / h_x) / pi = 0.375 of 360 beams tells x, the rest tells y; cross terms vanish by symmetry. The field is
+    interpolated between whole cells, so its slope across a straight wall is 1 where the wall is one cell thick; ends
+    on the wall's own row of cells lie between slopes of +1 and -1.
+    """
+    match = GaussNewton()(room, ROW, np.zeros((1, 3)), prior(), scan_of_room(np.zeros(3)))
+    information, score = match.information[0], match.score[0]
+    np.testing.assert_allclose(information, information.T)
+    assert (np.linalg.eigvalsh(information) > 0).all()
+    assert 0 < information[0, 0] <= 0.375 * 360 * 1.1
+    assert 0 < information[1, 1] <= 0.625 * 360 * 1.1
+    assert abs(information[0, 1]) < 0.1 * min(information[0, 0], information[1, 1])
+    assert 0 < score <= 360
+
+
+def test_the_information_predicts_the_spread_of_matches(room):
+    """Over 200 scans with noise of 2 cm the covariance of the matches is that of the information, within a factor of 3.
+
+    The residuals' variance is (0.02 m)^2, so the covariance is about 0.02^2 inv(H), H of residuals in metres. It is no
+    closed form: the slope of the field is 1 on either side of a wall but 0 at its ridge, and beams are weighted.
+    """
+    rng = np.random.default_rng(4)
+    truth = np.array([0.2, 0.1, 0.3])
+    found, informations = [], []
+    for _ in range(200):
+        match = GaussNewton()(room, ROW, truth[None], prior(), scan_of_room(truth, noise=rng.normal(0, 0.02, 360)))
+        found.append(match.poses[0])
+        informations.append(match.information[0])
+    predicted = 0.02**2 * np.linalg.inv(np.mean(informations, axis=0))
+    spread = np.cov(np.array(found).T)
+    ratio = np.diag(spread) / np.diag(predicted)
+    assert (ratio > 1 / 3).all()
+    assert (ratio < 3).all()
+
+
+def test_the_prior_holds_as_much_as_it_weighs(room):
+    """A strong one keeps the guess, a weak one does not; between them the match lies between the two."""
+    truth = np.array([0.1, 0.2, 0.0])
+    guess = truth + np.array([0.06, 0.0, 0.0])
+    beams = scan_of_room(truth)
+    x = [
+        GaussNewton()(room, ROW, guess[None], prior(weight, weight), beams).poses[0, 0]
+        for weight in (0.0, 1e4, 1e5, 1e10)
+    ]
+    assert x == sorted(x)
+    assert x[0] == pytest.approx(truth[0], abs=0.01)
+    assert x[0] + 0.005 < x[2] < guess[0] - 0.005
+    assert x[3] == pytest.approx(guess[0], abs=1e-4)
+
+
+CORRIDOR = np.array([50.0, 1.02])
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    """Mapped while driving along it, so that its walls have no gaps to hold on to."""
+    return map_of_room(CORRIDOR, max_m=4.0, places=[(0.07 * i, 0.0, 0.0) for i in range(-100, 101)])
+
+
+def test_a_corridor_keeps_the_guess_along_its_axis_and_says_so(corridor):
+    """Two parallel walls and no end: across and heading are found, along the corridor nothing is known."""
+    truth = np.array([0.0, 0.05, 0.02])
+    guess = truth + np.array([0.13, 0.08, 0.03])
+    match = GaussNewton()(corridor, ROW, guess[None], prior(), scan_of_room(truth, CORRIDOR, max_m=4.0))
+    assert match.poses[0, 1] == pytest.approx(truth[1], abs=0.01)
+    assert match.poses[0, 2] == pytest.approx(truth[2], abs=0.003)
+    assert match.poses[0, 0] == pytest.approx(guess[0], abs=0.003)
+    axis = undetermined(match.information[0], float(match.score[0]))
+    assert axis is not None
+    assert abs(axis[0]) > 0.999
+    assert np.linalg.norm(axis) == pytest.approx(1.0)
+
+
+def test_a_direction_in_which_the_guess_was_kept_is_undetermined(corridor):
+    """Four beams of 360 on two posts tell of the axis: less than a beam in fifty, so the match does not use them."""
+    corridor = corridor.snapshot()
+    beams = scan_of_room(np.zeros(3), CORRIDOR, max_m=4.0)
+    ends = beams.ends.copy()
+    posts = np.array([[3.0, 0.02], [3.0, -0.02], [-3.0, 0.02], [-3.0, -0.02]])
+    ends[:: len(ends) // 4][:4] = posts
+    seen = replace(beams, ends=ends)
+    for _ in range(10):  # until the posts outweigh the passages of the drive
+        corridor.update(ROW, np.zeros((1, 3)), seen)
+    guess = np.array([[0.1, 0.0, 0.0]])
+    match = GaussNewton()(corridor, ROW, guess, prior(), seen)
+    assert match.information[0, 0, 0] > 0
+    assert match.poses[0, 0] == pytest.approx(0.1, abs=0.001)
+    axis = undetermined(match.information[0], float(match.score[0]))
+    assert axis is not None
+    assert abs(axis[0]) > 0.99
+    free = GaussNewton(min_information=0.0)(corridor, ROW, guess, prior(), seen)
+    assert free.poses[0, 0] == pytest.approx(0.0, abs=0.03)
+    assert undetermined(free.information[0], float(free.score[0]), 0.0) is None
+
+
+def test_a_room_determines_every_direction(room):
+    match = GaussNewton()(room, ROW, np.zeros((1, 3)), prior(), scan_of_room(np.zeros(3)))
+    assert undetermined(match.information[0], float(match.score[0])) is None
+
+
+def test_without_beams_the_guess_stands(room):
+    guess = np.array([[1.0, 2.0, 7.0]])
+    nothing = LaserScan.from_ranges(0, np.full(360, np.inf), GEOMETRY).beams(0.05, 30.0)
+    assert len(nothing) == 0
+    for weight in (0.0, 1.0):
+        match = GaussNewton()(room, ROW, guess, prior(weight, weight), nothing)
+        np.testing.assert_allclose(match.poses, [[1.0, 2.0, 7.0 - 2 * np.pi]], atol=1e-12)
+        assert match.score.tolist() == [0.0]
+        assert not match.information.any()
+
+
+def test_where_the_map_is_empty_the_guess_stands(room):
+    """500 m away nothing is mapped: no slope, so the prior alone decides; beams count a little all the same."""
+    guess = np.array([[500.0, -300.0, 1.0]])
+    for weight in (0.0, 1.0):
+        match = GaussNewton()(room, ROW, guess, prior(weight, weight), scan_of_room(np.zeros(3)))
+        np.testing.assert_allclose(match.poses, guess, atol=1e-9)
+        # every residual is the reach, 10.5 cells, with c = 2 cells
+        assert match.score[0] == pytest.approx(360 / (1 + (10.5 / 2) ** 2), rel=1e-5)
+
+
+def test_steps_are_clipped(room):
+    """One pass moves at most max_step_m and max_step_rad, however far the linearization points."""
+    truth, guess = np.zeros(3), np.array([0.3, 0.25, 0.0])
+    matcher = GaussNewton(max_passes=1, max_step_m=0.02, max_step_rad=0.001)
+    match = matcher(room, ROW, guess[None], prior(), scan_of_room(truth))
+    moved = match.poses[0] - guess
+    assert np.hypot(*moved[:2]) == pytest.approx(0.02, rel=1e-6)
+    assert abs(moved[2]) <= 0.001 + 1e-12
