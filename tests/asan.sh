@@ -42,9 +42,11 @@ sys.exit(pytest.main(sys.argv[1:]))
 PYTHON
 
 # The runtime must come before everything else, libstdc++ with it so that exceptions are caught; Python's own allocator
-# would hide the ends of small arrays.
+# would hide the ends of small arrays. Reports go to a file, since pytest swallows what is said before a crash.
 preload="$("$compiler" -print-file-name=libasan.so) $("$compiler" -print-file-name=libstdc++.so.6)"
 cd "$work"
-env -u GRIDSLAM_KERNELS -u PYTHONPATH LD_PRELOAD="$preload" ASAN_OPTIONS=detect_leaks=0 PYTHONMALLOC=malloc \
-  PYTHONDONTWRITEBYTECODE=1 "$python" run.py -p no:cacheprovider -c "$root/pyproject.toml" --rootdir "$root" \
-  "$root/tests/laws/test_twins.py" "$root/tests/laws/test_tiles.py" "$root/tests/unit/kernels/test_threads.py" "$@"
+env -u GRIDSLAM_KERNELS -u PYTHONPATH LD_PRELOAD="$preload" ASAN_OPTIONS="detect_leaks=0:log_path=$work/report" \
+  PYTHONMALLOC=malloc PYTHONDONTWRITEBYTECODE=1 \
+  "$python" run.py -p no:cacheprovider -c "$root/pyproject.toml" --rootdir "$root" \
+  "$root/tests/laws/test_twins.py" "$root/tests/laws/test_tiles.py" "$root/tests/unit/kernels/test_threads.py" "$@" ||
+  { cat "$work"/report* >&2 2> /dev/null; exit 1; }
