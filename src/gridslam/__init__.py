@@ -6,7 +6,7 @@ Names are imported when they are first used, so that ``import gridslam`` itself 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gridslam.api import MapResult, map_log
@@ -39,10 +39,10 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _HOME_OF:
         raise AttributeError(f"module 'gridslam' has no attribute {name!r}")
-    value = getattr(import_module(f"gridslam.{_HOME_OF[name]}"), name)
+    value: object = getattr(import_module(f"gridslam.{_HOME_OF[name]}"), name)
     globals()[name] = value
     return value
 

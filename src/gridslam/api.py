@@ -13,7 +13,8 @@ from typing import Any, final
 import numpy as np
 
 from gridslam import __version__
-from gridslam.config import Configuration, build, preset
+from gridslam.config import Configuration, build
+from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
 from gridslam.errors import InputError
 from gridslam.io.carmen import CarmenLog
@@ -25,7 +26,7 @@ from gridslam.io.record import RecordWriter
 from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import write_tum
 from gridslam.kernels import compiled
-from gridslam.observers import Latency, RunStatistics, StatisticsRecorder, TrajectoryRecorder
+from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid, StepReport, Trajectory
@@ -148,7 +149,7 @@ def map_log(
     particles: int | None = None,
     seed: int = 0,
     *,
-    preset_name: str = "default",
+    preset: str = "default",
     configuration: Configuration | None = None,
     threads: int = 1,
     keep_truncated: bool = False,
@@ -165,7 +166,7 @@ def map_log(
         Number of particles; the preset's own if not given. Not together with `configuration`.
     seed : int, >= 0
         The same log, configuration and seed give the same bytes.
-    preset_name : str
+    preset : str
         "default", "fast", "accurate" or "gmapping".
     configuration : Configuration, optional
         Instead of a preset.
@@ -185,7 +186,7 @@ def map_log(
     ConfigurationError
         There is no such preset, or the number of particles is out of range.
     """
-    config = configuration or preset(preset_name, particles)
+    config = configuration or preset_of(preset, particles)
     watch = stopwatch or Stopwatch()
     source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()

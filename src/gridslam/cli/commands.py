@@ -18,7 +18,7 @@ _SEED = click.IntRange(min=0)
 _json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress.")
 
 
-@click.group(context_settings=_SETTINGS)
+@click.group(context_settings=_SETTINGS, no_args_is_help=False)
 @click.version_option(__version__, prog_name="gridslam", message="%(prog)s %(version)s")
 def gridslam() -> None:
     """2D lidar SLAM: from a robot's laser scans and odometry to a map and a trajectory.
@@ -58,7 +58,7 @@ class _MapCommand(click.Command):
 @click.option("--no-loop-closure", is_flag=True, help="For scripts that must not change: there is none yet.")
 @click.option("--keep-truncated", is_flag=True, help="Map a log that is cut off as far as it goes.")
 @_json
-def map_command(no_loop_closure: bool, **options: Any) -> None:
+def map_command(no_loop_closure: bool, **options: Any) -> None:  # noqa: ANN401
     """Map LOG, a CARMEN log (plain, .gz or .bz2), with grid-based FastSLAM.
 
     OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan), trajectory_online.tum (what was said
@@ -70,10 +70,10 @@ def map_command(no_loop_closure: bool, **options: Any) -> None:
 
 
 @gridslam.command("demo")
-@click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder for the results.")
+@click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
 @click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the simulation and of the filter.")
 @_json
-def demo_command(**options: Any) -> None:
+def demo_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in a small office, and map it; needs no data.
 
     OUT gets what `gridslam map` writes, and demo.clf.gz (the log) and truth.tum.
@@ -88,11 +88,11 @@ def demo_command(**options: Any) -> None:
 @click.argument("reference", type=_PATH)
 @click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, help="Of the RPE's pairs, m.")
 @_json
-def evaluate_command(**options: Any) -> None:
+def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     """Compare TRAJECTORY (TUM) with REFERENCE.
 
-    A REFERENCE named *.relations holds true relative poses (Kuemmerle et al. 2009); any other is a trajectory (TUM), and
-    the absolute (ATE, aligned) and relative (RPE) errors are told.
+    A REFERENCE named *.relations holds true relative poses (Kuemmerle et al. 2009); any other is a trajectory (TUM),
+    and the absolute (ATE, aligned) and relative (RPE) errors are told.
     """
     from gridslam.cli.evaluate import evaluate
 
@@ -110,7 +110,7 @@ def evaluate_command(**options: Any) -> None:
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="People who walk about.")
 @click.option("--duration", "duration_s", type=float, help="End the log after so many seconds.")
 @_json
-def simulate_command(**options: Any) -> None:
+def simulate_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in WORLD (demo, loop, rooms, hall, corridor or random) and write its log.
 
     Beside LOG.clf goes LOG.truth.tum, the true trajectory.

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from gridslam.cli import STARTED_S
 from gridslam.cli.evaluate import against_truth, tell
 from gridslam.cli.map import map_shown, summary
 from gridslam.cli.output import opened, print_json
@@ -30,7 +31,7 @@ _LOG, _TRUTH = "demo.clf.gz", "truth.tum"
 
 def demo(out: Path, seed: int, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
-    watch, rng = Stopwatch(cpu_s=0.0), np.random.default_rng(seed)
+    watch, rng = Stopwatch(STARTED_S, 0.0), np.random.default_rng(seed)
     with opened(out) as folder:
         simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
         write_carmen(folder.file(_LOG), simulated.measurements)

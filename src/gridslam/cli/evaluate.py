@@ -24,7 +24,7 @@ EVALUATION_SCHEMA = "gridslam.evaluation/1"
 def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool) -> None:
     """Score a trajectory against relations, or against another trajectory."""
     if not distance_m > 0:
-        raise click.BadParameter("expected a length above 0 m", param_hint="--distance")
+        raise click.ClickException(f"--distance: expected a length above 0 m, got {distance_m:g}")
     estimate = read_tum(trajectory)
     try:
         if reference.suffix == ".relations":

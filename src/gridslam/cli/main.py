@@ -37,6 +37,8 @@ def _failed(error: BaseException) -> int:
         raise error
     if isinstance(error, KeyboardInterrupt | click.Abort):
         return _say("interrupted", 130)
+    if isinstance(error, click.UsageError) and error.ctx is not None:
+        return _say(f"{error.format_message()} (see {error.ctx.command_path} --help)", 2)
     if isinstance(error, click.ClickException):
         return _say(error.format_message(), 2)
     if isinstance(error, InputError | ConfigurationError):

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from gridslam.api import MapResult, map_log
+from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
@@ -36,7 +37,7 @@ def map_to_folder(
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
-    watch = Stopwatch(cpu_s=0.0)
+    watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, particles, config, assignments)
     source = CarmenLog(log, keep_truncated=keep_truncated)
     with opened(out) as folder:
@@ -68,13 +69,13 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
     lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
     return [
         f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven",
-        f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, {scans['read'] / seconds:.0f} scans/s, "
-        f"{document['peak_memory_bytes'] / 1e6:.0f} MB",
+        f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, "
+        f"{scans['read'] / seconds:.0f} scans/s, {document['peak_memory_bytes'] / 1e6:.0f} MB",
         f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles']} on average, "
         f"resampled {filter_['resamplings']} times{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
-        f"map of {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
+        f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
 
@@ -96,7 +97,7 @@ def _warnings(log: LogStatistics) -> Iterator[str]:
     if log.truncated:
         yield f"the log is cut off; {log.scan_count} scans were there"
     if log.backward_stamps > _MANY * log.scan_count:
-        yield f"{log.backward_stamps} of {log.scan_count} scans are stamped before their predecessor: is the log in order?"
+        yield f"{log.backward_stamps} of {log.scan_count} scans are stamped before the one ahead: is the log in order?"
     beams = sum(count * scans for count, scans in log.beam_counts.items())
     if log.invalid_beams > 0.5 * beams:
         yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"

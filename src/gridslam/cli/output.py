@@ -23,7 +23,7 @@ def opened(path: Path) -> Iterator[OutputFolder]:
         try:
             out = stack.enter_context(OutputFolder(path))
         except OutputError as error:
-            raise click.UsageError(str(error)) from None
+            raise click.ClickException(str(error)) from None
         yield out
 
 

@@ -77,6 +77,7 @@ class _Progress:
         left = f"{seconds * (1 - share) / share:.0f} s left" if share else ""
         self._show(
             share,
-            f"{self._scans} scans, {self._scans / seconds:.0f}/s, {real:.0f} x real time, N_eff {self._n_eff:.1f} of "
-            f"{len(state.poses)}, map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
+            f"{self._scans} scans, {self._scans / seconds:.0f}/s, {real:.0f} x real time, "
+            f"N_eff {self._n_eff:.1f} of {len(state.poses)}, "
+            f"map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
         )

@@ -20,6 +20,8 @@ __all__ = ["SIMULATION_SCHEMA", "simulate_to_log"]
 
 SIMULATION_SCHEMA = "gridslam.simulation/1"
 
+_DAY_S = 86_400.0
+
 
 def simulate_to_log(
     world: str,
@@ -35,11 +37,11 @@ def simulate_to_log(
 ) -> None:
     """Write a simulated log, and the truth beside it."""
     if out.is_dir() or not out.name:
-        raise click.UsageError(f"{out}: expected the name of a file, got a folder")
+        raise click.ClickException(f"{out}: expected the name of a file, got a folder")
     lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
-    scans = None if duration_s is None else math.floor(duration_s * rate_hz) + 1
-    if scans is not None and scans < 1:
-        raise click.BadParameter("expected a time of 0 s or more", param_hint="--duration")
+    if duration_s is not None and not duration_s >= 0:
+        raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
+    scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
     truth_name = f"{out.name.split('.')[0] or 'log'}.truth.tum"
     with opened(out.parent) as folder:
@@ -48,7 +50,7 @@ def simulate_to_log(
                 make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=people)
             )
         except ArgumentError as error:
-            raise click.UsageError(f"WORLD: {error}") from None
+            raise click.ClickException(f"WORLD: {error}") from None
         kept = _first(log.truth, scans)
         write_carmen(folder.file(out.name), log.measurements[:scans])
         write_tum(folder.file(truth_name), kept)
@@ -62,7 +64,7 @@ def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> Li
         )
     except ValidationError as error:
         first = error.errors()[0]
-        raise click.UsageError(f"{first['loc'][0]}: {first['msg']}, got {first['input']}") from None
+        raise click.ClickException(f"{first['loc'][0]}: {first['msg']}, got {first['input']}") from None
 
 
 def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
@@ -78,4 +80,5 @@ def _tell(log: SimulatedLog, kept: Trajectory, world: str, seed: int, out: Path,
             "scans": len(kept), "walls": len(log.walls), "duration_s": duration_s, "length_m": length_m,
         })  # fmt: skip
     else:
-        click.echo(f"{world}: {len(kept)} scans, {duration_s:.0f} s, {length_m:.0f} m driven\nlog: {out}\ntruth: {truth}")
+        click.echo(f"{world}: {len(kept)} scans, {duration_s:.0f} s, {length_m:.0f} m driven")
+        click.echo(f"log: {out}\ntruth: {truth}")

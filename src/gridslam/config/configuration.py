@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, final
+from typing import Final, Literal, final
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
@@ -77,9 +77,9 @@ class Configuration:
         The parts of `GridFastSlam`.
     """
 
-    particles: int = Field(30, ge=1, le=100_000)
-    range_min_m: float = Field(0.05, ge=0)
-    range_max_m: float = Field(30.0, gt=0)
+    particles: int = Field(default=30, ge=1, le=100_000)
+    range_min_m: float = Field(default=0.05, ge=0)
+    range_max_m: float = Field(default=30.0, gt=0)
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
@@ -152,26 +152,26 @@ def override(config: Configuration, *assignments: str) -> Configuration:
         An assignment is malformed, or a parameter is unknown, of a wrong type or out of range.
     """
     changes: Table = {}
-    known = [*PARAMETERS, *names(config)]
     for assignment in assignments:
         name, equals, text = (part.strip() for part in assignment.partition("="))
         if not (name and equals and text):
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
         *above, last = PARAMETERS.get(name, (name,))[0].split(".")
+        if [*above, last][0] not in to_table(config):
+            raise ConfigurationError(f"{name}: no such parameter{meant(name, [*PARAMETERS, *names(config)])}")
         table = changes
         for key in above:
             table = table.setdefault(key, {})
             if not isinstance(table, dict):
-                raise ConfigurationError(f"{name}: no such parameter{meant(name, known)}")
-        if not above and last not in to_table(config):
-            raise ConfigurationError(f"{name}: no such parameter{meant(name, known)}")
+                raise ConfigurationError(f"{name}: {key} was given as {table!r} before")
         table[last] = _value(text)
     return changed(config, changes)
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> object:
     """A TOML value, or the text itself where it is none, so that words need no quotes."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        value: object = tomllib.loads(f"value = {text}")["value"]
+        return value
     except tomllib.TOMLDecodeError:
         return text

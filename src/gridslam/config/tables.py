@@ -27,7 +27,7 @@ _BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 _NOUNS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
-def to_table(part: Any) -> Table:
+def to_table(part: object) -> Table:
     """Parameters of a part; those of its own parts are tables in it."""
     table: Table = {}
     for name, field in _fields(type(part)).items():
@@ -37,12 +37,12 @@ def to_table(part: Any) -> Table:
     return table
 
 
-def value_of(part: Any, name: str) -> Any:
+def value_of(part: object, name: str) -> object:
     """Value of the parameter of that dotted name."""
     return functools.reduce(getattr, name.split("."), part)
 
 
-def names(part: Any, where: str = "") -> Iterator[str]:
+def names(part: object, where: str = "") -> Iterator[str]:
     """Dotted names of all parameters of a part."""
     for name, field in _fields(type(part)).items():
         kinds = _kinds(field)
@@ -75,10 +75,14 @@ def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
     values = {name: getattr(part, name) for name in fields}
     for name, value in changes.items():
         if name not in fields:
-            raise ConfigurationError(f"{where}{name}: {type(part).__name__} has no such parameter{meant(name, names(part, where), where)}")
-        kinds = _kinds(fields[name])
-        change = _changed_part if kinds else _checked
-        values[name] = change(fields[name], values[name], value, where + name)
+            close = meant(name, names(part, where), where)
+            raise ConfigurationError(f"{where}{name}: {type(part).__name__} has no such parameter{close}")
+        field = fields[name]
+        if _kinds(field):
+            value = _changed_part(field, values[name], value, where + name)
+        else:
+            _check_type(field, value, where + name)
+        values[name] = value
     try:
         return type(part)(**values)
     except ValidationError as error:
@@ -105,7 +109,7 @@ def _kinds(field: FieldInfo) -> tuple[type, ...]:
     return tuple(option for option in options if isinstance(option, type) and is_dataclass(option))
 
 
-def _changed_part(field: FieldInfo, part: Any, changes: Any, where: str) -> Any:
+def _changed_part(field: FieldInfo, part: object, changes: object, where: str) -> object:
     if not isinstance(changes, Mapping):
         raise ConfigurationError(f"{where}: expected a table of parameters, got {changes!r}")
     kinds = {kind.__name__: kind for kind in _kinds(field)}
@@ -118,21 +122,28 @@ def _changed_part(field: FieldInfo, part: Any, changes: Any, where: str) -> Any:
     return changed(part, changes, where + ".")
 
 
-def _checked(field: FieldInfo, _: Any, value: Any, where: str) -> Any:
-    """The value, if of the right type; pydantic checks the range but would take 1.0, "1" and true for 1."""
+def _check_type(field: FieldInfo, value: object, where: str) -> None:
+    """Refuse what pydantic would convert: it checks ranges, but takes "1", 1.0 and true for 1, and infinity."""
     wanted = field.annotation
-    fits = isinstance(value, int | float) and math.isfinite(value) if wanted is float else isinstance(value, wanted or object) if wanted in _NOUNS else True
-    if not fits or (isinstance(value, bool) and wanted in (int, float)):
+    if wanted is float:
+        fits = isinstance(value, int | float) and math.isfinite(value)
+    else:
+        fits = wanted not in _NOUNS or isinstance(value, wanted)
+    if not fits or (isinstance(value, bool) and wanted is not bool):
         raise ConfigurationError(f"{where}: expected {_range(field)}, got {value!r}")
-    return value
 
 
 def _range(field: FieldInfo) -> str:
     """What a plain field takes, in words."""
     if field.annotation not in _NOUNS:
         return _either(str(choice) for choice in get_args(field.annotation))
-    bounds = [f"{sign} {getattr(item, name):g}" for item in field.metadata for name, sign in _BOUNDS.items() if hasattr(item, name)]
-    return " ".join([_NOUNS[field.annotation], " and ".join(bounds)]).strip()
+    bounds = [
+        f"{sign} {getattr(item, name):g}"
+        for item in field.metadata
+        for name, sign in _BOUNDS.items()
+        if hasattr(item, name)
+    ]
+    return f"{_NOUNS[field.annotation]} {' and '.join(bounds)}".strip()
 
 
 def _either(choices: Iterable[str]) -> str:
@@ -144,5 +155,6 @@ def _refused(error: ValidationError, fields: Mapping[str, FieldInfo], where: str
     first = error.errors()[0]
     name = str(first["loc"][0]) if first["loc"] else ""
     if name not in fields:
-        return ConfigurationError(f"{where.rstrip('.') or 'configuration'}: {first['msg'].removeprefix('Value error, ')}")
+        problem = first["msg"].removeprefix("Value error, ")
+        return ConfigurationError(f"{where.rstrip('.') or 'configuration'}: {problem}")
     return ConfigurationError(f"{where}{name}: expected {_range(fields[name])}, got {first['input']!r}")

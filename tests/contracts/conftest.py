@@ -1,0 +1,31 @@
+"""A short simulated log, shared by the tests of what users see."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.trajectory import write_tum
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.types import Trajectory
+
+SCANS = 120
+
+
+@pytest.fixture(scope="session")
+def simulated() -> SimulatedLog:
+    rng = np.random.default_rng(5)
+    return simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+
+
+@pytest.fixture(scope="session")
+def log(simulated: SimulatedLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first 120 scans (24 s, some 12 m); the truth lies beside it as truth.tum."""
+    path = tmp_path_factory.mktemp("log") / "rooms.clf.bz2"
+    write_carmen(path, simulated.measurements[:SCANS])
+    truth = Trajectory(simulated.truth.stamps_ns[:SCANS], simulated.truth.poses[:SCANS])
+    write_tum(path.with_name("truth.tum"), truth)
+    return path

@@ -1,0 +1,363 @@
+"""What the commands write, print and return."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import json
+import os
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam import __version__
+from gridslam.cli import map as map_module
+from gridslam.cli import progress as progress_module
+from gridslam.cli.main import main
+from gridslam.io.carmen import CarmenLog
+from gridslam.io.map_server import read_map
+from gridslam.io.record import read_record
+from gridslam.io.text_source import sha256_of
+from gridslam.io.trajectory import read_tum, write_tum
+from gridslam.types import Trajectory
+
+FILES = {"map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory_online.tum", "record.npz", "run.json"}
+FEW = "--particles", "3"
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def mapped(log, tmp_path_factory):
+    out = tmp_path_factory.mktemp("mapped") / "new" / "out"
+    assert main(["map", str(log), "-o", str(out), "--seed", "5", "--particles", "4", "--no-loop-closure"]) == 0
+    return out
+
+
+def test_map_writes_what_the_contract_lists_and_nothing_else(mapped, log):
+    assert {path.name for path in mapped.iterdir()} == FILES
+    assert [path.name for path in mapped.parent.iterdir()] == ["out"]
+    assert read_map(mapped / "map.yaml").known.any()
+    with Image.open(mapped / "map.png") as picture:
+        assert min(picture.size) > 500
+    assert read_record(mapped / "record.npz").poses.shape[1:] == (4, 3)
+
+
+def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
+    stamps = [scan.stamp_ns for _, scan in CarmenLog(log)]
+    for name in ("trajectory.tum", "trajectory_online.tum"):
+        assert read_tum(mapped / name).stamps_ns.tolist() == stamps
+
+
+def test_run_json_tells_all_of_the_run(mapped, log):
+    run = json.loads((mapped / "run.json").read_text())
+    assert run["schema"] == "gridslam.run/1"
+    assert (run["version"], run["seed"], run["threads"]) == (__version__, 5, 1)
+    assert run["kernels"] in ("compiled", "reference")
+    assert run["input"]["sha256"] == sha256_of(log)
+    assert run["input"]["path"] == str(log)
+    scans = run["scans"]
+    assert scans["read"] == 120
+    assert scans["used"] + sum(scans["skipped"].values()) == 120
+    assert scans["used"] == len(read_record(mapped / "record.npz"))
+    assert run["filter"]["particles"] == run["configuration"]["particles"] == 4
+    stages = run["time"]["stages"]
+    assert {"read", "track", "step", "write", "draw"} <= set(stages)
+    for which in ("wall_s", "cpu_s"):
+        assert run["time"][which] == pytest.approx(sum(stage[which] for stage in stages.values()))
+    for which in ("key_scans", "all_scans"):
+        latency = run["latency"][which]
+        assert 0 < latency["median_s"] <= latency["p99_s"] <= latency["max_s"]
+    assert run["peak_memory_bytes"] > 20e6
+
+
+def test_the_configuration_of_a_run_can_be_given_back(mapped, log, tmp_path, call):
+    import tomli_w
+
+    run = json.loads((mapped / "run.json").read_text())
+    file = tmp_path / "effective.toml"
+    file.write_text(tomli_w.dumps(run["configuration"]))
+    status, _, _ = call("map", log, "-o", tmp_path / "out", "--seed", 5, "--preset", "gmapping", "--config", file)
+    assert status == 0
+    for name in ("trajectory.tum", "map.pgm"):
+        assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes()
+
+
+def test_map_says_what_came_of_it(log, tmp_path, call):
+    status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
+    assert status == 0
+    assert out.startswith("rooms.clf.bz2: 120 scans, 24 s, ")
+    assert str(tmp_path / "out" / "map.png") in out
+    assert err == ""
+
+
+def test_json_is_one_object_and_all_there_is(log, tmp_path, call):
+    status, out, err = call("map", log, "-o", tmp_path / "out", *FEW, "--json")
+    assert status == 0
+    assert json.loads(out) == json.loads((tmp_path / "out" / "run.json").read_text())
+    assert err == ""
+
+
+def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_path, call, monkeypatch):
+    seconds = itertools.count()
+    monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
+    _, _, err = call("map", log, "-o", tmp_path / "out", *FEW)
+    lines = err.splitlines()
+    assert len(lines) == 24  # after the first of 120 seconds, one for each scan, and every five
+    for line in lines:
+        assert re.fullmatch(
+            r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ s left", line
+        )
+    assert call("map", log, "-o", tmp_path / "out", *FEW, "--json")[2] == ""
+
+
+def test_options_go_preset_then_file_then_set(log, tmp_path, call):
+    file = tmp_path / "my.toml"
+    file.write_text("particles = 7\n[tracker]\ninsert_m = 0.5\ninsert_rad = 0.5\n")
+    options = "--preset", "fast", "--config", file, "--set", "insert_m=0.25", "--set", "tracker.map_scans=10"
+    status, out, _ = call("map", log, "-o", tmp_path / "out", *options, *FEW, "--json")
+    assert status == 0
+    configuration = json.loads(out)["configuration"]
+    tracker = configuration["tracker"]
+    assert (configuration["particles"], tracker["insert_m"]) == (3, 0.25)
+    assert (tracker["insert_rad"], tracker["map_scans"]) == (0.5, 10)
+    assert configuration["when_to_update"] == {"translation_m": 0.6, "rotation_rad": 0.35}
+
+
+def test_map_replaces_an_earlier_result_and_leaves_other_files(log, tmp_path, call):
+    (tmp_path / "map.png").write_text("old")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert call("map", log, "-o", tmp_path, *FEW)[0] == 0
+    assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
+    assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def refused(call, tmp_path, *arguments, status=2):
+    """Check that a command ends with one line on stderr and leaves nothing behind; return the line."""
+    before = sorted(tmp_path.rglob("*"))
+    got, out, err = call(*arguments)
+    assert (got, out) == (status, "")
+    assert err.startswith("gridslam: ")
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+    return err
+
+
+GOOD = "FLASER 3 1.0 2.0 1.5 0 0 0 0 0 0 {0}.0 host {0}.0\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "no such file"),
+        (b"", "the file is empty"),
+        (b"\x00\x01\x02" * 100, "expected a text file, got binary data"),
+        (b"# nothing\n", "got no scan"),
+        ((GOOD.format(1) + "FLASER 3 1.0 x 1.5 0 0 0 0 0 0 2.0 host 2.0\n").encode(), "bad.clf, line 2: "),
+        ((GOOD.format(1) + "FLASER 3 1.0 2.0\n" + GOOD.format(3)).encode(), "bad.clf, line 2: "),
+        (b"FLASER 3 1.0 2.0 1.5 1.0 host 1.0\n", "expected odometry with every scan, got none for scan 1"),
+    ],
+)
+def test_bad_log_is_named_with_what_is_wrong(call, tmp_path, content, message):
+    path = tmp_path / "bad.clf"
+    if content is not None:
+        path.write_bytes(content)
+    err = refused(call, tmp_path, "map", path, "-o", tmp_path / "out")
+    assert str(path) in err
+    assert message in err
+
+
+def test_ranges_that_are_no_ranges_are_ordinary(call, tmp_path):
+    path = tmp_path / "odd.clf"
+    lines = [
+        f"FLASER 4 {ranges} {k} 0 0 {k} 0 0 {k}.0 host {k}.0\n"
+        for k, ranges in enumerate(["1 2 3 4", "nan -1 0 inf", "nan nan nan nan", "1 2 3 1e300", "0 0 0 0"])
+    ]
+    path.write_text("".join(lines))
+    status, out, err = call("map", path, "-o", tmp_path / "out", *FEW, "--json")
+    assert status == 0
+    run = json.loads(out)
+    assert run["scans"]["read"] == 5
+    assert run["scans"]["skipped"]["no valid beam"] == 3
+    assert run["input"]["invalid_beams"] == 11  # all of 20 but nine: the two whole scans' eight, and one inf
+    assert "11 of 20 ranges are invalid" in err
+
+
+@pytest.mark.parametrize("cut", [0.5, 0.9])
+def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, cut):
+    from gridslam.io.carmen_writer import write_carmen
+
+    path = tmp_path / "cut.clf.gz"
+    write_carmen(path, simulated.measurements[:120])
+    path.write_bytes(path.read_bytes()[: int(cut * path.stat().st_size)])
+    err = refused(call, tmp_path, "map", path, "-o", tmp_path / "out", *FEW)
+    assert "cut off" in err
+    assert "scans were read before" in err
+    status, out, err = call("map", path, "-o", tmp_path / "out", *FEW, "--keep-truncated", "--json")
+    assert status == 0
+    run = json.loads(out)
+    assert run["input"]["truncated"]
+    assert 20 < run["scans"]["read"] < 120
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == run["scans"]["read"]
+    assert err == f"gridslam: {path}: the log is cut off; {run['scans']['read']} scans were there\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--preset", "gmaping"], "preset: expected default, fast, accurate, gmapping, got 'gmaping'; did you mean"),
+        (["--set", "insrt_m=1"], "insrt_m: no such parameter; did you mean insert_m"),
+        (["--set", "insert_m=-1"], "tracker.insert_m: expected a number > 0, got -1"),
+        (["--set", "insert_m"], "expected name=value, got 'insert_m'"),
+        (["--particles", "0"], "particles: expected a whole number >= 1 and <= 100000, got 0"),
+        (["--particles", "many"], "'--particles': 'many' is not a valid integer"),
+        (["--threads", "0"], "'--threads': 0 is not in the range"),
+        (["--seed", "-1"], "'--seed': -1 is not in the range"),
+        (["--config", "none.toml"], "none.toml: cannot be read: No such file or directory"),
+        (["--sed", "1"], "No such option"),
+    ],
+)
+def test_bad_option_is_told_before_anything_is_done(call, log, tmp_path, options, message):
+    assert message in refused(call, tmp_path, "map", log, "-o", tmp_path / "out", *options)
+
+
+@pytest.mark.parametrize("arguments", [[], ["map"], ["mapp"], ["map", "a.clf"], ["evaluate", "a.tum"], ["--sed"]])
+def test_bad_usage_is_one_line_that_says_where_to_read_on(call, tmp_path, arguments):
+    command = "gridslam" if arguments[:1] in ([], ["mapp"], ["--sed"]) else f"gridslam {arguments[0]}"
+    assert refused(call, tmp_path, *arguments).endswith(f" (see {command} --help)\n")
+
+
+def test_unwritable_out_is_found_before_the_work(call, log, tmp_path, monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("mapped although OUT cannot be written")
+
+    monkeypatch.setattr(map_module, "map_log", never)
+    (tmp_path / "file").write_text("a file")
+    for out in (tmp_path / "file", tmp_path / "file" / "out"):
+        assert f"{out}: expected a folder to write to" in refused(call, tmp_path, "map", log, "-o", out)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
+def test_folder_without_permission(call, log, tmp_path):
+    (tmp_path / "closed").mkdir(mode=0o500)
+    err = refused(call, tmp_path, "map", log, "-o", tmp_path / "closed" / "out")
+    assert "cannot be written: Permission denied" in err
+
+
+def test_a_run_that_fails_leaves_nothing_and_returns_1(call, log, tmp_path, monkeypatch):
+    def full_disk(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("gridslam.api.write_tum", full_disk)
+    err = refused(call, tmp_path, "map", log, "-o", tmp_path / "out", *FEW, status=1)
+    assert "No space left on device" in err
+
+
+def test_a_bug_is_not_hidden(call, log, tmp_path, monkeypatch):
+    def bug(*_, **__):
+        raise ZeroDivisionError("float division by zero")
+
+    monkeypatch.setattr(map_module, "map_log", bug)
+    status, out, err = call("map", log, "-o", tmp_path / "out")
+    assert (status, out, list(tmp_path.iterdir())) == (1, "", [])
+    assert "Traceback" in err
+    assert err.endswith("gridslam: this is a bug, please report it: ZeroDivisionError: float division by zero\n")
+
+
+def test_evaluate_against_a_trajectory(call, log, tmp_path):
+    truth = read_tum(log.with_name("truth.tum"))
+    moved = Trajectory(truth.stamps_ns, truth.poses + np.array([3.0, -2.0, 0.0]))
+    write_tum(tmp_path / "moved.tum", moved)
+    status, out, err = call("evaluate", tmp_path / "moved.tum", log.with_name("truth.tum"), "--json")
+    assert (status, err) == (0, "")
+    scores = json.loads(out)
+    assert scores["schema"] == "gridslam.evaluation/1"
+    assert scores["ate"]["n"] == len(truth)
+    assert scores["ate"]["trans_max_m"] < 1e-6  # aligned
+    assert scores["rpe"]["trans_max_m"] < 1e-6
+    assert scores["rpe"]["distance_m"] == 1.0
+    status, out, _ = call("evaluate", tmp_path / "moved.tum", log.with_name("truth.tum"), "--distance", 2)
+    assert status == 0
+    assert "ATE: 0.0000 m" in out
+    assert "(over 2 m)" in out
+
+
+def test_evaluate_against_relations(call, tmp_path):
+    stamps = np.array([1_000_000_000, 2_000_000_000])
+    write_tum(tmp_path / "t.tum", Trajectory(stamps, np.array([[0.0, 0.0, 0.0], [1.25, 0.0, 0.0]])))
+    (tmp_path / "t.relations").write_text("1.0 2.0 1.0 0.0 0 0 0 0.0\n")
+    status, out, _ = call("evaluate", tmp_path / "t.tum", tmp_path / "t.relations", "--json")
+    assert status == 0
+    relations = json.loads(out)["relations"]
+    assert (relations["n"], relations["exact"]) == (1, 1.0)
+    assert relations["trans_mean_m"] == pytest.approx(0.25)
+    assert "relations: 0.2500 +- 0.0000 m" in call("evaluate", tmp_path / "t.tum", tmp_path / "t.relations")[1]
+
+
+def test_evaluate_refuses_what_does_not_belong_together(call, log, tmp_path):
+    truth, other, relations = log.with_name("truth.tum"), tmp_path / "other.tum", tmp_path / "other.relations"
+    write_tum(other, Trajectory(np.array([10**18]), np.zeros((1, 3))))
+    relations.write_text("1e6 1e7 1 0 0 0 0 0\n")
+    for reference in (other, relations):
+        assert f"{truth}: cannot be compared with {reference}" in refused(call, tmp_path, "evaluate", truth, reference)
+    assert "no such file" in refused(call, tmp_path, "evaluate", truth, tmp_path / "none.tum")
+    assert "line 1" in refused(call, tmp_path, "evaluate", relations, truth)
+    assert "above 0 m" in refused(call, tmp_path, "evaluate", truth, truth, "--distance", 0)
+    assert "at most the path's" in refused(call, tmp_path, "evaluate", truth, truth, "--distance", 1000)
+
+
+def test_simulate_writes_a_log_and_the_truth_beside_it(call, tmp_path):
+    path = tmp_path / "new" / "loop.clf.gz"
+    options = "--duration", 10, "--beams", 91, "--people", 1, "--seed", 3
+    status, out, err = call("simulate", "loop", "-o", path, *options, "--json")
+    assert (status, err) == (0, "")
+    told = json.loads(out)
+    assert told["schema"] == "gridslam.simulation/1"
+    assert {file.name for file in path.parent.iterdir()} == {"loop.clf.gz", "loop.truth.tum"}
+    scans = [scan for _, scan in CarmenLog(path)]
+    assert told["scans"] == len(scans) == 51
+    assert {len(scan) for scan in scans} == {91}
+    assert read_tum(path.with_name("loop.truth.tum")).stamps_ns.tolist() == [scan.stamp_ns for scan in scans]
+    again = tmp_path / "again.clf.gz"
+    assert call("simulate", "loop", "-o", again, *options)[0] == 0
+    assert again.read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["lop"], "WORLD: name: expected one of demo, loop, rooms, hall, corridor, random, got 'lop'"),
+        (["loop", "--fov", "0"], "field_of_view_rad"),
+        (["loop", "--beams", "1"], "'--beams': 1 is not in the range"),
+        (["loop", "--duration", "-1"], "--duration: expected 0 s or more, got -1"),
+    ],
+)
+def test_simulate_refuses(call, tmp_path, arguments, message):
+    assert message in refused(call, tmp_path, "simulate", *arguments, "-o", tmp_path / "log.clf")
+
+
+def test_simulate_refuses_to_write_over_a_folder(call, tmp_path):
+    assert "expected the name of a file, got a folder" in refused(call, tmp_path, "simulate", "loop", "-o", tmp_path)
+
+
+def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):
+    status, out, err = call("demo", "-o", tmp_path / "demo", "--json")
+    assert (status, err) == (0, "")
+    told = json.loads(out)
+    assert told["schema"] == "gridslam.demo/1"
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == FILES | {"demo.clf.gz", "truth.tum"}
+    assert told["run"]["input"]["path"] == str(tmp_path / "demo" / "demo.clf.gz")
+    assert told["run"]["input"]["sha256"] == sha256_of(tmp_path / "demo" / "demo.clf.gz")
+    # two cells for 116 m with a loop, where the odometry alone is off by a metre
+    assert told["errors"]["ate"]["trans_rmse_m"] < 0.1 < 0.5 < told["odometry_errors"]["ate"]["trans_rmse_m"]

@@ -1,0 +1,87 @@
+"""What only a process of its own shows: start, signals, pipes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from gridslam import __version__
+
+GRIDSLAM = sys.executable, "-m", "gridslam.cli.main"
+
+
+def start(*arguments, **options):
+    command = [*GRIDSLAM, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"]])
+def test_help_needs_neither_numpy_nor_pydantic(arguments):
+    code = (
+        "import sys; from gridslam.cli.main import main; status = main(sys.argv[1:]); "
+        "heavy = {'numpy', 'pydantic', 'PIL', 'rich'} & set(sys.modules); "
+        "sys.exit(f'{heavy}' if heavy else status)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (f"gridslam {__version__}" if "--version" in arguments else "simulate") in done.stdout
+
+
+def test_help_of_map_names_the_parameters():
+    done = subprocess.run([*GRIDSLAM, "map", "--help"], capture_output=True, text=True, check=True)
+    for name in ("resolution_m", "range_max_m", "key_scan_m", "key_scan_rad", "tempering", "resampler"):
+        assert name in done.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_run_leaves_everything_as_it_was(log, tmp_path, number):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "map.png").write_text("of an earlier run")
+    run = start("map", log, "-o", out, "--particles", "3000")
+    while not list(out.glob(".*.partial")):  # the folder aside is made when the run begins
+        assert run.poll() is None, run.communicate()
+        time.sleep(0.01)
+    time.sleep(0.3)
+    run.send_signal(number)
+    printed, problem = run.communicate(timeout=60)
+    assert (run.returncode, printed) == (130, "")
+    assert problem.splitlines()[-1] == "gridslam: interrupted"
+    assert "Traceback" not in problem
+    assert [path.name for path in out.iterdir()] == ["map.png"]
+    assert (out / "map.png").read_text() == "of an earlier run"
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo terminal")
+def test_progress_is_a_bar_on_a_terminal(log, tmp_path):
+    leader, follower = os.openpty()
+    command = [*GRIDSLAM, "map", str(log), "-o", str(tmp_path / "out"), "--particles", "3"]
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=follower, env=os.environ | {"TERM": "xterm"})
+    os.close(follower)
+    told = b""
+    while True:
+        try:
+            block = os.read(leader, 4096)
+        except OSError:  # the other side is closed
+            break
+        if not block:
+            break
+        told += block
+    os.close(leader)
+    assert run.wait() == 0
+    assert "━".encode() in told
+
+
+def test_a_reader_that_goes_away_is_no_traceback(log, tmp_path):
+    run = start("map", log, "-o", tmp_path / "out", "--particles", "2")
+    run.stdout.close()
+    problem = run.stderr.read()
+    assert run.wait() == 1
+    assert "Traceback" not in problem
+    assert "Exception ignored" not in problem
+    run.stderr.close()

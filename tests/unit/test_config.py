@@ -1,0 +1,173 @@
+"""Configurations: presets, TOML, single parameters, and what each mistake is told."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
+from gridslam.config.tables import names, to_table, value_of
+from gridslam.errors import ConfigurationError
+from gridslam.models import EndPoint, GMappingMotion, OdometryMotion
+from gridslam.particles import Residual
+from gridslam.slam import GridFastSlam, OdometryTracker
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_preset_survives_toml_exactly(name):
+    config = preset(name)
+    assert loads(dumps(config)) == config
+    assert loads(dumps(config), preset("gmapping")) == config  # it says everything, so no base matters
+
+
+@given(
+    st.floats(1e-12, 1e12), st.floats(0, 1, exclude_min=True), st.integers(1, 100_000),
+    st.sampled_from(["systematic", "stratified", "residual", "multinomial", "wheel"]),
+)  # fmt: skip
+def test_every_number_survives_toml_exactly(metres, share, count, resampler):
+    changes = f"key_scan_m={metres!r}", f"tempering={share!r}", f"particles={count}", f"resampler={resampler}"
+    config = override(Configuration(), *changes)
+    assert config.when_to_update.translation_m == metres
+    assert config.sensor.tempering == share
+    assert (config.particles, config.resampler) == (count, resampler)
+    assert loads(dumps(config)) == config
+
+
+def test_the_default_configuration_builds_the_default_filter():
+    assert build(Configuration()) == GridFastSlam()
+
+
+def test_build_passes_every_part_on():
+    config = override(preset("gmapping"), "range_min_m=0.2", "resampler=residual", "lost_below=0.3")
+    slam = build(config, threads=3)
+    policies = "when_to_update", "when_to_resample"
+    for part in ("tracker", "motion", "sensor", "proposal", "mapper", *policies, "confidence"):
+        assert getattr(slam, part) == getattr(config, part)
+    assert (slam.range_min_m, slam.range_max_m, slam.threads) == (0.2, 80.0, 3)
+    assert slam.resampler == Residual()
+
+
+def test_gmapping_preset_decides_as_gmapping():
+    config = preset("gmapping", 50)
+    assert config.tracker == OdometryTracker()
+    assert config.motion == GMappingMotion()
+    assert config.sensor == EndPoint(gain=150.0)
+    assert preset("gmapping").sensor == EndPoint(gain=90.0)
+    assert (config.when_to_update.translation_m, config.when_to_update.rotation_rad) == (1.0, 0.5)
+
+
+def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
+    assert len(PARAMETERS) <= 15
+    known = list(names(Configuration()))
+    for path, _ in PARAMETERS.values():
+        assert path in known
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_short_name_means_the_dotted_one(name):
+    path = PARAMETERS[name][0]
+    value = {"resampler": "wheel", "particles": 7}.get(name, 0.125)
+    config = override(Configuration(), f"{name}={value}")
+    assert value_of(config, path) == value
+    assert config == override(Configuration(), f"{path} = {value}")
+
+
+def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
+    config = override(Configuration(), "motion.alpha1=0.5", "motion.kind=OdometryMotion")
+    assert config.motion == OdometryMotion(alpha1=0.5)
+    assert override(config, "motion.kind=OdometryMotion") == config
+
+
+def test_parameters_that_belong_together_are_checked_when_all_are_set():
+    config = override(
+        Configuration(), "mapper.inverse_sensor.true_occupied=0.6", "mapper.inverse_sensor.false_free=0.4"
+    )
+    assert config.mapper.inverse_sensor.true_occupied == 0.6
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("tracker.insert_m=-1", "tracker.insert_m: expected a number > 0, got -1"),
+        ("insert_m=-1", "tracker.insert_m: expected a number > 0, got -1"),
+        ("insert_m=far", "tracker.insert_m: expected a number > 0, got 'far'"),
+        ("insert_m='0.3'", "tracker.insert_m: expected a number > 0, got '0.3'"),
+        ("insert_m=inf", "tracker.insert_m: expected a number > 0, got inf"),
+        ("insert_m=nan", "tracker.insert_m: expected a number > 0, got nan"),
+        ("insert_m=true", "tracker.insert_m: expected a number > 0, got True"),
+        ("lost_below=2", "confidence.lost_below: expected a number >= 0 and <= 1, got 2"),
+        ("particles=1.5", "particles: expected a whole number >= 1 and <= 100000, got 1.5"),
+        ("particles=0", "particles: expected a whole number >= 1 and <= 100000, got 0"),
+        ("particles.x=1", "particles: expected a whole number >= 1 and <= 100000, got {'x': 1}"),
+        ("resampler=wheal", "resampler: expected systematic, stratified, residual, multinomial or wheel, got 'wheal'"),
+        ("resampler=3", "resampler: expected systematic, stratified, residual, multinomial or wheel, got 3"),
+        ("motion=3", "motion: expected a table of parameters, got 3"),
+        ("tracker.insrt_m=1", "tracker.insrt_m: Tracker has no such parameter; did you mean tracker.insert_m"),
+        ("jump_m=1", "jump_m: no such parameter; did you mean tracker.jump_m?"),
+        ("particels=1", "particels: no such parameter; did you mean particles"),
+        ("nothing.like.it=1", "nothing.like.it: no such parameter"),
+        ("tracker.matcher.kind=GaussNewton", "tracker.matcher.kind: GaussNewton has no such parameter"),
+        (
+            "motion.kind=Odometrymotion",
+            "motion.kind: expected DiffusionMotion, OdometryMotion or GMappingMotion, got 'Odometrymotion'; "
+            "did you mean OdometryMotion",
+        ),
+        ("mapper.inverse_sensor.true_free=0.9", "mapper.inverse_sensor: false_occupied and true_free must sum to 1"),
+        ("particles", "expected name=value, got 'particles'"),
+        ("=3", "expected name=value, got '=3'"),
+        ("particles=", "expected name=value, got 'particles='"),
+    ],
+)
+def test_mistake_is_told_in_one_clear_line(assignment, message):
+    with pytest.raises(ConfigurationError) as caught:
+        override(Configuration(), assignment)
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_assignments_that_contradict_each_other_in_form():
+    with pytest.raises(ConfigurationError, match=r"tracker.insert_m: tracker was given as 3 before"):
+        override(Configuration(), "tracker=3", "tracker.insert_m=0.3")
+
+
+def test_unknown_preset_is_told_with_the_known_ones():
+    with pytest.raises(ConfigurationError, match=r"expected default, fast, accurate, gmapping, got 'gmaping'; did you"):
+        preset("gmaping")
+    with pytest.raises(ConfigurationError, match="particles: expected a whole number >= 1"):
+        preset("default", 0)
+
+
+def test_file_changes_only_what_it_says(tmp_path):
+    path = tmp_path / "my.toml"
+    path.write_text("particles = 12\n[tracker]\ninsert_m = 1\n")
+    config = load(path, preset("fast"))
+    assert config == override(preset("fast"), "particles=12", "insert_m=1.0")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"particles = ", "expected TOML: "),
+        (b"particles = 0", "particles: expected a whole number"),
+        (b"[traker]\ninsert_m = 1", "traker: Configuration has no such parameter; did you mean tracker"),
+        (b"\xff\xfe\x00", "expected a text file, got binary data"),
+        (None, "cannot be read: No such file or directory"),
+    ],
+)
+def test_bad_file_is_named(tmp_path, content, message):
+    path = tmp_path / "my.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigurationError) as caught:
+        load(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_table_holds_every_parameter_by_name():
+    table = to_table(preset("gmapping"))
+    for name in names(preset("gmapping")):
+        value = table
+        for key in name.split("."):
+            value = value[key]
+        assert not isinstance(value, dict)
