@@ -161,7 +161,7 @@ class TileMaps:
         return found
 
     def distances(self, rows: IntArray | Int32Array, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
-        """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest occupied cell's centre.
+        """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`; `rows` (K,) says which map belongs to each pose.
         """
@@ -174,9 +174,9 @@ class TileMaps:
     def cast_rays(
         self, rows: IntArray | Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
     ) -> NDArray[np.float32]:
-        """Range in m (K, B) to the first occupied cell, from origin (2,) along unit directions (B, 2) of the base frame.
+        """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
 
-        `max_m` where there is none; `rows` (K,) says which map belongs to each pose (K, 3).
+        `max_m` where there is none; directions have length 1; `rows` (K,) says which map belongs to each pose (K, 3).
         """
         rows = np.ascontiguousarray(rows, np.int32)
         found: NDArray[np.float32] = backend.cast_rays(
