@@ -99,14 +99,14 @@ class MapResult:
 
         A true trajectory in the map's frame is drawn into the picture, too.
         """
-        from gridslam.viz import draw_map  # only drawing pays for Pillow's import
-
-        self.stopwatch.lap("between")
+        self.stopwatch.resume()
         write_map(out.file("map.yaml"), self.map)
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
         self.record.write(out.file("record.npz"))
         self.stopwatch.lap("write")
+        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
+
         picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth)
         picture.save(out.file("map.png"), optimize=False)
         self.stopwatch.lap("draw")

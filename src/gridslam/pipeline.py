@@ -25,7 +25,7 @@ class Observer(Protocol):
 
 @final
 class Stopwatch:
-    """Wall and CPU time (s) of the stages of a run; every moment belongs to the stage whose `lap` comes next.
+    """Wall and CPU time (s) of the stages of a run; a moment belongs to the stage whose `lap` comes next.
 
     Parameters
     ----------
@@ -59,6 +59,10 @@ class Stopwatch:
         else:
             self.stages[stage] = [passed, cpu - before[1]]
         return passed
+
+    def resume(self) -> None:
+        """Go on from now; the time since the last lap belongs to no stage."""
+        self._last = time.perf_counter(), time.process_time()
 
     def total(self) -> tuple[float, float]:
         """Wall and CPU seconds of all stages."""

@@ -167,3 +167,7 @@ def test_stopwatch_gives_every_moment_to_one_stage(measurements, slam, monkeypat
     wall, cpu = watch.total()
     assert wall == 3 * count + 1 == next(ticks) - 1
     assert 0 < cpu < 60
+    next(ticks)  # someone else's time
+    watch.resume()
+    watch.lap("write")
+    assert watch.stages["write"][0] == 1
