@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -16,7 +15,7 @@ from gridslam import __version__
 from gridslam.config import Configuration, build
 from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
-from gridslam.errors import InputError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
@@ -181,11 +180,14 @@ def map_log(
 
     Raises
     ------
+    ArgumentError
+        The seed is negative, there is no thread, or both `particles` and `configuration` are given.
     InputError
         The log cannot be read, or has a scan without odometry.
     ConfigurationError
         There is no such preset, or the number of particles is out of range.
     """
+    _check(seed, threads, particles, configuration)
     config = configuration or preset_of(preset, particles)
     watch = stopwatch or Stopwatch()
     source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
@@ -231,8 +233,19 @@ def peak_memory_bytes() -> int:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
     except (OSError, StopIteration, ValueError):
+        import resource  # where there is no /proc
+
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak if sys.platform == "darwin" else 1024 * peak
+
+
+def _check(seed: int, threads: int, particles: int | None, configuration: Configuration | None) -> None:
+    if seed < 0:
+        raise ArgumentError("seed", "a number >= 0", seed)
+    if threads < 1:
+        raise ArgumentError("threads", "at least one", threads)
+    if particles is not None and configuration is not None:
+        raise ArgumentError("particles", "none where a configuration is given", particles)
 
 
 def _with_odometry(log: CarmenLog) -> Iterator[Measurement]:
