@@ -35,17 +35,16 @@ def _print_line(share: float, text: str) -> None:
 
 @contextmanager
 def _bar() -> Iterator[Callable[[float, str], None]]:
-    from rich.console import Console  # only terminals pay for its import
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.console import Console, Group  # only terminals pay for its import
+    from rich.live import Live
+    from rich.progress_bar import ProgressBar
+    from rich.text import Text
 
-    columns = BarColumn(24), TextColumn("{task.percentage:>3.0f} %  {task.description}")
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False, transient=True) as bar:
-        task = bar.add_task("", total=1.0)
+    def shown(share: float, text: str) -> Group:
+        return Group(ProgressBar(total=1.0, completed=share, width=60), Text(f"\n{share:.0%}  {text}"))
 
-        def show(share: float, text: str) -> None:
-            bar.update(task, completed=share, description=text, refresh=True)
-
-        yield show
+    with Live(shown(0.0, ""), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        yield lambda share, text: live.update(shown(share, text), refresh=True)
 
 
 class _Progress:
