@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import compose
+from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
 
@@ -23,7 +23,7 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 class TrajectoryRecorder:
     """Keeps what is needed for a pose of every scan: as it was told at the time, and as the end tells it.
 
-    Between two key scans all particles move with the tracker, so a scan's pose is that of its key scan, moved on.
+    Between two key scans all particles move with the tracker (see `gridslam.slam.full_trajectory`).
     Memory is 64 bytes a scan.
     """
 
@@ -73,7 +73,7 @@ class TrajectoryRecorder:
     def full(self, state: GridFastSlamState) -> Trajectory:
         """Give the full-SLAM answer: the trajectory of the best particle of `state`, a pose for every scan."""
         past = state.ancestry.trajectory(state.best)
-        poses = compose(past[_integers(self._keys)], _poses(self._from_key))
+        poses = full_trajectory(past, _integers(self._keys), _poses(self._from_key))
         return Trajectory(_integers(self._stamps_ns), poses)
 
 

@@ -274,7 +274,8 @@ class Match:
     poses : (K, 3) float64
         Where the scan fits best.
     information : (K, 3, 3) float64
-        Information of the measurement alone (no prior) at the poses, in the world frame, 1/m^2, 1/(m rad), 1/rad^2.
+        Normal matrix of the beams' distances to the map in m (no prior) at the poses, by x and y in m and theta in rad,
+        in the world frame: divided by a beam's variance in m^2 it is the information.
     score : (K,) float64
         Sum over beams of the robust weights in [0, B]: how many beams agree with the map.
     """
@@ -296,7 +297,7 @@ class StepReport:
     pose, covariance : (3,), (3, 3) float64
         Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
     key_from_base : (3,) float64
-        The pose seen from the last key scan's pose of the same particle.
+        The robot seen from the last key scan before this one, as tracked.
     undetermined : (2,) float64 or None
         Unit vector in the map frame along which the scan did not determine the position.
     lost : bool

@@ -10,7 +10,7 @@ struct Corners {
   float f00[kLanes], f01[kLanes], f10[kLanes], f11[kLanes];  // at (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)
 };
 
-inline void gather(const Maps& m, const int32_t* root, const int* x, const int* y, Corners& out) {
+GRIDSLAM_INLINE void gather(const Maps& m, const int32_t* root, const int* x, const int* y, Corners& out) {
   for (int l = 0; l < kLanes; ++l) {
     const int ix = x[l] & kTileMask, iy = y[l] & kTileMask;
     if (ix < kTileMask && iy < kTileMask) {
@@ -47,7 +47,7 @@ struct CellPose {
         fy(static_cast<float>(py - y - 0.5)), c(static_cast<float>(std::cos(theta))), s(static_cast<float>(std::sin(theta))) {}
 };
 
-inline void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block, Block& out) {
+GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block, Block& out) {
   const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
   int x[kLanes], y[kLanes];
   float a[kLanes], b[kLanes];

@@ -13,6 +13,16 @@
 #include <thread>
 #include <vector>
 
+// One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run. Both
+// give the same bytes, as nothing is contracted or reassociated.
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
+#define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3")))
+#define GRIDSLAM_INLINE inline __attribute__((always_inline))  // else the default version is called from the fast one
+#else
+#define GRIDSLAM_VERSIONS
+#define GRIDSLAM_INLINE inline
+#endif
+
 namespace gridslam {
 
 constexpr int kTileBits = 5;

@@ -11,7 +11,7 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 
-Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const MatchSettings& s) {
+GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const MatchSettings& s) {
   const CellPose pose(x, y, theta);
   const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
@@ -73,8 +73,8 @@ double wrapped(double a) { return a - 2 * M_PI * std::floor((a + M_PI) / (2 * M_
 void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, double resolution,
                const MatchSettings& s, double* pose, double* information, double* score) {
   const double scale = 1.0 / resolution;
-  const double p[6] = {prior[0] * resolution * resolution, prior[1] * resolution * resolution, prior[2] * resolution,
-                       prior[4] * resolution * resolution, prior[5] * resolution, prior[8]};
+  // The prior weighs against residuals in metres, and both are divided by the squared resolution here.
+  const double p[6] = {prior[0], prior[1], prior[2] * scale, prior[4], prior[5] * scale, prior[8] * scale * scale};
   const double x0 = guess[0] * scale, y0 = guess[1] * scale;
   double x = x0, y = y0, theta = guess[2];
   const int32_t* root = m.root(row);

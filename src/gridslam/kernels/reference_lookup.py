@@ -115,7 +115,7 @@ def match(
     Source: Kohlbrecher et al. 2011, with the residual a distance.
     """
     unit = np.array([resolution, resolution, 1.0])
-    prior = priors * unit[:, None] * unit
+    prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
     pose, going = guess.copy(), np.arange(len(guesses))
     settings = ends / resolution, cauchy_cells, reach_cells

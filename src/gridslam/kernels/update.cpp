@@ -1,5 +1,7 @@
 // The binary Bayes filter along the rays of a scan, and the distance field that follows the cells that changed.
 
+#include <cstring>
+
 #include "maps.hpp"
 
 namespace gridslam {
@@ -7,82 +9,102 @@ namespace {
 
 inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
 
-// Frees cells i in [first, n) of a line within one tile, up to and including the first that stops being occupied: returns
-// its i, or n. `aside` is the minor axis as a 32.32 fixed point number, so that no cell waits for the one before it.
-int free_run(int16_t* cells, int first, int n, int major_stride, int minor_stride, uint64_t& aside, uint64_t slope, int miss, int least,
-             int occupied) {
-  uint64_t a = aside;
-  int i = first;
-  for (; i < n; ++i) {
-    int16_t& cell = cells[i * major_stride + static_cast<int>(a >> 32) * minor_stride];
-    const int before = value_or_zero(cell), after = std::max(before + miss, least);
-    cell = static_cast<int16_t>(after);
-    a += slope;
-    if (before > occupied && after <= occupied) break;
-  }
-  aside = a;
-  return i;
-}
-
-// Frees the cells of a line but its last, tile by tile; remembers those that stop being occupied. The start of the fixed
-// point is biased by more than the slope's rounding adds up to, and by far less than what tells two cells apart: ties go
-// up for d >= 0 and down for d < 0, as in Line.
-void free_line(const Maps& m, const int32_t* root, const Line& line, const Evidence& e, int row, std::vector<Cell>& crossed) {
-  if (line.n == 0) return;
-  const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
-  const int major_step = (along_x ? line.dx : line.dy) >= 0 ? 1 : -1, minor_step = (along_x ? line.dy : line.dx) >= 0 ? 1 : -1;
-  const int major_stride = major_step * (along_x ? 1 : kTile), minor_stride = minor_step * (along_x ? kTile : 1);
-  const uint64_t slope = (static_cast<uint64_t>(std::abs(along_x ? line.dy : line.dx)) << 32) / line.n;
-  uint64_t aside = (1ull << 31) + (minor_step > 0 ? line.n : -1);
-  int major = along_x ? line.x0 : line.y0, minor = along_x ? line.y0 : line.x0;
-  for (int left = line.n; left > 0;) {
-    const int x = along_x ? major : minor, y = along_x ? minor : major;
-    int16_t* cells = m.log_odds + static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x);
-    const int major_in = major & kTileMask, minor_in = minor & kTileMask;
-    int run = std::min(left, major_step > 0 ? kTile - major_in : major_in + 1);
-    const uint64_t edge = static_cast<uint64_t>(minor_step > 0 ? kTile - minor_in : minor_in + 1) << 32;
-    if (aside + run * slope > edge) run = static_cast<int>((edge - aside - 1) / slope) + 1;
-    for (int i = 0; i < run; ++i) {
-      i = free_run(cells, i, run, major_stride, minor_stride, aside, slope, e.miss, e.min, e.occupied_above);
-      if (i == run) break;
-      const int u = major + i * major_step, v = minor + static_cast<int>((aside - slope) >> 32) * minor_step;
-      crossed.push_back({row, along_x ? v : u, along_x ? u : v, 0});
+// Frees the passed cells of a tile; says whether some of them stop being occupied. All in 16 bits and without a branch inside
+// a row, for many cells at once.
+template <class Count>
+inline bool free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
+  const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above), miss = static_cast<int16_t>(-e.miss);
+  const int16_t enough = static_cast<int16_t>((e.max - e.min) / miss + 1);  // passes that free any cell
+  int16_t left[kTile] = {};
+  for (int y = 0; y < kTile; ++y, cells += kTile, passes += stride) {
+    uint64_t words[kTile * sizeof(Count) / sizeof(uint64_t)], any = 0;
+    std::memcpy(words, passes, sizeof(words));
+    for (uint64_t w : words) any |= w;
+    if (any == 0) continue;
+    for (int i = 0; i < kTile; ++i) {
+      const int16_t count = std::min(static_cast<int16_t>(passes[i]), enough);
+      const int16_t before = cells[i] == kUnknown ? int16_t{0} : cells[i];
+      const int16_t above = static_cast<int16_t>(before - least), loss = static_cast<int16_t>(count * miss);
+      const int16_t after = static_cast<int16_t>((above > loss ? static_cast<int16_t>(above - loss) : int16_t{0}) + least);
+      left[i] = static_cast<int16_t>(left[i] | ((before > occupied) & (after <= occupied)));
+      cells[i] = count ? after : cells[i];
     }
-    major += run * major_step, minor += static_cast<int>(aside >> 32) * minor_step, left -= run;
-    aside &= 0xffffffffull;
   }
+  int16_t some = 0;
+  for (int i = 0; i < kTile; ++i) some = static_cast<int16_t>(some | left[i]);
+  return some != 0;
 }
 
-struct End {
-  int x, y;
-  int16_t* cell;
-  int16_t before;
+GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) { return free_tile<uint8_t>(cells, passes, stride, e); }
+GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) { return free_tile<uint16_t>(cells, passes, stride, e); }
+
+// How often the rays of one scan pass each cell of the tiles around it: a rectangle of counters, cut at tiles.
+template <class Count>
+class Passes {
+ public:
+  Passes(int y_min, int y_max, int x_min, int x_max, std::vector<Count>& memory)
+      : y0_(y_min & ~kTileMask), x0_(x_min & ~kTileMask), height_((y_max | kTileMask) + 1 - y0_), width_((x_max | kTileMask) + 1 - x0_), counts_(memory) {
+    counts_.assign(static_cast<size_t>(height_) * width_, 0);
+  }
+  Count* at(int y, int x) { return counts_.data() + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
+
+  // Counts the cells of a line but its last. The minor axis is a 32.32 fixed point number, so that no cell waits for the one
+  // before it; its start is biased by more than the slope's rounding adds up to, and by far less than what tells two cells
+  // apart: ties go up for d >= 0 and down for d < 0, as in Line.
+  void add(const Line& line) {
+    if (line.n == 0) return;
+    const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
+    const int major_d = along_x ? line.dx : line.dy, minor_d = along_x ? line.dy : line.dx, n = line.n;
+    const int64_t row = width_, major = (major_d >= 0 ? 1 : -1) * (along_x ? 1 : row), minor = (minor_d >= 0 ? 1 : -1) * (along_x ? row : 1);
+    const uint64_t slope = (static_cast<uint64_t>(std::abs(minor_d)) << 32) / n;
+    uint64_t aside = (1ull << 31) + (minor_d >= 0 ? n : -1);
+    Count* cell = at(line.y0, line.x0);
+    for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
+  }
+
+  // Frees the cells that were passed; those that stop being occupied, as their field still says they are, go to `changed`.
+  void apply(const Maps& m, const int32_t* root, const Evidence& e, int row, std::vector<Cell>& changed) {
+    for (int y = y0_; y < y0_ + height_; y += kTile)
+      for (int x = x0_; x < x0_ + width_; x += kTile) {
+        const int64_t tile = m.tile(root, y >> kTileBits, x >> kTileBits) * static_cast<int64_t>(kTileCells);
+        if (tile == 0 || !free_tile(m.log_odds + tile, at(y, x), width_, e)) continue;
+        for (int i = 0; i < kTileCells; ++i)
+          if (m.field[tile + i] == kOccupiedField && m.log_odds[tile + i] <= e.occupied_above)
+            changed.push_back({row, y + (i >> kTileBits), x + (i & kTileMask), 0});
+      }
+  }
+
+ private:
+  int y0_, x0_, height_, width_;
+  std::vector<Count>& counts_;
 };
 
+struct End {
+  int y, x;
+};
+
+template <class Count>
 void update_one(const Maps& m, int row, const Pose& pose, const double* ends, int b, const double* origin, double scale, const Evidence& e,
                 std::vector<Cell>& changed) {
+  thread_local std::vector<Count> memory;
   const int32_t* root = m.root(row);
   const int ox = cell_of(pose.world_x(origin), scale), oy = cell_of(pose.world_y(origin), scale);
   std::vector<End> hits(b);
+  int x_min = ox, x_max = ox, y_min = oy, y_max = oy;
   for (int j = 0; j < b; ++j) {
-    End& h = hits[j];
-    h.x = cell_of(pose.world_x(ends + 2 * j), scale), h.y = cell_of(pose.world_y(ends + 2 * j), scale);
-    const int64_t tile = m.tile(root, h.y >> kTileBits, h.x >> kTileBits);
-    h.cell = m.log_odds + tile * kTileCells + Maps::inside(h.y, h.x);
-    h.before = *h.cell;
+    hits[j] = {cell_of(pose.world_y(ends + 2 * j), scale), cell_of(pose.world_x(ends + 2 * j), scale)};
+    x_min = std::min(x_min, hits[j].x), x_max = std::max(x_max, hits[j].x);
+    y_min = std::min(y_min, hits[j].y), y_max = std::max(y_max, hits[j].y);
   }
-  std::vector<Cell> crossed;
-  for (const End& h : hits) free_line(m, root, Line(ox, oy, h.x, h.y), e, row, crossed);
-  for (const End& h : hits) *h.cell = h.before;  // an end cell of this scan is not freed by it
+  Passes<Count> passes(y_min, y_max, x_min, x_max, memory);
+  for (const End& h : hits) passes.add(Line(ox, oy, h.x, h.y));
+  for (const End& h : hits) *passes.at(h.y, h.x) = 0;  // an end cell of this scan is not freed by it
+  passes.apply(m, root, e, row, changed);
   for (const End& h : hits) {
-    const int before = value_or_zero(*h.cell);
-    const int after = std::min(before + e.hit, e.max);
-    *h.cell = static_cast<int16_t>(after);
+    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, h.y >> kTileBits, h.x >> kTileBits)) * kTileCells + Maps::inside(h.y, h.x)];
+    const int before = value_or_zero(cell), after = std::min(before + e.hit, e.max);
+    cell = static_cast<int16_t>(after);
     if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, h.y, h.x, 1});
-  }
-  for (const Cell& c : crossed) {
-    const int64_t tile = m.tile(root, c.y >> kTileBits, c.x >> kTileBits);
-    if (value_or_zero(m.log_odds[tile * kTileCells + Maps::inside(c.y, c.x)]) <= e.occupied_above) changed.push_back(c);
   }
 }
 
@@ -126,7 +148,7 @@ void find_occupied(const Maps& m, const int32_t* root, int cy, int cx, int half,
   });
 }
 
-int nearest_squared(const Obstacles& o, int16_t y, int16_t x) {
+GRIDSLAM_VERSIONS int nearest_squared(const Obstacles& o, int16_t y, int16_t x) {
   int16_t nearest = std::numeric_limits<int16_t>::max();
   for (size_t i = 0; i < o.y.size(); ++i) {
     const int16_t dy = static_cast<int16_t>(o.y[i] - y), dx = static_cast<int16_t>(o.x[i] - x);
@@ -159,7 +181,10 @@ void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* 
 void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
                      double resolution, const Evidence& e, int threads, std::vector<Cell>& changed) {
   std::vector<std::vector<Cell>> found(k);
-  parallel_for(k, threads, [&](int i) { update_one(m, rows[i], Pose(poses + 3 * i), ends, b, origin, 1.0 / resolution, e, found[i]); });
+  parallel_for(k, threads, [&](int i) {
+    const auto update = b <= std::numeric_limits<uint8_t>::max() ? update_one<uint8_t> : update_one<uint16_t>;
+    update(m, rows[i], Pose(poses + 3 * i), ends, b, origin, 1.0 / resolution, e, found[i]);
+  });
   for (const auto& part : found) changed.insert(changed.end(), part.begin(), part.end());
 }
 

@@ -69,7 +69,9 @@ class Confidence:
             skipped=reason, best=best,
         )  # fmt: skip
 
-    def key_scan(self, state: GridFastSlamState, scan: LaserScan, proposed: Proposed, beams: Beams) -> StepReport:
+    def key_scan(
+        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, proposed: Proposed, beams: Beams
+    ) -> StepReport:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
@@ -79,7 +81,7 @@ class Confidence:
         state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION * np.eye(3))
         state.lost = score < self.lost_below * len(beams)
         return StepReport(
-            scan.stamp_ns, state.poses[best], state.covariance, np.zeros(3),
+            scan.stamp_ns, state.poses[best], state.covariance, key_from_base,
             undetermined=undetermined(information, score), lost=state.lost, best=best,
             n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
         )  # fmt: skip

@@ -122,7 +122,7 @@ class GridFastSlam:
         proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
         state.advance(proposed, tracked.pose)
-        report = self.confidence.key_scan(state, scan, proposed, beams)
+        report = self.confidence.key_scan(state, scan, moved, proposed, beams)
         if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)

@@ -106,14 +106,15 @@ class Peak:
     ----------
     matcher : GaussNewton or HillClimbing
         How the peak is reached.
-    prior_weight : float
-        How much of the motion model's information holds the match near its draw.
+    beam_sigma_m : float, m
+        Standard deviation of a beam's distance to the map against which the motion model's information holds the match
+        near its draw. Next to nothing: where a loop closes, a particle must be free to follow its map.
 
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
     """
 
     matcher: GaussNewton | HillClimbing = GaussNewton()
-    prior_weight: float = Field(1e-4, ge=0)
+    beam_sigma_m: float = Field(1.6e-4, gt=0)
 
     def __call__(
         self,
@@ -126,7 +127,7 @@ class Peak:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = self.matcher(maps, rows, drawn, _information(motion.moments(poses)[1], self.prior_weight), beams)
+        match = self.matcher(maps, rows, drawn, _information(motion.moments(poses)[1], self.beam_sigma_m**2), beams)
         return Proposed(match.poses, weigh(maps, rows, match.poses), match)
 
 
@@ -143,18 +144,15 @@ class Gaussian:
     ----------
     matcher : GaussNewton
         How the peak is reached, from the motion model's mean.
-    sigma_m : float, m
-        Standard deviation of what one beam says about the pose; it accounts for the beams' correlation, so it is
-        larger than a lidar's noise.
-    prior_weight : float
-        How much of the motion model's information holds the match near the mean.
+    beam_sigma_m : float, m
+        Standard deviation of a beam's distance to the map; it accounts for the beams' correlation, so it is larger
+        than a lidar's noise.
 
     Source: Grisetti, Stachniss and Burgard 2007, eq. 10 to 17; FastSLAM 2.0 (Montemerlo et al. 2003) on grids.
     """
 
     matcher: GaussNewton = GaussNewton()
-    sigma_m: float = Field(0.05, gt=0)
-    prior_weight: float = Field(1e-4, ge=0)
+    beam_sigma_m: float = Field(0.02, gt=0)
 
     def __call__(
         self,
@@ -169,8 +167,8 @@ class Gaussian:
         rows = _rows(maps)
         means, covariances = motion.moments(poses)
         prior = _information(covariances, 1.0)
-        match = self.matcher(maps, rows, means, self.prior_weight * prior, beams)
-        information = match.information / self.sigma_m**2 + prior
+        match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
+        information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)
         noise = np.linalg.solve(factor.transpose(0, 2, 1), rng.standard_normal((len(rows), 3, 1)))[..., 0]
         drawn = match.poses + noise

@@ -27,7 +27,7 @@ __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
-_NO_PRIOR = np.diag([1e-6, 1e-6, 1e-6])[None]
+_NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
 
 @final
@@ -110,9 +110,10 @@ class Tracker:
         A scan is inserted after this much motion.
     map_scans : int
         A second local map is begun when the first holds this many scans, and replaces it when it does itself.
-    odometry_weight : float
-        How much the odometry's information counts against the beams' squared distances. Small: beams are many and
-        agree within a fraction of a cell; 50 times more loses the Intel log by 0.2 m and more.
+    beam_sigma_m : float, m
+        Standard deviation of a beam's distance to the map against which the odometry's information is weighed. Far
+        below a lidar's noise: beams are many, and odometry slips in ways that no variance tells. With seven times as
+        much the Intel log is lost by 0.2 m and more.
     jump_m, jump_rad : float
         Odometry that moves farther between two scans than this and `speed_mps` (`turn_rps`) allow has jumped: it was
         reset, or a message was lost. Its increment is not used, and the scan is searched for around the last pose.
@@ -129,7 +130,7 @@ class Tracker:
     insert_m: float = Field(0.2, gt=0)
     insert_rad: float = Field(0.1, gt=0)
     map_scans: int = Field(20, ge=1)
-    odometry_weight: float = Field(0.001, gt=0)
+    beam_sigma_m: float = Field(0.0016, gt=0)
     jump_m: float = Field(1.0, gt=0)
     jump_rad: float = Field(1.0, gt=0)
     speed_mps: float = Field(3.0, ge=0)
@@ -173,10 +174,11 @@ class Tracker:
 
     def _prior(self, moved: float, turned: float, cell: float) -> FloatArray:
         """Information (1, 3, 3) of the odometry: standard deviations grow with the motion from a tenth of a cell."""
+        weight = self.beam_sigma_m**2
         sigma_m = 0.1 * cell + 0.15 * moved + 0.5 * cell * turned
         sigma_rad = 0.003 + 0.05 * turned + 0.04 * moved
-        position = self.odometry_weight / sigma_m**2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, self.odometry_weight / sigma_rad**2]]])
+        position, heading = weight / sigma_m**2, weight / sigma_rad**2
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
 
     def _insert(self, state: TrackerState, beams: Beams) -> None:
         dx, dy, turn = (state.pose - state.inserted_pose).tolist()
