@@ -6,6 +6,7 @@ nanoseconds; angles are counter-clockwise radians.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, Protocol, final, runtime_checkable
@@ -17,17 +18,20 @@ from gridslam.errors import ArgumentError
 
 __all__ = [
     "BeamStatus", "Beams", "DistanceMaps", "FloatArray", "IntArray", "LaserScan", "Match", "MotionModel", "MotionSampler", "OccupancyGrid",
-    "Odometry", "Resampler", "ScanGeometry", "SensorModel", "SkipReason", "StepReport", "Trajectory", "Weigher",
+    "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel", "SkipReason", "StepReport", "Trajectory", "Weigher",
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Rows = NDArray[np.integer[Any]]
+"""Which map of a table of maps: one row for each pose."""
 
 
 def _frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
     """A read-only copy of `values` with the given dtype and shape (None: any length)."""
-    array = np.array(values, dtype=dtype)
-    if array.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=True)):
+    array: NDArray[Any] = np.array(values, dtype=dtype)
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if not fits:
         raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
     array.flags.writeable = False
     return array
@@ -140,9 +144,10 @@ class LaserScan:
         values = _frozen(ranges, np.float64, (len(geometry.bearings),), "ranges")
         no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
         valid = (values > 0) & (values >= range_min_m)
-        status = np.where(valid, np.where(no_return, np.uint8(BeamStatus.NO_RETURN), np.uint8(BeamStatus.HIT)), np.uint8(BeamStatus.INVALID))
+        status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
         times = None if beam_times_s is None else _frozen(beam_times_s, np.float64, values.shape, "beam_times_s")
-        return cls(int(stamp_ns), values, _frozen(status, np.uint8, values.shape, "status"), geometry, range_min_m, range_max_m, sensor, frame, times)
+        known = _frozen(status, np.uint8, values.shape, "status")
+        return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
 
     def __len__(self) -> int:
         """Return the number of beams B."""
@@ -189,7 +194,7 @@ class Beams:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
         ends, origin = self.ends, self.origin
         farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
-        return float(farthest) ** 0.5
+        return math.sqrt(farthest)
 
 
 @final
@@ -207,7 +212,8 @@ class Odometry:
         checked = _frozen(pose, np.float64, (3,), "pose")
         if not np.isfinite(checked).all():
             raise ArgumentError("pose", "finite x, y, theta", checked.tolist())
-        return cls(int(stamp_ns), checked, None if covariance is None else _frozen(covariance, np.float64, (3, 3), "covariance"))
+        spread = None if covariance is None else _frozen(covariance, np.float64, (3, 3), "covariance")
+        return cls(int(stamp_ns), checked, spread)
 
 
 @final
@@ -332,11 +338,19 @@ class StepReport:
 class DistanceMaps(Protocol):
     """Maps that tell distances: one row of a table of maps for each particle (see `gridslam.grid.TileMaps`)."""
 
-    def distances(self, rows: IntArray, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
-        """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`, for points (B, 2) of the base frame at poses (K, 3)."""
+    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+        """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`.
 
-    def cast_rays(self, rows: IntArray, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float) -> NDArray[np.float32]:
-        """Range in m (K, B) to the first occupied cell along directions (B, 2) from origin (2,), both in the base frame; `max_m` where none."""
+        Of points (B, 2) in the base frame, seen from poses (K, 3).
+        """
+
+    def cast_rays(
+        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+    ) -> NDArray[np.float32]:
+        """Range in m (K, B) to the first occupied cell; `max_m` where there is none.
+
+        Along directions (B, 2) from origin (2,), both in the base frame, seen from poses (K, 3).
+        """
 
     @property
     def reach_m(self) -> float:
@@ -366,7 +380,7 @@ class MotionModel(Protocol):
 class Weigher(Protocol):
     """A measurement model conditioned on one scan: log p(z_t | x_t, m) up to a constant."""
 
-    def __call__(self, maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+    def __call__(self, maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
         """Log likelihoods (K,) of poses (K, 3) in the maps `rows` (K,)."""
 
 

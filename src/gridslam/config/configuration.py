@@ -41,7 +41,7 @@ PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
     "key_scan_rad": ("when_to_update.rotation_rad", "... or after this much turning"),
     "insert_m": ("tracker.insert_m", "the tracker adds a scan to its local map after this much motion"),
     "insert_rad": ("tracker.insert_rad", "... or after this much turning"),
-    "beam_sigma_m": ("tracker.beam_sigma_m", "a beam's deviation against which odometry is weighed; more trusts it more"),
+    "beam_sigma_m": ("tracker.beam_sigma_m", "deviation of a beam; more trusts the odometry more"),
     "noise_m": ("motion.sigma_xy_m", "how far the particles spread over a metre of tracked motion"),
     "noise_rad": ("motion.sigma_theta_rad", "... and how much they turn"),
     "tempering": ("sensor.tempering", "share of a beam's evidence that is new"),

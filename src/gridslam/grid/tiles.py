@@ -13,7 +13,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena
 from gridslam.grid.frame import cell_corner
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
-from gridslam.types import Beams, FloatArray, IntArray, OccupancyGrid
+from gridslam.types import Beams, FloatArray, IntArray, OccupancyGrid, Rows
 
 __all__ = ["LOG_ODDS_UNIT", "Evidence", "TileMaps"]
 
@@ -160,7 +160,7 @@ class TileMaps:
         )
         return found
 
-    def distances(self, rows: IntArray | Int32Array, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`; `rows` (K,) says which map belongs to each pose.
@@ -172,7 +172,7 @@ class TileMaps:
         return found
 
     def cast_rays(
-        self, rows: IntArray | Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
     ) -> NDArray[np.float32]:
         """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
 

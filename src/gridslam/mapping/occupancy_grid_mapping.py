@@ -35,8 +35,8 @@ class OccupancyGridMapping:
     Source: Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
     """
 
-    resolution_m: float = Field(0.05, gt=0, le=1)
-    reach_cells: float = Field(10.5, ge=1, le=15.5)
+    resolution_m: float = Field(default=0.05, gt=0, le=1)
+    reach_cells: float = Field(default=10.5, ge=1, le=15.5)
     inverse_sensor: InverseSensorModel = InverseSensorModel()
 
     def empty(self, rows: int, threads: int = 1) -> TileMaps:

@@ -37,11 +37,11 @@ class Correlative:
     windows are small).
     """
 
-    window_m: float = Field(0.5, gt=0)
-    window_rad: float = Field(0.5, gt=0)
-    step_m: float = Field(0.1, gt=0)
-    step_rad: float = Field(0.05, gt=0)
-    beams: int = Field(60, ge=8)
+    window_m: float = Field(default=0.5, gt=0)
+    window_rad: float = Field(default=0.5, gt=0)
+    step_m: float = Field(default=0.1, gt=0)
+    step_rad: float = Field(default=0.05, gt=0)
+    beams: int = Field(default=60, ge=8)
     refine: GaussNewton = GaussNewton()
 
     def __call__(

@@ -44,13 +44,13 @@ class GaussNewton:
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
 
-    max_passes: int = Field(10, ge=0)
-    cauchy_m: float = Field(0.1, gt=0)
-    max_step_m: float = Field(0.1, gt=0)
-    max_step_rad: float = Field(0.1, gt=0)
-    stop_m: float = Field(0.001, gt=0)
-    stop_rad: float = Field(2e-4, gt=0)
-    min_information: float = Field(LEAST_INFORMATION, ge=0)
+    max_passes: int = Field(default=10, ge=0)
+    cauchy_m: float = Field(default=0.1, gt=0)
+    max_step_m: float = Field(default=0.1, gt=0)
+    max_step_rad: float = Field(default=0.1, gt=0)
+    stop_m: float = Field(default=0.001, gt=0)
+    stop_rad: float = Field(default=2e-4, gt=0)
+    min_information: float = Field(default=LEAST_INFORMATION, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams

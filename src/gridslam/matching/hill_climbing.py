@@ -44,12 +44,12 @@ class HillClimbing:
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
     """
 
-    step_m: float = Field(0.05, gt=0)
-    step_rad: float = Field(0.05, gt=0)
-    halvings: int = Field(5, ge=0)
-    scale_m2: float = Field(0.05, gt=0)
-    kernel_m: float = Field(0.075, gt=0)
-    minimum_score: float = Field(0.0, ge=0)
+    step_m: float = Field(default=0.05, gt=0)
+    step_rad: float = Field(default=0.05, gt=0)
+    halvings: int = Field(default=5, ge=0)
+    scale_m2: float = Field(default=0.05, gt=0)
+    kernel_m: float = Field(default=0.075, gt=0)
+    minimum_score: float = Field(default=0.0, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, IntArray, Weigher
+from gridslam.types import BeamStatus, Beams, DistanceMaps, FloatArray, Rows, Weigher
 
 __all__ = ["BeamRangeFinder"]
 
@@ -61,14 +61,14 @@ class BeamRangeFinder:
     Source: Probabilistic Robotics, Table 6.1 (`beam_range_finder_model`), Equations 6.4 to 6.12.
     """
 
-    z_hit: float = Field(0.8, ge=0, le=1)
-    z_short: float = Field(0.1, ge=0, le=1)
-    z_max: float = Field(0.05, gt=0, le=1)
-    z_rand: float = Field(0.05, gt=0, le=1)
-    sigma_hit_m: float = Field(0.1, gt=0)
-    lambda_short_per_m: float = Field(1.0, gt=0)
-    range_max_m: float = Field(30.0, gt=0)
-    tempering: float = Field(1.0, gt=0, le=1)
+    z_hit: float = Field(default=0.8, ge=0, le=1)
+    z_short: float = Field(default=0.1, ge=0, le=1)
+    z_max: float = Field(default=0.05, gt=0, le=1)
+    z_rand: float = Field(default=0.05, gt=0, le=1)
+    sigma_hit_m: float = Field(default=0.1, gt=0)
+    lambda_short_per_m: float = Field(default=1.0, gt=0)
+    range_max_m: float = Field(default=30.0, gt=0)
+    tempering: float = Field(default=1.0, gt=0, le=1)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> BeamRangeFinder:
@@ -113,7 +113,7 @@ class BeamRangeFinder:
         directions = projected / level[:, None]
         look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none
 
-        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             expected = maps.cast_rays(rows, poses, beams.origin, directions, look).astype(np.float64)
             log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected / level)).sum(axis=1)
             return self.tempering * log_likelihood

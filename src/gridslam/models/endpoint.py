@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, DistanceMaps, FloatArray, IntArray, Weigher
+from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, Weigher
 
 __all__ = ["CauchyAgreement", "EndPoint"]
 
@@ -39,15 +39,15 @@ class CauchyAgreement:
     application to conic fitting, Image and Vision Computing 15 (1997), Table 1.
     """
 
-    scale_m: float = Field(0.1, gt=0)
-    tempering: float = Field(0.1, gt=0, le=1)
+    scale_m: float = Field(default=0.1, gt=0)
+    tempering: float = Field(default=0.1, gt=0, le=1)
 
     def __call__(self, beams: Beams) -> Weigher:
         """Condition on the beams of one scan."""
         ends = beams.ends
         inverse_square = np.float32(1 / self.scale_m**2)
 
-        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             squares = np.square(maps.distances(rows, poses, ends)) * inverse_square
             agreement: FloatArray = (1 / (1 + squares)).sum(axis=1, dtype=np.float64)
             return self.tempering * agreement
@@ -83,11 +83,11 @@ class EndPoint:
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
     """
 
-    scale_m2: float = Field(0.075, gt=0)
-    no_hit_m2: float = Field(0.5, ge=0)
-    kernel_m: float = Field(0.075, gt=0)
-    skip: int = Field(0, ge=0)
-    gain: float = Field(3.0, gt=0)
+    scale_m2: float = Field(default=0.075, gt=0)
+    no_hit_m2: float = Field(default=0.5, ge=0)
+    kernel_m: float = Field(default=0.075, gt=0)
+    skip: int = Field(default=0, ge=0)
+    gain: float = Field(default=3.0, gt=0)
 
     def __call__(self, beams: Beams) -> Weigher:
         """Condition on the beams of one scan."""
@@ -95,7 +95,7 @@ class EndPoint:
         factor = -1 / (self.scale_m2 * self.gain)
         kernel, no_hit = np.float32(self.kernel_m), np.float32(self.no_hit_m2)
 
-        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             distances = maps.distances(rows, poses, ends)
             charged = np.where(distances <= kernel, np.square(distances), no_hit)
             total: FloatArray = charged.sum(axis=1, dtype=np.float64)

@@ -60,12 +60,12 @@ class InverseSensorModel:
     Source: Probabilistic Robotics, Table 4.2 (`binary_bayes_filter`) and Table 9.1 (`occupancy_grid_mapping`).
     """
 
-    true_occupied: float = Field(_DEFAULT[0], gt=0, lt=1)
-    false_free: float = Field(_DEFAULT[1], gt=0, lt=1)
-    false_occupied: float = Field(_DEFAULT[2], gt=0, lt=1)
-    true_free: float = Field(_DEFAULT[3], gt=0, lt=1)
-    log_odds_min: float = Field(-16.0, lt=0)
-    log_odds_max: float = Field(32.0, gt=0)
+    true_occupied: float = Field(default=_DEFAULT[0], gt=0, lt=1)
+    false_free: float = Field(default=_DEFAULT[1], gt=0, lt=1)
+    false_occupied: float = Field(default=_DEFAULT[2], gt=0, lt=1)
+    true_free: float = Field(default=_DEFAULT[3], gt=0, lt=1)
+    log_odds_min: float = Field(default=-16.0, lt=0)
+    log_odds_max: float = Field(default=32.0, gt=0)
     log_odds_occupied: float = 2.0
 
     @model_validator(mode="after")

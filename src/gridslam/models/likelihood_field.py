@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, DistanceMaps, FloatArray, IntArray, Weigher
+from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, Weigher
 
 __all__ = ["LikelihoodField"]
 
@@ -44,12 +44,12 @@ class LikelihoodField:
     Source: Probabilistic Robotics, Table 6.3 (`likelihood_field_range_finder_model`).
     """
 
-    z_hit: float = Field(0.95, ge=0, le=1)
-    z_rand: float = Field(0.05, gt=0, le=1)
-    z_max: float = Field(0.0, ge=0, le=1)
-    sigma_hit_m: float = Field(0.1, gt=0)
-    range_max_m: float = Field(30.0, gt=0)
-    tempering: float = Field(1.0, gt=0, le=1)
+    z_hit: float = Field(default=0.95, ge=0, le=1)
+    z_rand: float = Field(default=0.05, gt=0, le=1)
+    z_max: float = Field(default=0.0, ge=0, le=1)
+    sigma_hit_m: float = Field(default=0.1, gt=0)
+    range_max_m: float = Field(default=30.0, gt=0)
+    tempering: float = Field(default=1.0, gt=0, le=1)
 
     @model_validator(mode="after")
     def _shares_sum_to_one(self) -> LikelihoodField:
@@ -64,7 +64,7 @@ class LikelihoodField:
         exponent = np.float32(-0.5 / self.sigma_hit_m**2)
         uniform = np.float32(self.z_rand / self.range_max_m)
 
-        def weigh(maps: DistanceMaps, rows: IntArray, poses: FloatArray) -> FloatArray:
+        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             density = peak * np.exp(exponent * np.square(maps.distances(rows, poses, ends))) + uniform
             log_likelihood: FloatArray = np.log(density).sum(axis=1, dtype=np.float64)
             return self.tempering * log_likelihood

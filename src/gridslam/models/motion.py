@@ -117,11 +117,11 @@ class OdometryMotion:
     Source: Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
     """
 
-    alpha1: float = Field(0.01, ge=0)
-    alpha2: float = Field(0.01, ge=0)
-    alpha3: float = Field(0.01, ge=0)
-    alpha4: float = Field(0.01, ge=0)
-    still_m: float = Field(0.01, ge=0)
+    alpha1: float = Field(default=0.01, ge=0)
+    alpha2: float = Field(default=0.01, ge=0)
+    alpha3: float = Field(default=0.01, ge=0)
+    alpha4: float = Field(default=0.01, ge=0)
+    still_m: float = Field(default=0.01, ge=0)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -168,10 +168,10 @@ class GMappingMotion:
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
     """
 
-    srr: float = Field(0.1, ge=0)
-    srt: float = Field(0.2, ge=0)
-    str: float = Field(0.1, ge=0)
-    stt: float = Field(0.2, ge=0)
+    srr: float = Field(default=0.1, ge=0)
+    srt: float = Field(default=0.2, ge=0)
+    str: float = Field(default=0.1, ge=0)
+    stt: float = Field(default=0.2, ge=0)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""
@@ -208,10 +208,10 @@ class DiffusionMotion:
     cyclic environments from raw laser range measurements, IROS 2003 (its learned noise, here two constants).
     """
 
-    sigma_xy_m: float = Field(0.02, ge=0)
-    sigma_theta_rad: float = Field(0.01, ge=0)
-    floor_xy_m: float = Field(0.001, ge=0)
-    floor_theta_rad: float = Field(0.0002, ge=0)
+    sigma_xy_m: float = Field(default=0.02, ge=0)
+    sigma_theta_rad: float = Field(default=0.01, ge=0)
+    floor_xy_m: float = Field(default=0.001, ge=0)
+    floor_theta_rad: float = Field(default=0.0002, ge=0)
 
     def __call__(self, increment: FloatArray) -> GaussianIncrement:
         """Condition on the increment (3,) [x m, y m, theta rad]; raises ArgumentError for other shapes or NaN."""

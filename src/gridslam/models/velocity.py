@@ -56,12 +56,12 @@ class VelocityMotion:
     Source: Probabilistic Robotics, Table 5.3 (`sample_motion_model_velocity`).
     """
 
-    alpha1: float = Field(0.01, ge=0)
-    alpha2: float = Field(0.01, ge=0)
-    alpha3: float = Field(0.01, ge=0)
-    alpha4: float = Field(0.01, ge=0)
-    alpha5: float = Field(0.001, ge=0)
-    alpha6: float = Field(0.001, ge=0)
+    alpha1: float = Field(default=0.01, ge=0)
+    alpha2: float = Field(default=0.01, ge=0)
+    alpha3: float = Field(default=0.01, ge=0)
+    alpha4: float = Field(default=0.01, ge=0)
+    alpha5: float = Field(default=0.001, ge=0)
+    alpha6: float = Field(default=0.001, ge=0)
 
     def __call__(self, control: FloatArray) -> GaussianIncrement:
         """Condition on a control (3,) [v m/s, omega rad/s, dt s].

@@ -44,10 +44,10 @@ class Confidence:
         Standard deviation of the tracker's error after one metre or radian.
     """
 
-    sigma_m: float = Field(0.05, gt=0)
-    lost_below: float = Field(0.15, ge=0, le=1)
-    drift_m: float = Field(0.02, ge=0)
-    drift_rad: float = Field(0.01, ge=0)
+    sigma_m: float = Field(default=0.05, gt=0)
+    lost_below: float = Field(default=0.15, ge=0, le=1)
+    drift_m: float = Field(default=0.02, ge=0)
+    drift_rad: float = Field(default=0.01, ge=0)
 
     def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
         """Report of the scan that the filter begins with: a key scan that weighs nothing."""

@@ -65,7 +65,8 @@ def _rows(maps: TileMaps) -> Int32Array:
 def _information(covariances: FloatArray, weight: float) -> FloatArray:
     """Inverse covariances (N, 3, 3) times `weight`; a motion without noise along some direction stays invertible."""
     floor = np.diag([1e-8, 1e-8, 1e-10])
-    return weight * np.linalg.inv(covariances + floor)
+    information: FloatArray = weight * np.asarray(np.linalg.inv(covariances + floor), np.float64)
+    return information
 
 
 @final
@@ -114,7 +115,7 @@ class Peak:
     """
 
     matcher: GaussNewton | HillClimbing = GaussNewton()
-    beam_sigma_m: float = Field(1.6e-4, gt=0)
+    beam_sigma_m: float = Field(default=1.6e-4, gt=0)
 
     def __call__(
         self,
@@ -152,7 +153,7 @@ class Gaussian:
     """
 
     matcher: GaussNewton = GaussNewton()
-    beam_sigma_m: float = Field(0.02, gt=0)
+    beam_sigma_m: float = Field(default=0.02, gt=0)
 
     def __call__(
         self,

@@ -102,8 +102,9 @@ class GridFastSlamState:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
-        parts = {"tracker": self.tracker, "maps": self.maps, "ancestry": self.ancestry}
-        nested = {f"{name}.{key}": array for name, part in parts.items() for key, array in part.to_arrays().items()}
+        parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
+        parts.append(("ancestry", self.ancestry.to_arrays()))
+        nested = {f"{name}.{key}": array for name, arrays in parts for key, array in arrays.items()}
         return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
 
     @classmethod
@@ -119,7 +120,7 @@ class GridFastSlamState:
             return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
         try:
-            own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+            own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),
                 maps=mapper.restore(part("maps"), threads),

@@ -125,16 +125,16 @@ class Tracker:
         How a scan is matched after a jump.
     """
 
-    still_m: float = Field(0.005, ge=0)
-    still_rad: float = Field(0.005, ge=0)
-    insert_m: float = Field(0.2, gt=0)
-    insert_rad: float = Field(0.1, gt=0)
-    map_scans: int = Field(20, ge=1)
-    beam_sigma_m: float = Field(0.0016, gt=0)
-    jump_m: float = Field(1.0, gt=0)
-    jump_rad: float = Field(1.0, gt=0)
-    speed_mps: float = Field(3.0, ge=0)
-    turn_rps: float = Field(3.0, ge=0)
+    still_m: float = Field(default=0.005, ge=0)
+    still_rad: float = Field(default=0.005, ge=0)
+    insert_m: float = Field(default=0.2, gt=0)
+    insert_rad: float = Field(default=0.1, gt=0)
+    map_scans: int = Field(default=20, ge=1)
+    beam_sigma_m: float = Field(default=0.0016, gt=0)
+    jump_m: float = Field(default=1.0, gt=0)
+    jump_rad: float = Field(default=1.0, gt=0)
+    speed_mps: float = Field(default=3.0, ge=0)
+    turn_rps: float = Field(default=3.0, ge=0)
     matcher: GaussNewton = GaussNewton()
     recovery: Correlative = Correlative()
 
@@ -157,9 +157,8 @@ class Tracker:
         if not len(beams) or (moved < self.still_m and turned < self.still_rad and not jumped):
             state.pose = predicted
             return Tracked(predicted, predicted)
-        prior, matcher = self._prior(moved, turned, state.maps.resolution_m), self.matcher
-        if jumped:
-            prior, matcher = _NO_PRIOR, self.recovery
+        prior = _NO_PRIOR if jumped else self._prior(moved, turned, state.maps.resolution_m)
+        matcher: GaussNewton | Correlative = self.recovery if jumped else self.matcher
         pose = matcher(state.maps, _ROWS[state.active], predicted[None], prior, beams).poses[0]
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
