@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.errors import ArgumentError
 
 __all__ = [
-    "BeamStatus", "Beams", "DistanceMaps", "FloatArray", "IntArray", "LaserScan", "Match", "MotionModel", "MotionSampler", "OccupancyGrid",
-    "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel", "SkipReason", "StepReport", "Trajectory", "Weigher",
+    "BeamStatus", "Beams", "DistanceMaps", "FloatArray", "IntArray", "LaserScan", "Match", "MotionModel",
+    "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel", "SkipReason",
+    "StepReport", "Trajectory", "Weigher",
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
@@ -200,7 +201,7 @@ class Beams:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """A stamped pose (3,) in the odometry frame, with an optional covariance (3, 3) of the motion since the last one."""
+    """A stamped pose (3,) in the odometry frame; optionally the covariance (3, 3) of the motion since the last."""
 
     stamp_ns: int
     pose: FloatArray

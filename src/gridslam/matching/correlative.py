@@ -50,14 +50,16 @@ class Correlative:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
         ends = beams.ends[:: max(1, len(beams) // self.beams)]
         offsets = self._offsets()
-        starts = np.array([self._best(maps, row, guess, offsets, ends) for row, guess in zip(rows, guesses, strict=True)])
-        return self.refine(maps, rows, starts.reshape(-1, 3), priors, beams)
+        pairs = zip(rows, guesses, strict=True)
+        starts = np.array([self._best(maps, row, guess, offsets, ends) for row, guess in pairs]).reshape(-1, 3)
+        return self.refine(maps, rows, starts, priors, beams)
 
     def _offsets(self) -> FloatArray:
         """Offsets (M, 3) of the window, the nearest to the guess first, so that it wins a tie."""
-        along = self.step_m * np.arange(-math.ceil(self.window_m / self.step_m), math.ceil(self.window_m / self.step_m) + 1)
-        count = math.ceil(self.window_rad / self.step_rad)
-        turns = self.step_rad * np.arange(-count, count + 1)
+        steps = math.ceil(self.window_m / self.step_m)
+        along = self.step_m * np.arange(-steps, steps + 1)
+        steps = math.ceil(self.window_rad / self.step_rad)
+        turns = self.step_rad * np.arange(-steps, steps + 1)
         offsets = np.stack(np.meshgrid(along, along, turns, indexing="ij"), axis=-1).reshape(-1, 3)
         return offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
 

@@ -65,7 +65,7 @@ class GaussNewton:
 
 
 def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:
-    """Unit vector (2,) along which a match of this information (3, 3) and score kept its guess; None if there is none."""
+    """Unit vector (2,) along which a match of this information (3, 3) and score kept its guess; None where none."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
     turn = 1 / max(tt, 1e-12)
     a, b, c = xx - xt * xt * turn, xy - xt * yt * turn, yy - yt * yt * turn

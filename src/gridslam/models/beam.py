@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import BeamStatus, Beams, DistanceMaps, FloatArray, Rows, Weigher
+from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, Weigher
 
 __all__ = ["BeamRangeFinder"]
 

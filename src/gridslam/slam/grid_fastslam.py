@@ -1,7 +1,7 @@
 """Grid-based FastSLAM (GMapping): a particle filter over trajectories, each particle with its own occupancy grid.
 
-p(x_1:t, m | z_1:t, u_1:t) = p(x_1:t | z_1:t, u_1:t) p(m | x_1:t, z_1:t): the particles carry the first factor, and given
-its trajectory each particle's map is mapping with known poses.
+p(x_1:t, m | z_1:t, u_1:t) = p(x_1:t | z_1:t, u_1:t) p(m | x_1:t, z_1:t): the particles carry the first factor, and
+given its trajectory each particle's map is mapping with known poses.
 """
 
 from __future__ import annotations
@@ -27,8 +27,16 @@ from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.tracker import OdometryTracker, Tracker
 from gridslam.types import (
-    Beams, FloatArray, LaserScan, MotionModel, Odometry, Resampler, SensorModel, SkipReason, StepReport,
-)  # fmt: skip
+    Beams,
+    FloatArray,
+    LaserScan,
+    MotionModel,
+    Odometry,
+    Resampler,
+    SensorModel,
+    SkipReason,
+    StepReport,
+)
 
 __all__ = ["GridFastSlam"]
 

@@ -111,7 +111,7 @@ class GridFastSlamState:
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
     ) -> GridFastSlamState:
-        """Rebuild the state of a filter with this mapper; raises ArgumentError for another schema or a missing array."""
+        """Rebuild the state of a filter with this mapper; ArgumentError for a wrong schema or a missing array."""
         schema = str(arrays.get("schema", "none"))
         if schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
