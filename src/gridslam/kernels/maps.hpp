@@ -92,17 +92,27 @@ void parallel_for(int n, int threads, const Body& body) {
   for (auto& t : pool) t.join();
 }
 
-// Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies at
-// start + floor((2 i d + n) / (2 n)) on each axis. Monotone on both axes, so a stretch is known by its ends.
+// Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies i cells along the major axis,
+// and on the minor one at start + floor((2 i d + n) / (2 n)). That is kept as a 32.32 fixed point number, so that no cell
+// waits for the one before it; its start is biased by more than the slope's rounding adds up to, and by far less than what
+// tells two cells apart: ties go up for d >= 0 and down for d < 0.
 struct Line {
-  int x0, y0, dx, dy, n;
-  Line(int ax, int ay, int bx, int by) : x0(ax), y0(ay), dx(bx - ax), dy(by - ay), n(std::max(std::abs(dx), std::abs(dy))) {}
-  static int rounded(int64_t i, int64_t d, int64_t n) {
-    const int64_t top = 2 * i * d + n, bottom = 2 * n;
-    return static_cast<int>(top >= 0 ? top / bottom : -((-top + bottom - 1) / bottom));
+  int x0, y0, n;
+  bool along_x;
+  int major_step, minor_step;
+  uint64_t slope = 0, start = 1ull << 31;
+  Line(int ax, int ay, int bx, int by) : x0(ax), y0(ay) {
+    const int dx = bx - ax, dy = by - ay;
+    along_x = std::abs(dx) >= std::abs(dy);
+    const int major = along_x ? dx : dy, minor = along_x ? dy : dx;
+    n = std::abs(major);
+    major_step = major >= 0 ? 1 : -1, minor_step = minor >= 0 ? 1 : -1;
+    if (n == 0) return;
+    slope = (static_cast<uint64_t>(std::abs(minor)) << 32) / static_cast<uint64_t>(n);
+    start += minor >= 0 ? static_cast<uint64_t>(n) : ~0ull;
   }
-  int x(int i) const { return n ? x0 + rounded(i, dx, n) : x0; }
-  int y(int i) const { return n ? y0 + rounded(i, dy, n) : y0; }
+  int major(int i) const { return (along_x ? x0 : y0) + i * major_step; }
+  int minor(int i) const { return (along_x ? y0 : x0) + static_cast<int>((start + static_cast<uint64_t>(i) * slope) >> 32) * minor_step; }
 };
 
 struct Cell {

@@ -23,16 +23,13 @@ class TileSet {
 };
 
 void mark_line(const Line& line, TileSet& set) {
-  const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
-  const int start = along_x ? line.x0 : line.y0, forward = (along_x ? line.dx : line.dy) >= 0;
   for (int i = 0; i <= line.n;) {
-    const int major = start + (forward ? i : -i);
-    const int inside = major & kTileMask;
-    const int last = std::min(line.n, i + (forward ? kTileMask - inside : inside));
-    const int a = (along_x ? line.y(i) : line.x(i)) >> kTileBits, b = (along_x ? line.y(last) : line.x(last)) >> kTileBits;
-    const int t = major >> kTileBits;
-    along_x ? set.mark(a, t) : set.mark(t, a);
-    along_x ? set.mark(b, t) : set.mark(t, b);
+    const int major = line.major(i), inside = major & kTileMask, tile = major >> kTileBits;
+    const int last = std::min(line.n, i + (line.major_step > 0 ? kTileMask - inside : inside));
+    for (const int end : {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
+      const int aside = line.minor(end) >> kTileBits;
+      line.along_x ? set.mark(aside, tile) : set.mark(tile, aside);
+    }
     i = last + 1;
   }
 }

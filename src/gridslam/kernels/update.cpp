@@ -1,5 +1,6 @@
 // The binary Bayes filter along the rays of a scan, and the distance field that follows the cells that changed.
 
+#include <bit>
 #include <cstring>
 
 #include "maps.hpp"
@@ -38,6 +39,15 @@ inline bool free_tile(int16_t* cells, const Count* passes, int stride, const Evi
 GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) { return free_tile<uint8_t>(cells, passes, stride, e); }
 GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) { return free_tile<uint16_t>(cells, passes, stride, e); }
 
+// High bit of each byte that is 255, eight cells at once.
+inline uint64_t occupied_bytes(const uint8_t* cells) {
+  constexpr uint64_t kLow = 0x7f7f7f7f7f7f7f7fu;
+  uint64_t word;
+  std::memcpy(&word, cells, sizeof(word));
+  const uint64_t zero_where_occupied = ~word;
+  return ~(((zero_where_occupied & kLow) + kLow) | zero_where_occupied | kLow);
+}
+
 // How often the rays of one scan pass each cell of the tiles around it: a rectangle of counters, cut at tiles.
 template <class Count>
 class Passes {
@@ -48,16 +58,12 @@ class Passes {
   }
   Count* at(int y, int x) { return counts_.data() + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
 
-  // Counts the cells of a line but its last. The minor axis is a 32.32 fixed point number, so that no cell waits for the one
-  // before it; its start is biased by more than the slope's rounding adds up to, and by far less than what tells two cells
-  // apart: ties go up for d >= 0 and down for d < 0, as in Line.
+  // Counts the cells of a line but its last.
   void add(const Line& line) {
-    if (line.n == 0) return;
-    const bool along_x = std::abs(line.dx) >= std::abs(line.dy);
-    const int major_d = along_x ? line.dx : line.dy, minor_d = along_x ? line.dy : line.dx, n = line.n;
-    const int64_t row = width_, major = (major_d >= 0 ? 1 : -1) * (along_x ? 1 : row), minor = (minor_d >= 0 ? 1 : -1) * (along_x ? row : 1);
-    const uint64_t slope = (static_cast<uint64_t>(std::abs(minor_d)) << 32) / n;
-    uint64_t aside = (1ull << 31) + (minor_d >= 0 ? n : -1);
+    const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row), minor = line.minor_step * (line.along_x ? row : 1);
+    const uint64_t slope = line.slope;
+    const int n = line.n;
+    uint64_t aside = line.start;
     Count* cell = at(line.y0, line.x0);
     for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
   }
@@ -68,9 +74,11 @@ class Passes {
       for (int x = x0_; x < x0_ + width_; x += kTile) {
         const int64_t tile = m.tile(root, y >> kTileBits, x >> kTileBits) * static_cast<int64_t>(kTileCells);
         if (tile == 0 || !free_tile(m.log_odds + tile, at(y, x), width_, e)) continue;
-        for (int i = 0; i < kTileCells; ++i)
-          if (m.field[tile + i] == kOccupiedField && m.log_odds[tile + i] <= e.occupied_above)
-            changed.push_back({row, y + (i >> kTileBits), x + (i & kTileMask), 0});
+        for (int word = 0; word < kTileCells; word += 8)
+          for (uint64_t left = occupied_bytes(m.field + tile + word); left != 0; left &= left - 1) {
+            const int i = word + (std::countr_zero(left) >> 3);
+            if (m.log_odds[tile + i] <= e.occupied_above) changed.push_back({row, y + (i >> kTileBits), x + (i & kTileMask), 0});
+          }
       }
   }
 
@@ -137,14 +145,16 @@ struct Obstacles {  // relative to some cell, near enough for squares in 16 bits
 
 // Occupied cells of the window of this half width around a cell, read off the field.
 void find_occupied(const Maps& m, const int32_t* root, int cy, int cx, int half, Obstacles& out) {
+  static_assert(std::endian::native == std::endian::little, "the order of bytes in a word is that of the cells");
   out.y.clear(), out.x.clear();
   window_rows(m, root, cy - half, cy + half, cx - half, cx + half, [&](int64_t first, int y, int xs, int xe) {
-    const uint8_t* row = m.field + first;
-    uint8_t greatest = 0;
-    for (int x = 0; x <= xe - xs; ++x) greatest = std::max(greatest, row[x]);
-    if (greatest != kOccupiedField) return;
-    for (int x = 0; x <= xe - xs; ++x)
-      if (row[x] == kOccupiedField) out.y.push_back(static_cast<int16_t>(y - cy)), out.x.push_back(static_cast<int16_t>(xs + x - cx));
+    const int skipped = xs & kTileMask;
+    const uint8_t* row = m.field + first - skipped;
+    for (int word = skipped & ~7; word <= skipped + xe - xs; word += 8)
+      for (uint64_t left = occupied_bytes(row + word); left != 0; left &= left - 1) {
+        const int x = xs - skipped + word + (std::countr_zero(left) >> 3);
+        if (x >= xs && x <= xe) out.y.push_back(static_cast<int16_t>(y - cy)), out.x.push_back(static_cast<int16_t>(x - cx));
+      }
   });
 }
 

@@ -21,7 +21,7 @@ __all__ = ["Confidence"]
 
 _DIAGONAL = np.diag_indices(3)
 
-_LEAST_INFORMATION = 1e-2
+_LEAST_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 
 
@@ -78,7 +78,7 @@ class Confidence:
         away = state.poses - state.poses[best]
         away[:, 2] = wrap(away[:, 2])
         spread = (np.exp(state.log_weights) * away.T) @ away
-        state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION * np.eye(3))
+        state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
         state.lost = score < self.lost_below * len(beams)
         return StepReport(
             scan.stamp_ns, state.poses[best], state.covariance, key_from_base,

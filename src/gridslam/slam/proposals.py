@@ -62,11 +62,21 @@ def _rows(maps: TileMaps) -> Int32Array:
     return np.arange(len(maps), dtype=np.int32)
 
 
-def _information(covariances: FloatArray, weight: float) -> FloatArray:
-    """Inverse covariances (N, 3, 3) times `weight`; a motion without noise along some direction stays invertible."""
+def _information(motion: MotionSampler, poses: FloatArray) -> FloatArray:
+    """Inverse covariances (N, 3, 3) of the motion from poses (N, 3), world frame.
+
+    Motion models speak of increments in the robot's frame, so each is the first one's, turned by the headings' difference.
+    A motion without noise along some direction stays invertible.
+    """
     floor = np.diag([1e-8, 1e-8, 1e-10])
-    information: FloatArray = weight * np.asarray(np.linalg.inv(covariances + floor), np.float64)
-    return information
+    first: FloatArray = np.asarray(np.linalg.inv(motion.moments(poses[:1])[1][0] + floor), np.float64)
+    turned = poses[:, 2] - poses[0, 2]
+    rotation = np.zeros((len(poses), 3, 3))
+    rotation[:, 0, 0] = rotation[:, 1, 1] = np.cos(turned)
+    rotation[:, 1, 0] = np.sin(turned)
+    rotation[:, 0, 1] = -rotation[:, 1, 0]
+    rotation[:, 2, 2] = 1.0
+    return rotation @ first @ rotation.transpose(0, 2, 1)
 
 
 @final
@@ -128,7 +138,7 @@ class Peak:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = self.matcher(maps, rows, drawn, _information(motion.moments(poses)[1], self.beam_sigma_m**2), beams)
+        match = self.matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return Proposed(match.poses, weigh(maps, rows, match.poses), match)
 
 
@@ -166,8 +176,7 @@ class Gaussian:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        means, covariances = motion.moments(poses)
-        prior = _information(covariances, 1.0)
+        means, prior = motion.moments(poses)[0], _information(motion, poses)
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)
