@@ -1,11 +1,24 @@
-"""Fixtures shared by all tests."""
+"""What all tests share: the real logs, and what a run of the tests insists on."""
 
 from __future__ import annotations
 
 import os
+import sys
+import warnings
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "support"))  # helpers of several tiers
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """End at once where GRIDSLAM_REQUIRE_COMPILED=1 and the package runs on the NumPy twins."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of missing kernels: told once, and tested elsewhere
+        from gridslam.kernels import backend, compiled
+    if os.environ.get("GRIDSLAM_REQUIRE_COMPILED") == "1" and not compiled:
+        raise pytest.UsageError(f"expected the compiled kernels, got {backend.__file__}")
 
 
 @pytest.fixture(scope="session")
