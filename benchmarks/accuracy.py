@@ -57,7 +57,7 @@ def starts(log: Log, report: Report, repeats: int) -> None:
         "import os, sys, gridslam.cli.main, gridslam.cli.map; from gridslam import map_log; "
         "map_log(sys.argv[1], observers=[lambda report, state, seconds: os._exit(0)])"
     )
-    commands = {
+    commands: dict[str, tuple[list[str | Path], float]] = {
         "gridslam --help": ([*GRIDSLAM, "--help"], 0.3),
         f"first scan of {log.name} processed": ([GRIDSLAM[0], "-c", first_scan, log.path], 1.0),
     }

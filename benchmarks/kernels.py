@@ -8,24 +8,23 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
+from unittest.mock import patch
 
 import numpy as np
 
-import gridslam.grid.tiles as tiles
-from gridslam import GridFastSlam, build, preset
+from gridslam import StepReport, build, preset, run
 from gridslam.kernels import backend, compiled, reference
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Beams, FloatArray
 from report import table
 
-__all__ = ["Situation", "kernel_times", "record"]
+__all__ = ["Call", "Situation", "kernel_times", "record"]
 
 
-class _Call(NamedTuple):
+class Call(NamedTuple):
     """Arguments of a kernel, as they were before it ran, and what it returned."""
 
     arguments: tuple[Any, ...]
@@ -37,13 +36,13 @@ class _Recorder:
     """Stands in for the kernels and keeps the last call of each."""
 
     def __init__(self) -> None:
-        self.calls: dict[str, _Call] = {}
+        self.calls: dict[str, Call] = {}
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         def call(*arguments: Any) -> Any:  # noqa: ANN401
             before = _copied(arguments)
             result = getattr(backend, name)(*arguments)
-            self.calls[name] = _Call(before, result)
+            self.calls[name] = Call(before, result)
             return result
 
         return call
@@ -53,53 +52,37 @@ def _copied(arguments: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(value.copy() if isinstance(value, np.ndarray) else value for value in arguments)
 
 
-@contextmanager
-def _recording() -> Iterator[_Recorder]:
-    recorder = _Recorder()
-    tiles.backend = recorder
-    try:
-        yield recorder
-    finally:
-        tiles.backend = backend
-
-
 @final
 @dataclass(frozen=True)
 class Situation:
     """Calls of the kernels at one key scan, and how much work each had: a count and what was counted."""
 
-    calls: dict[str, _Call]
+    calls: dict[str, Call]
     work: dict[str, tuple[int, str]]
     particles: int
     beams: int
 
 
 def record(particles: int = 30, scans: int = 400) -> Situation:
-    """Map the first scans of the demo's building, then record the first key scan after a resampling."""
+    """Map the first scans of the demo's building, resample, and record the next key scan.
+
+    Every particle's map is shared then, so that the tiles which a scan touches are copied: the most costly case.
+    """
     rng = np.random.default_rng(0)
-    world = make_world("demo", rng)
-    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+    log = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
     slam = build(preset("default", particles))
-    return _after_resampling(log, slam, particles, scans, rng)
-
-
-def _after_resampling(
-    log: SimulatedLog, slam: GridFastSlam, particles: int, scans: int, rng: np.random.Generator
-) -> Situation:
-    """Every particle's map is shared then, so that the tiles which a scan touches are copied: the most costly case."""
-    state, _ = slam.init(*log.measurements[0], particles)
-    for count, (odometry, scan) in enumerate(log.measurements[1:], 1):
-        if count < scans:
-            state, _ = slam.step(state, odometry, scan, rng)
-            continue
-        if count == scans:
-            state.resample(np.sort(rng.integers(0, particles, particles)))
-        with _recording() as recorder:
-            state, report = slam.step(state, odometry, scan, rng)
-            if report.skipped is None:
-                beams = scan.beams(slam.range_min_m, slam.range_max_m)
-                rows = np.arange(particles, dtype=np.int32)
-                state.maps.cast_rays(rows, state.poses, beams.origin, scan.geometry.directions, slam.range_max_m)
+    state = run(log.measurements[:scans], slam, particles=particles, rng=rng)
+    state.resample(np.sort(rng.integers(0, particles, particles)))
+    reports: list[StepReport] = []
+    for measurement in log.measurements[scans:]:
+        recorder = _Recorder()
+        with patch("gridslam.grid.tiles.backend", recorder):
+            observers = [lambda report, state, seconds: reports.append(report)]
+            state = run([measurement], slam, rng=rng, state=state, observers=observers)
+            if reports[-1].skipped is None:
+                beams, rows = measurement.scan.beams(slam.range_min_m, slam.range_max_m), np.arange(particles)
+                directions = measurement.scan.geometry.directions
+                state.maps.cast_rays(rows, state.poses, beams.origin, directions, slam.range_max_m)
                 state.maps.distances(rows, state.poses, beams.ends)
                 work = _work(recorder.calls, state.poses, beams, state.maps.resolution_m)
                 return Situation(recorder.calls, work, particles, len(beams))
@@ -107,7 +90,7 @@ def _after_resampling(
 
 
 def _work(
-    calls: dict[str, _Call], poses: FloatArray, beams: Beams, resolution_m: float
+    calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m: float
 ) -> dict[str, tuple[int, str]]:
     rays = beams.ends - beams.origin
     reach, bearing = np.hypot(*rays.T), np.arctan2(rays[:, 1], rays[:, 0])
@@ -127,7 +110,7 @@ def _work(
     }
 
 
-def median_s(kernel: Callable[..., Any], call: _Call, repeats: int) -> float:
+def median_s(kernel: Callable[..., Any], call: Call, repeats: int) -> float:
     """Median wall seconds of a call; its arguments are copied anew each time, for kernels write into them."""
     seconds = []
     for _ in range(repeats):
