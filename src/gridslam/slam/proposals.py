@@ -65,7 +65,7 @@ def _rows(maps: TileMaps) -> Int32Array:
 def _information(motion: MotionSampler, poses: FloatArray) -> FloatArray:
     """Inverse covariances (N, 3, 3) of the motion from poses (N, 3), world frame.
 
-    Motion models speak of increments in the robot's frame, so each is the first one's, turned by the headings' difference.
+    Motion models speak of increments in the robot's frame: each is the first one's, turned by the headings' difference.
     A motion without noise along some direction stays invertible.
     """
     floor = np.diag([1e-8, 1e-8, 1e-10])

@@ -1,0 +1,193 @@
+"""One sweep of a planar lidar: where its beams point, what they measured, and which of them are used.
+
+`gridslam.types` has these names beside the other values.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+
+__all__ = ["BeamStatus", "Beams", "FloatArray", "IntArray", "LaserScan", "Rows", "ScanGeometry", "frozen"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Rows = NDArray[np.integer[Any]]
+"""Which map of a table of maps: one row for each pose."""
+
+
+def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """A read-only copy of `values` with the given dtype and shape (None: any length)."""
+    array: NDArray[Any] = np.array(values, dtype=dtype)
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if not fits:
+        raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
+    array.flags.writeable = False
+    return array
+
+
+class BeamStatus(IntEnum):
+    """What one beam says; decided once, by the adapter that reads the scan."""
+
+    HIT = 0
+    NO_RETURN = 1
+    INVALID = 2
+
+
+_HIT = np.uint8(BeamStatus.HIT)
+
+
+@final
+class ScanGeometry:
+    """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
+
+    Parameters
+    ----------
+    bearings : (B,) float64, rad
+        Angle of each beam in the laser's frame, counter-clockwise.
+    base_from_laser : (4, 4) float64, optional
+        SE(3) mounting of the laser (homogeneous; m); identity if not given. A planar mounting comes from `planar`.
+
+    Attributes
+    ----------
+    directions : (B, 2) float64
+        Direction of each beam in the base frame, projected on the ground plane (shorter than 1 for a tilted laser).
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    """
+
+    __slots__ = ("base_from_laser", "bearings", "directions", "origin")
+
+    def __init__(self, bearings: ArrayLike, base_from_laser: ArrayLike | None = None) -> None:
+        self.bearings: FloatArray = frozen(bearings, np.float64, (None,), "bearings")
+        if not np.isfinite(self.bearings).all():
+            raise ArgumentError("bearings", "finite angles in rad", "a value that is not finite")
+        mounting = np.eye(4) if base_from_laser is None else base_from_laser
+        self.base_from_laser: FloatArray = frozen(mounting, np.float64, (4, 4), "base_from_laser")
+        rotation = self.base_from_laser[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+            raise ArgumentError("base_from_laser", "a rotation in its upper left 3x3 block", rotation.tolist())
+        in_laser = np.stack([np.cos(self.bearings), np.sin(self.bearings), np.zeros_like(self.bearings)])
+        self.directions: FloatArray = frozen((rotation @ in_laser)[:2].T, np.float64, (None, 2), "directions")
+        self.origin: FloatArray = frozen(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
+
+    @classmethod
+    def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
+        """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
+        x, y, theta = np.asarray(base_from_laser, dtype=np.float64)
+        c, s = np.cos(theta), np.sin(theta)
+        return cls(bearings, [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One sweep of a planar lidar. Adapters build it; `from_ranges` validates and copies.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the scan, ns.
+    ranges : (B,) float64, m
+        Measured ranges; meaningful where `status` is HIT.
+    status : (B,) uint8
+        A `BeamStatus` for each beam.
+    geometry : ScanGeometry
+        Bearings and mounting; its length is B.
+    range_min_m, range_max_m : float
+        Limits of the sensor.
+    sensor, frame : str
+        Identifier of the laser and name of its frame.
+    beam_times_s : (B,) float64 or None
+        Time of each beam relative to the stamp.
+    """
+
+    stamp_ns: int
+    ranges: FloatArray
+    status: NDArray[np.uint8]
+    geometry: ScanGeometry
+    range_min_m: float = 0.0
+    range_max_m: float = np.inf
+    sensor: str = "laser"
+    frame: str = "laser"
+    beam_times_s: FloatArray | None = None
+
+    @classmethod
+    def from_ranges(
+        cls,
+        stamp_ns: int,
+        ranges: ArrayLike,
+        geometry: ScanGeometry,
+        *,
+        range_min_m: float = 0.0,
+        range_max_m: float = np.inf,
+        sensor: str = "laser",
+        frame: str = "laser",
+        beam_times_s: ArrayLike | None = None,
+    ) -> LaserScan:
+        """Build a scan from raw ranges (B,) in m, deciding each beam's status.
+
+        NaN, negative and zero ranges and ranges below `range_min_m` are INVALID; infinite ones and those at or above
+        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ.
+        """
+        values = frozen(ranges, np.float64, (len(geometry.bearings),), "ranges")
+        no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
+        valid = (values > 0) & (values >= range_min_m)
+        status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
+        times = None if beam_times_s is None else frozen(beam_times_s, np.float64, values.shape, "beam_times_s")
+        known = frozen(status, np.uint8, values.shape, "status")
+        return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
+
+    def __len__(self) -> int:
+        """Return the number of beams B."""
+        return len(self.ranges)
+
+    def beams(self, min_m: float, max_m: float) -> Beams:
+        """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame."""
+        ranges, geometry = self.ranges, self.geometry
+        usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
+        ends = geometry.directions.take(usable, axis=0)
+        ends *= ranges.take(usable)[:, None]
+        ends += geometry.origin
+        return Beams(self, usable, ends, geometry.origin)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
+
+    Attributes
+    ----------
+    scan : LaserScan
+        Where they come from.
+    indices : (K,) int64
+        Which beams of the scan they are.
+    ends : (K, 2) float64, m
+        End points in the base frame.
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    """
+
+    scan: LaserScan
+    indices: IntArray
+    ends: FloatArray
+    origin: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of usable beams K."""
+        return len(self.ends)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
+        ends, origin = self.ends, self.origin
+        farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
+        return math.sqrt(farthest)
