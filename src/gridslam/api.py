@@ -192,19 +192,10 @@ def map_log(
     watch = stopwatch or Stopwatch()
     source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
-
-    def keep(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        record.add(report, seconds)
-
     watch.lap("start")
-    state = run(
-        _with_odometry(source),
-        build(config, threads),
-        particles=config.particles,
-        rng=np.random.default_rng(seed),
-        observers=(trajectory, statistics, keep, *observers),
-        stopwatch=watch,
-    )
+    measurements, slam, rng = _with_odometry(source), build(config, threads), np.random.default_rng(seed)
+    watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
+    state = run(measurements, slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
     result = MapResult(
         trajectory=trajectory.full(state),
         online_trajectory=trajectory.online(),
@@ -246,6 +237,13 @@ def _check(seed: int, threads: int, particles: int | None, configuration: Config
         raise ArgumentError("threads", "at least one", threads)
     if particles is not None and configuration is not None:
         raise ArgumentError("particles", "none where a configuration is given", particles)
+
+
+def _kept_in(record: RecordWriter) -> Observer:
+    def keep(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        record.add(report, seconds)
+
+    return keep
 
 
 def _with_odometry(log: CarmenLog) -> Iterator[Measurement]:

@@ -1,0 +1,44 @@
+"""What the README shows is what there is."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import textwrap
+
+import numpy as np
+from house import ROOT
+
+import gridslam
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def shown(name: str) -> str:
+    """The block of code below the comment <!-- name -->."""
+    return re.search(rf"^<!-- {name} -->\n```\w*\n(.*?)\n```$", README, re.DOTALL | re.MULTILINE)[1]
+
+
+def test_the_trunk_is_the_code():
+    code = textwrap.dedent(inspect.getsource(gridslam.GridFastSlam.step)).rstrip()
+    assert shown("trunk") == code, "copy GridFastSlam.step into README.md"
+
+
+def test_the_five_lines_and_the_loop_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=60), rng)
+    write_carmen("intel.clf.bz2", log.measurements[:20])
+    exec(shown("python"), {})
+    assert (tmp_path / "out" / "map.png").is_file()
+    exec(shown("loop"), {"gridslam": gridslam, "np": np})
+    assert len(re.findall(r"False", capsys.readouterr().out)) == 20
+
+
+def test_links_lead_somewhere():
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+    for page in pages:
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
