@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent / "support"))  # helpers of several tiers
+pytest.register_assert_rewrite("real_logs")
 
 
 def pytest_configure(config: pytest.Config) -> None:
