@@ -119,9 +119,9 @@ def test_a_first_scan_without_beams_is_fine(drive, play):
 
 def test_a_robot_that_stands_still_stays_where_it_is(drive, play, contents):
     state, before = play(GridFastSlam(), drive.measurements[:40])
-    odometry, _ = drive.measurements[39]
+    odometry, seen = drive.measurements[39]
     maps = {name: part for name, part in contents(state).items() if "maps" in name}
-    scans = [replace(scan, stamp_ns=odometry.stamp_ns + k * 10**8) for k, (_, scan) in enumerate([drive.measurements[39]] * 50)]
+    scans = [replace(seen, stamp_ns=odometry.stamp_ns + k * 10**8) for k in range(50)]
     state, reports = play(GridFastSlam(), [(Odometry.at(s.stamp_ns, odometry.pose), s) for s in scans], state=state)
     assert {report.skipped for report in reports} == {SkipReason.BETWEEN_KEY_SCANS}
     for report in reports:
@@ -135,7 +135,8 @@ def test_odometry_that_is_reset_does_not_move_the_robot(drive, play, at):
     poses = drive.odometry.poses
     assert np.hypot(*poses[at, :2]) > 1.5
     renewed = [*poses[:at], *between(poses[at], poses[at:])]
-    log = [(Odometry.at(scan.stamp_ns, pose), scan) for pose, (_, scan) in zip(renewed, drive.measurements, strict=True)]
+    scans = [scan for _, scan in drive.measurements]
+    log = [(Odometry.at(scan.stamp_ns, pose), scan) for pose, scan in zip(renewed, scans, strict=True)]
     _, reports = play(GridFastSlam(), log)
     assert worst_error(reports, drive.truth) < BAND_M
     assert not any(report.lost for report in reports)

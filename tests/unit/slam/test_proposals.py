@@ -1,0 +1,191 @@
+"""Proposals: new poses, and the weights that make up for where they were drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.angles import wrap
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.matching import GaussNewton, HillClimbing
+from gridslam.models import CauchyAgreement, DiffusionMotion, GaussianIncrement, LikelihoodField
+from gridslam.slam import Gaussian, Peak, Prior
+from gridslam.types import LaserScan, ScanGeometry
+
+GEOMETRY = ScanGeometry(np.deg2rad(np.arange(0, 360, 2) - 179.0))
+HALF = np.array([3.02, 2.02])
+
+
+def scan_at(pose):
+    """What a laser at `pose` sees of an empty rectangle."""
+    angles = GEOMETRY.bearings + pose[2]
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    ranges = ((HALF * np.sign(directions) - pose[:2]) / directions).min(axis=1)
+    return LaserScan.from_ranges(0, ranges, GEOMETRY).beams(0.05, 30.0)
+
+
+@pytest.fixture(scope="module")
+def room():
+    """The room, mapped from four places, once for each of ten particles."""
+    maps = OccupancyGridMapping().empty(10)
+    for place in ((0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.5, 0.6, 2.0), (1.0, 0.2, 1.0)):
+        OccupancyGridMapping()(maps, np.tile(place, (10, 1)), scan_at(np.array(place)))
+    return maps
+
+
+BEFORE = np.tile([0.0, 0.0, 0.0], (10, 1))
+INCREMENT = np.array([0.4, 0.1, 0.2])
+WIDE = DiffusionMotion(sigma_xy_m=0.08, sigma_theta_rad=0.03)(INCREMENT)
+BEAMS = scan_at(INCREMENT)
+
+
+@pytest.mark.parametrize("sensor", [CauchyAgreement(), LikelihoodField()])
+def test_prior_draws_from_the_motion_and_weighs_by_the_sensor(room, sensor):
+    proposed = Prior()(room, BEFORE, WIDE, sensor(BEAMS), BEAMS, np.random.default_rng(3))
+    np.testing.assert_array_equal(proposed.poses, WIDE(BEFORE, np.random.default_rng(3)))
+    np.testing.assert_array_equal(proposed.log_weights, sensor(BEAMS)(room, np.arange(10), proposed.poses))
+    np.testing.assert_allclose(proposed.match.poses, proposed.poses, atol=1e-12)
+
+
+def cost(maps, pose, guess, prior, sigma_m, cauchy_m=0.1):
+    """What the match minimizes: Cauchy's robust squares of the beams' distances, and the way from the guess."""
+    distances = maps.distances(np.zeros(1, np.int32), pose[None], BEAMS.ends)[0].astype(np.float64)
+    away = pose - guess
+    robust = cauchy_m**2 * np.log1p((distances / cauchy_m) ** 2).sum()
+    return robust + sigma_m**2 * away @ prior @ away
+
+
+def test_peaks_are_local_optima(room):
+    """Nowhere 1 cm or 6 mrad around a peak is the posterior higher; from the draw to the peak it has risen."""
+    peak = Peak()
+    proposed = peak(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(1))
+    drawn = WIDE(BEFORE, np.random.default_rng(1))
+    prior = np.linalg.inv(WIDE.moments(BEFORE)[1][0])
+    nudges = np.concatenate([np.diag([0.01, 0.01, 0.006]), -np.diag([0.01, 0.01, 0.006])])
+    assert np.abs(drawn - INCREMENT).max() > 0.05
+    for guess, pose in zip(drawn, proposed.poses, strict=True):
+        here = cost(room, pose, guess, prior, peak.beam_sigma_m)
+        assert here < cost(room, guess, guess, prior, peak.beam_sigma_m)
+        assert all(here < cost(room, pose + nudge, guess, prior, peak.beam_sigma_m) for nudge in nudges)
+    np.testing.assert_allclose(proposed.poses, np.tile(INCREMENT, (10, 1)), atol=0.02)
+
+
+@pytest.mark.parametrize("matcher", [GaussNewton(), HillClimbing()])
+def test_peak_weighs_at_the_peak(room, matcher):
+    weigh = CauchyAgreement()(BEAMS)
+    proposed = Peak(matcher=matcher)(room, BEFORE, WIDE, weigh, BEAMS, np.random.default_rng(1))
+    np.testing.assert_array_equal(proposed.log_weights, weigh(room, np.arange(10), proposed.poses))
+    np.testing.assert_array_equal(proposed.match.poses, proposed.poses)
+
+
+@pytest.mark.parametrize("proposal", [Prior(), Peak(), Peak(matcher=HillClimbing()), Gaussian()])
+def test_what_goes_in_stays_as_it_is(room, proposal):
+    before, maps = BEFORE.copy(), room.to_arrays()
+    proposed = proposal(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
+    np.testing.assert_array_equal(BEFORE, before)
+    assert all(np.array_equal(array, maps[name]) for name, array in room.to_arrays().items())
+    assert proposed.poses.shape == (10, 3)
+    assert proposed.log_weights.shape == (10,)
+    assert not np.shares_memory(proposed.poses, BEFORE)
+
+
+@pytest.mark.parametrize("proposal", [Prior(), Peak(), Peak(matcher=HillClimbing()), Gaussian()])
+def test_in_an_empty_map_only_the_motion_counts(proposal):
+    maps = OccupancyGridMapping().empty(10)
+    proposed = proposal(maps, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
+    np.testing.assert_allclose(proposed.log_weights, proposed.log_weights[0])
+    assert (np.abs(proposed.poses - INCREMENT) < 5 * WIDE.std).all()
+
+
+class LinearMaps:
+    """All that a proposal asks of maps; a scan measures the pose itself, z = x + noise of covariance R."""
+
+    resolution_m, reach_cells = 0.05, 10.5
+
+    def __init__(self, count, measured, noise, beam_sigma_m):
+        self.count, self.measured, self.scale = count, measured, beam_sigma_m**2
+        self.precision = np.linalg.inv(noise)
+
+    def __len__(self):
+        return self.count
+
+    def match(self, rows, guesses, priors, ends, *settings):
+        """The minimum of (x - z)' H (x - z) + (x - g)' P (x - g) with H / sigma^2 the measurement's precision."""
+        information = np.tile(self.scale * self.precision, (len(rows), 1, 1))
+        right = (information @ self.measured)[..., None] + priors @ guesses[..., None]
+        return np.linalg.solve(information + priors, right)[..., 0], information, np.ones(len(rows))
+
+    def weigh(self, maps, rows, poses):
+        return log_normal(self.measured, poses, np.linalg.inv(self.precision))
+
+
+def log_normal(x, mean, covariance):
+    away = x - mean
+    quadratic = np.einsum("...i,ij,...j->...", away, np.linalg.inv(covariance), away)
+    return -0.5 * (quadratic + np.linalg.slogdet(2 * np.pi * covariance)[1])
+
+
+DRAWS = 4000
+PLACE = np.array([[1.0, 2.0, 0.0]])
+MOTION = GaussianIncrement.around(np.array([0.5, 0.1, 0.2]), np.array([0.1, 0.06, 0.04]))
+PREDICTED = PLACE[0] + MOTION.mean
+SPREAD = np.diag(MOTION.std**2)
+NOISE = np.array([[0.009, 0.003, 0.0], [0.003, 0.006, -0.0005], [0.0, -0.0005, 0.0009]])
+MEASURED = PREDICTED + np.array([0.12, -0.07, 0.03])
+MARGINAL = log_normal(MEASURED, PREDICTED, SPREAD + NOISE)
+"""Of a Gaussian prior and a linear measurement: N(z; mean, P + R), the density of a Kalman filter's innovation."""
+
+
+@pytest.fixture
+def linear():
+    return LinearMaps(DRAWS, MEASURED, NOISE, Gaussian().beam_sigma_m)
+
+
+def test_the_improved_proposal_is_the_kalman_filter_where_all_is_linear(linear):
+    """Mean and covariance within 5 standard errors of 4000 draws; the weight is exact, whatever was drawn.
+
+    A mean's standard error is sigma / sqrt(n); a covariance's element has one of at most sqrt(2 / n) sigma_i sigma_j.
+    """
+    proposed = Gaussian()(linear, np.repeat(PLACE, DRAWS, 0), MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    gain = SPREAD @ np.linalg.inv(SPREAD + NOISE)
+    mean, covariance = PREDICTED + gain @ (MEASURED - PREDICTED), (np.eye(3) - gain) @ SPREAD
+    sigma = np.sqrt(np.diag(covariance))
+    np.testing.assert_array_less(np.abs(proposed.poses.mean(axis=0) - mean), 5 * sigma / np.sqrt(DRAWS))
+    off = np.abs(np.cov(proposed.poses.T) - covariance)
+    np.testing.assert_array_less(off, 5 * np.sqrt(2 / DRAWS) * np.outer(sigma, sigma))
+    # the floor under the motion's variances, 1e-8 m^2 and 1e-10 rad^2, is 3e-6 of the least of them
+    np.testing.assert_allclose(proposed.log_weights, MARGINAL, atol=1e-4)
+
+
+def test_plain_fastslam_weighs_the_same_on_average(linear):
+    """E[p(z | x)] over the prior is the marginal likelihood; within 5 standard errors of the sample itself."""
+    places = np.repeat(PLACE, DRAWS, 0)
+    proposed = Prior()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    weights = np.exp(proposed.log_weights)
+    assert abs(weights.mean() - np.exp(MARGINAL)) < 5 * weights.std() / np.sqrt(DRAWS)
+    assert weights.std() > 0.5 * weights.mean()  # which is what the improved proposal saves
+
+
+def test_particles_are_told_apart_by_their_marginal_likelihoods():
+    """At different places and headings, each with the motion's covariance turned to its own heading."""
+    places = PLACE + np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, -0.1, 0.05], [0.1, 0.1, 1.3]])
+    linear = LinearMaps(4, MEASURED, NOISE, Gaussian().beam_sigma_m)
+    found = Gaussian()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    moments = zip(*MOTION.moments(places), strict=True)
+    expected = [log_normal(MEASURED, mean, spread + NOISE) for mean, spread in moments]
+    np.testing.assert_allclose(found.log_weights, expected, rtol=1e-5, atol=1e-4)
+
+
+def test_headings_are_wrapped_where_they_cross_pi():
+    """Predicted just below pi and measured beyond it: draws are on both sides, and weights do not see the border."""
+    places = np.repeat(PLACE + np.array([0.0, 0.0, np.pi - 0.199]), DRAWS, 0)
+    (mean, *_), (spread, *_) = MOTION.moments(places)
+    measured = mean + np.array([0.1, 0.05, 0.04])
+    linear = LinearMaps(DRAWS, measured, NOISE, Gaussian().beam_sigma_m)
+    proposed = Gaussian()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    assert mean[2] < -3.1
+    assert (proposed.poses[:, 2] >= -np.pi).all()
+    assert (proposed.poses[:, 2] < np.pi).all()
+    assert (proposed.poses[:, 2] > 0).any()
+    assert np.abs(wrap(proposed.poses[:, 2] - measured[2])).max() < 0.3
+    np.testing.assert_allclose(proposed.log_weights, log_normal(measured, mean, spread + NOISE), atol=1e-4)

@@ -1,0 +1,164 @@
+"""The tracker: smooth, nearly exact odometry out of any odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim.floor_plan import furniture, join, room
+from gridslam.slam import OdometryTracker, Tracker
+from gridslam.types import LaserScan
+
+PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+BIASED = OdometryNoise(1.1, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+BAND = np.array([0.2, 0.1])
+"""Metres and radians over 12 m: twice what the tracker strays by, 0.115 m and 0.049 rad, nearly all of it heading that
+a map of a single scan leaves open in the first two metres."""
+
+
+def driven(noise):
+    """A furnished room of 8 m x 6 m, once around: 12 m in 38 s."""
+    tables = [furniture(4, 3, 1.2, 0.8, 0.4), furniture(1, 5.4, 1.5, 0.6), furniture(7.3, 1, 0.7, 1.4)]
+    route = [(1.5, 1.2), (6.2, 1.3), (6.4, 4.6), (1.6, 4.3), (1.5, 1.6)]
+    world = World.of("room", join(room(0, 0, 8, 6), *tables), route)
+    return simulate(world, RobotConfig(), noise, LidarConfig(beams=120), np.random.default_rng(0))
+
+
+def track(tracker, log, measurements=None):
+    """Poses told and predicted for each scan, in the frame of the first, and the tracker's state after the last."""
+    (odometry, scan), *rest = measurements or log.measurements
+    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
+    told, predicted = [state.pose], [state.pose]
+    for odometry, scan in rest:
+        tracked = tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+        told.append(tracked.pose)
+        predicted.append(tracked.predicted)
+        assert state.pose is tracked.pose
+    return np.array(told), np.array(predicted), state
+
+
+def missed(poses, log):
+    """Metres and radians (N, 2) between poses and the truth, both in the frame of the first pose."""
+    off = between(between(log.truth.poses[0], log.truth.poses), poses)
+    return np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])])
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    return driven(PERFECT)
+
+
+@pytest.fixture(scope="module")
+def biased():
+    return driven(BIASED)
+
+
+def test_perfect_odometry_stays_nearly_perfect(perfect):
+    assert (missed(track(Tracker(), perfect)[0], perfect).max(axis=0) < BAND).all()
+
+
+def test_biased_odometry_is_corrected_in_a_room(biased):
+    """Odometry alone strays by more than four times as much."""
+    alone = missed(between(biased.odometry.poses[0], biased.odometry.poses), biased).max(axis=0)
+    assert (alone > 4 * BAND).all()
+    assert (missed(track(Tracker(), biased)[0], biased).max(axis=0) < BAND).all()
+
+
+def test_the_prediction_is_the_last_match_moved_by_odometry(biased):
+    """It must not know the scan: only the scans before it."""
+    told, predicted, _ = track(Tracker(still_m=0, still_rad=0), biased)
+    increments = between(biased.odometry.poses[:-1], biased.odometry.poses[1:])
+    moving = np.flatnonzero(np.abs(increments).max(axis=1) > 0)
+    np.testing.assert_allclose(between(told[moving], predicted[moving + 1]), increments[moving], atol=1e-9)
+
+
+def test_the_odometry_tracker_takes_odometry_as_it_is(biased):
+    told, predicted, state = track(OdometryTracker(), biased)
+    odometry = biased.odometry.poses
+    np.testing.assert_allclose(between(odometry[0], odometry), told, atol=1e-9)
+    np.testing.assert_array_equal(told, predicted)
+    assert state.maps.tiles_used == 0
+
+
+def test_a_scan_after_next_to_no_motion_takes_the_odometry(biased):
+    odometry, scan = biased.measurements[0]
+    state = Tracker().init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
+    before = {name: array.tobytes() for name, array in state.maps.to_arrays().items()}
+    for k in range(10):
+        nudged = type(odometry).at(k * 10**8, odometry.pose + np.array([0.0004 * k, 0.0, 0.0]))
+        tracked = Tracker().step(state, nudged, k * 10**8, scan.beams(0.05, 30.0))
+        np.testing.assert_allclose(tracked.pose, between(odometry.pose, nudged.pose), atol=1e-12)
+    assert {name: array.tobytes() for name, array in state.maps.to_arrays().items()} == before
+
+
+def jumping(log, at, offset):
+    """The log with its odometry carried by `offset` from scan `at` on."""
+    moved = compose(offset, log.odometry.poses)
+    poses = np.concatenate([log.odometry.poses[:at], moved[at:]])
+    pairs = zip(poses, log.measurements, strict=True)
+    return [(type(odometry).at(odometry.stamp_ns, pose), scan) for pose, (odometry, scan) in pairs]
+
+
+@pytest.mark.parametrize("offset", [(5.0, 0.0, 0.0), (0.0, -40.0, 2.0), (0.0, 0.0, 3.1), (-2.0, 1.0, -2.0)])
+@pytest.mark.parametrize("at", [1, 50, 51, 120])
+def test_a_jump_of_the_odometry_leaves_no_trace(perfect, at, offset):
+    told, _, _ = track(Tracker(), perfect, jumping(perfect, at, offset))
+    assert (missed(told, perfect).max(axis=0) < BAND).all()
+
+
+def test_a_jump_between_scans_without_beams_is_not_driven(perfect):
+    """Covered for a second, and in the middle of it the odometry is reset: that one increment is lost, nothing else."""
+    log = jumping(perfect, 55, (30.0, 10.0, 1.0))
+    for k in range(52, 58):
+        scan = log[k][1]
+        log[k] = (log[k][0], LaserScan.from_ranges(scan.stamp_ns, np.full(len(scan), np.inf), scan.geometry))
+    told, _, _ = track(Tracker(), perfect, log)
+    assert (missed(told, perfect).max(axis=0) < BAND + np.array([0.15, 0.2])).all()  # what is driven in 0.2 s
+    assert (missed(told, perfect)[80:].max(axis=0) < BAND).all()
+
+
+def test_local_maps_take_turns(perfect):
+    """A second map begins when the first holds `map_scans`, and replaces it when it holds as many itself."""
+    tracker = Tracker(map_scans=4)
+    (odometry, scan), *rest = perfect.measurements
+    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
+    seen, turns = [state.scans], 0
+    for odometry, scan in rest:
+        before = state.active
+        tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+        active, other = state.scans[state.active], state.scans[1 - state.active]
+        turns += state.active != before
+        if state.scans != seen[-1]:
+            seen.append(state.scans)
+        assert active <= 2 * tracker.map_scans
+        assert other < tracker.map_scans
+        assert other == 0 or active >= tracker.map_scans + other
+        known = [state.maps.occupancy(row).known.any() for row in (state.active, 1 - state.active)]
+        assert known == [True, other > 0]
+    assert turns >= 5
+    assert seen[:6] == [(1, 0), (2, 0), (3, 0), (4, 0), (5, 1), (6, 2)]
+
+
+def test_memory_stays_bounded(perfect):
+    """Two local maps of a room hold no more tiles after ten times around than a little more than after one."""
+    tracker, laps = Tracker(map_scans=5), []
+    (odometry, scan), *rest = perfect.measurements
+    state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
+    for _ in range(4):
+        for odometry, scan in rest:
+            tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+        laps.append(state.maps.tiles_used)
+    assert max(laps) <= 1.5 * laps[0]
+
+
+def test_a_snapshot_is_apart(perfect):
+    _, _, state = track(Tracker(), perfect, perfect.measurements[:40])
+    kept = state.snapshot()
+    before = {name: array.tobytes() for name, array in kept.to_arrays().items()}
+    for odometry, scan in perfect.measurements[40:90]:
+        Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+    assert {name: array.tobytes() for name, array in kept.to_arrays().items()} == before
