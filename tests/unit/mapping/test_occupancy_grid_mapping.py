@@ -1,0 +1,109 @@
+"""Mapping with known poses: walls occupied, what was seen free, what nobody saw unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.grid import cell_centres
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.models import InverseSensorModel
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
+from gridslam.sim.floor_plan import box, clearance, join
+from gridslam.types import LaserScan, OccupancyGrid
+
+ROUTE = [(1.02, 1.02), (5.02, 1.02), (5.02, 3.02), (1.02, 3.02)]
+CRATE = (2.52, 1.77, 3.52, 2.27)
+
+
+@pytest.fixture(scope="module")
+def log():
+    """A closed room of 6 m x 4 m with a crate in its middle, seen by a lidar that looks all around."""
+    world = World.of("room", join(box(0.02, 0.02, 6.02, 4.02), box(*CRATE)), ROUTE)
+    lidar = LidarConfig(beams=360, field_of_view_rad=2 * np.pi, rate_hz=2.0)
+    return simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(0))
+
+
+def mapped(log, mapper):
+    maps = mapper.empty(1)
+    for pose, (_, scan) in zip(log.truth.poses, log.measurements, strict=True):
+        mapper(maps, pose[None], scan.beams(0.05, 30.0))
+    return maps
+
+
+def centres(grid: OccupancyGrid):
+    """World coordinates (H, W, 2) of a grid's cells."""
+    rows, columns = grid.known.shape
+    return np.array(grid.origin) + cell_centres(np.stack(np.mgrid[:rows, :columns], axis=-1), grid.resolution_m)
+
+
+@pytest.mark.parametrize("resolution_m", [0.05, 0.1])
+def test_a_room_becomes_its_map(log, resolution_m):
+    """Occupied cells lie within 1 1/2 cells of a wall, and walls have some all along; farther inside all is free."""
+    grid = mapped(log, OccupancyGridMapping(resolution_m=resolution_m)).occupancy(0)
+    places = centres(grid)
+    x, y = places[..., 0], places[..., 1]
+    away = clearance(log.walls, places.reshape(-1, 2)).reshape(x.shape)
+    occupied, free = grid.known & (grid.log_odds > 0), grid.known & (grid.log_odds < 0)
+    assert away[occupied].max() < 1.5 * resolution_m + 0.03  # the lidar's noise is 1 cm
+    room = (x > 0.02) & (x < 6.02) & (y > 0.02) & (y < 4.02)
+    crate = (x > CRATE[0]) & (x < CRATE[2]) & (y > CRATE[1]) & (y < CRATE[3])
+    far = away > 2 * resolution_m
+    assert free[room & ~crate & far].all()
+    assert not grid.known[~room & far].any()
+    assert not grid.known[crate & far].any()
+    on_walls = np.concatenate([np.linspace(wall[:2], wall[2:], 50)[1:-1] for wall in log.walls])
+    nearest = np.sqrt(((on_walls[:, None] - places[occupied]) ** 2).sum(axis=2)).min(axis=1)
+    assert (nearest < 1.5 * resolution_m).mean() > 0.98
+
+
+def test_probabilities_are_sure_of_both(log):
+    grid = mapped(log, OccupancyGridMapping()).occupancy(0)
+    probability = grid.probability
+    assert (probability[~grid.known] == 0.5).all()
+    assert probability.max() > 0.99
+    assert probability.min() < 0.01
+    inside = np.abs(centres(grid) - [1.5, 3.0]).max(axis=-1) < 0.3
+    assert (probability[inside] < 0.05).all()
+
+
+def test_every_map_gets_the_scan_at_its_own_pose(log):
+    """Two particles a metre apart: the same map, a metre apart (20 cells of 5 cm)."""
+    mapper, (_, scan) = OccupancyGridMapping(), log.measurements[0]
+    maps = mapper.empty(2)
+    mapper(maps, np.array([[0.01, 0.01, 0.3], [1.01, 0.01, 0.3]]), scan.beams(0.05, 30.0))
+    first, second = maps.occupancy(0), maps.occupancy(1)
+    ours, theirs = (np.sort(centres(g)[g.known], axis=0) for g in (first, second))
+    np.testing.assert_allclose(ours + np.array([1.0, 0.0]), theirs, atol=1e-6)
+
+
+def test_a_scan_without_beams_tells_nothing(log):
+    mapper, (_, scan) = OccupancyGridMapping(), log.measurements[0]
+    blind = LaserScan.from_ranges(0, np.full(len(scan), np.nan), scan.geometry)
+    maps = mapper.empty(3)
+    mapper(maps, np.zeros((3, 3)), blind.beams(0.05, 30.0))
+    assert maps.tiles_used == 0
+    assert not maps.occupancy(0).known.any()
+
+
+def test_the_evidence_is_the_sensors(log):
+    """One scan: end cells hold at least one hit, all others whole numbers of misses; in steps of 0.01 nats."""
+    mapper = OccupancyGridMapping(inverse_sensor=InverseSensorModel.from_log_odds(1.5, -0.25))
+    maps = mapper.empty(1)
+    mapper(maps, np.zeros((1, 3)), log.measurements[0].scan.beams(0.05, 30.0))
+    grid = maps.occupancy(0)
+    told = grid.log_odds[grid.known].astype(np.float64)
+    hits, misses = told[told > 0], told[told < 0]
+    np.testing.assert_allclose(hits / 1.5, np.rint(hits / 1.5), atol=1e-5)
+    np.testing.assert_allclose(misses / 0.25, np.rint(misses / 0.25), atol=1e-5)
+    assert hits.min() == pytest.approx(1.5)
+    assert misses.max() == pytest.approx(-0.25)
+
+
+def test_maps_are_restored_in_the_same_form(log):
+    mapper = OccupancyGridMapping(resolution_m=0.1, reach_cells=6.0)
+    maps = mapped(log, mapper)
+    again = mapper.restore(maps.to_arrays(), threads=2)
+    assert (again.resolution_m, again.reach_cells, again.threads) == (0.1, 6.0, 2)
+    for ours, theirs in zip(maps.to_arrays().values(), again.to_arrays().values(), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

@@ -1,0 +1,109 @@
+"""The correlative search: guesses too bad for a descent, and no preference where all is equal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.angles import wrap
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.matching import Correlative, GaussNewton
+from gridslam.types import LaserScan, Match, ScanGeometry
+
+ROW = np.zeros(1, np.int32)
+GEOMETRY = ScanGeometry(np.deg2rad(np.arange(360) - 179.5))
+HALF = np.array([3.02, 2.02])
+NO_PRIOR = np.zeros((1, 3, 3))
+
+
+def scan_at(pose):
+    """What a laser at `pose` sees of an empty rectangle."""
+    angles = GEOMETRY.bearings + pose[2]
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    ranges = ((HALF * np.sign(directions) - pose[:2]) / directions).min(axis=1)
+    return LaserScan.from_ranges(0, ranges, GEOMETRY).beams(0.05, 30.0)
+
+
+@pytest.fixture(scope="module")
+def room():
+    maps = OccupancyGridMapping().empty(1)
+    for place in ((0.0, 0.0, 0.0), (0.4, -0.3, 0.5), (-0.5, 0.6, 2.0)):
+        maps.update(ROW, np.array([place]), scan_at(np.array(place)))
+    return maps
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_guess_anywhere_in_the_window_is_recovered(room, seed):
+    """From 0.35 to 0.5 m and up to 0.5 rad away; the room looks alike only half a turn away."""
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform(-1, 1, 3) * [1.0, 0.8, np.pi]
+    away = np.array([*rng.uniform(0.35, 0.5, 2) * rng.choice([-1, 1], 2), rng.uniform(-0.5, 0.5)])
+    match = Correlative()(room, ROW, (truth + away)[None], NO_PRIOR, scan_at(truth))
+    np.testing.assert_allclose(match.poses[0, :2], truth[:2], atol=0.01)
+    assert abs(wrap(match.poses[0, 2] - truth[2])) < 0.003
+    assert match.score[0] > 0.95 * 360
+
+
+def test_a_descent_alone_does_not_get_there(room):
+    """So that the test above says something of the search, not of its refinement."""
+    truth, away = np.array([0.3, -0.2, 0.7]), np.array([0.5, -0.5, 0.5])
+    alone = GaussNewton()(room, ROW, (truth + away)[None], NO_PRIOR, scan_at(truth))
+    assert np.hypot(*(alone.poses[0] - truth)[:2]) > 0.1
+    searched = Correlative()(room, ROW, (truth + away)[None], NO_PRIOR, scan_at(truth))
+    assert np.hypot(*(searched.poses[0] - truth)[:2]) < 0.01
+
+
+def test_where_all_poses_are_equal_the_guess_stands(room):
+    guess = np.array([[500.0, -300.0, 1.0]])
+    match = Correlative()(room, ROW, guess, NO_PRIOR, scan_at(np.zeros(3)))
+    np.testing.assert_allclose(match.poses, guess, atol=1e-9)
+
+
+class Stripes:
+    """Maps that agree wherever x is one of `peaks`; the refinement leaves poses as they are."""
+
+    resolution_m, reach_cells = 0.05, 10.5
+
+    def __init__(self, peaks):
+        self.peaks = np.array(peaks)
+
+    def distances(self, rows, poses, points):
+        off = np.abs(poses[:, :1] - self.peaks).min(axis=1)
+        return np.repeat(np.where(off < 1e-6, 0.0, 0.5).astype(np.float32)[:, None], len(points), axis=1)
+
+    def match(self, rows, guesses, priors, ends, *settings):
+        return guesses, np.zeros((len(guesses), 3, 3)), np.zeros(len(guesses))
+
+
+@pytest.mark.parametrize(("peaks", "nearest"), [([-0.3, 0.2], 0.2), ([-0.1, 0.2], -0.1), ([-0.5, 0.4, 0.5], 0.4)])
+def test_of_equal_peaks_the_nearest_wins(peaks, nearest):
+    match: Match = Correlative()(Stripes(peaks), ROW, np.zeros((1, 3)), NO_PRIOR, scan_at(np.zeros(3)))
+    np.testing.assert_allclose(match.poses[0], [nearest, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("window", "step"), [(0.5, 0.1), (0.25, 0.1), (0.1, 0.1)])
+def test_the_window_is_covered_to_its_edges(window, step):
+    """A peak at the edge is found, one well outside is not."""
+    search = Correlative(window_m=window, step_m=step)
+    for peak, found in ((window, True), (-window, True), (window + 2 * step, False)):
+        edge = np.ceil(abs(peak) / step - 1e-9) * step * np.sign(peak)
+        match = search(Stripes([edge]), ROW, np.zeros((1, 3)), NO_PRIOR, scan_at(np.zeros(3)))
+        assert (abs(match.poses[0, 0] - edge) < 1e-9) == found
+
+
+def test_each_guess_searches_its_own_map(room):
+    """Two maps, one of them empty: the guess in the empty one stands."""
+    both = OccupancyGridMapping().empty(2)
+    both.update(ROW, np.zeros((1, 3)), scan_at(np.zeros(3)))
+    guesses = np.array([[0.3, 0.2, 0.1], [0.3, 0.2, 0.1]])
+    match = Correlative()(both, np.array([0, 1], np.int32), guesses, np.zeros((2, 3, 3)), scan_at(np.zeros(3)))
+    np.testing.assert_allclose(match.poses[0], 0.0, atol=0.01)
+    np.testing.assert_allclose(match.poses[1], guesses[1], atol=1e-9)
+
+
+def test_few_beams_are_all_used(room):
+    beams = scan_at(np.zeros(3))
+    few = LaserScan.from_ranges(0, beams.scan.ranges[::30], ScanGeometry(GEOMETRY.bearings[::30])).beams(0.05, 30.0)
+    assert len(few) < Correlative().beams
+    match = Correlative()(room, ROW, np.array([[0.3, -0.2, 0.0]]), NO_PRIOR, few)
+    np.testing.assert_allclose(match.poses[0], 0.0, atol=0.03)
