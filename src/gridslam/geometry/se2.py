@@ -252,6 +252,8 @@ def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:
 
 
 def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
+    if type(values) is np.ndarray and values.dtype == np.float64 and values.shape == (width,):  # what a filter asks most
+        return values.tolist()
     array = _as_poses(values, name, width)
     if array.ndim == 1:
         return array.tolist()
@@ -281,6 +283,8 @@ def _sine_gap(angle: Component) -> Component:
 
 
 def _pose(x: Component, y: Component, theta: Component) -> FloatArray:
+    if type(x) is type(theta) is float:
+        return np.array((x, y, wrap(theta)))
     return _stack(x, y, wrap(theta))
 
 
