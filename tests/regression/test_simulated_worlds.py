@@ -21,8 +21,9 @@ WORLDS = range(10)
 PARTICLES = 10
 
 # Measured over these ten worlds, each with five seeds of the filter, start-anchored: RMSE 0.027 to 0.096 m, the worst
-# pose 0.226 m, RMSE of the heading up to 0.48 degrees, 88 to 100 % of the obstacles within 0.1 m of a wall, average NEES
-# 6.6 to 9.9. Every band is twice the worst of those, so another draw of the noise passes; a lost loop costs metres.
+# pose 0.226 m, RMSE of the heading up to 0.48 degrees, 88 to 100 % of the obstacles within 0.1 m of a wall, and an
+# average NEES of 6.6 to 9.9. Every band is twice the worst of those, so another draw of the noise passes; a lost loop
+# costs metres.
 RMSE_M, WORST_M, RMSE_DEG = 0.2, 0.45, 1.0
 OFF_WALLS = 0.24
 AVERAGE_NEES = 20.0
