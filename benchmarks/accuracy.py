@@ -40,6 +40,8 @@ def accuracy(logs: Sequence[Log], seeds: Sequence[int], report: Report, pictures
             map_timed(log.path, "--seed", seed, picture=None if known else pictures / f"{log.name}-{seed}.png")
             for seed in seeds
         ]
+        missing = max(run.document["scans"]["read"] - len(run.trajectory) for run in runs)
+        report.targets.append(Target(f"{log.name}: scans without a pose", missing, 0))
         head, scores = _scores(log, runs, report)
         rows = [[*_cost_row(seed, run), *score] for seed, run, score in zip(seeds, runs, scores, strict=True)]
         numbers = list(zip(*(row[1:] for row in rows), strict=True))

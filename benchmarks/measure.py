@@ -18,7 +18,6 @@ from typing import Any, final
 import numpy as np
 
 from gridslam import Trajectory, __version__
-from gridslam.io.record import Record, read_record
 from gridslam.io.trajectory import read_tum
 from gridslam.kernels import backend, compiled
 
@@ -78,12 +77,11 @@ def timed(command: Sequence[str | Path]) -> Cost:
 @final
 @dataclass(frozen=True)
 class MapRun:
-    """One `gridslam map`: its cost, its run.json, its trajectory and its key scans."""
+    """One `gridslam map`: its cost, its run.json and its trajectory."""
 
     cost: Cost
     document: dict[str, Any]
     trajectory: Trajectory
-    record: Record
 
     @property
     def peak_mb(self) -> float:
@@ -106,7 +104,7 @@ def map_timed(log: Path, *options: str | int, picture: Path | None = None) -> Ma
             picture.parent.mkdir(parents=True, exist_ok=True)
             picture.write_bytes((out / "map.png").read_bytes())
         document = json.loads((out / "run.json").read_text(encoding="utf-8"))
-        return MapRun(cost, document, read_tum(out / "trajectory.tum"), read_record(out / "record.npz"))
+        return MapRun(cost, document, read_tum(out / "trajectory.tum"))
 
 
 def provenance() -> dict[str, str]:
@@ -116,12 +114,17 @@ def provenance() -> dict[str, str]:
         "Python, NumPy": f"{platform.python_version()}, {np.__version__}",
         "kernels": f"compiled by {_compiler()}" if compiled else "NumPy twins (not compiled)",
         "gridslam": f"{__version__}, commit {_commit()}",
-        "yardstick": f"{yardstick_s():.3f} s",
+        "load, yardstick": f"{_load()}, {yardstick_s():.3f} s",
     }
 
 
 def _cores() -> set[int]:
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
+
+
+def _load() -> str:
+    """Processes that wanted a core in the last minute: with others at work, latencies and wall times are theirs too."""
+    return f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
 
 
 def _cpu_model() -> str:

@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     given.seeds = given.seeds or (1 if given.quick else 10)
     sections = given.only or _SECTIONS
     today = datetime.date.today().isoformat()
-    path: Path = given.out / f"benchmark-{today}.md"
+    path: Path = given.out / f"benchmark-{today}{'-quick' if given.quick else ''}.md"
     report = Report()
     machine = "\n".join(f"- {name}: {value}" for name, value in provenance().items())
     print(machine)

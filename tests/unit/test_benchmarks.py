@@ -63,6 +63,7 @@ def test_accuracy_of_a_log_with_relations_and_of_one_without(quick_yardstick, da
     named = {target.name: target.value for target in report.targets}
     assert 0 < named["tiny: worst single relation"] < 0.2
     assert named["tiny: share of relations without a pose of their own"] == 0
+    assert named["bare: scans without a pose"] == 0
     assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == ["bare-0.png", "bare-1.png"]
     assert len(report.sections) == 2
     assert "| 40 |" in report.sections[1]
