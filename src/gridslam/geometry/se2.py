@@ -252,18 +252,14 @@ def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:
 
 
 def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
-    if type(values) is np.ndarray and values.dtype == np.float64 and values.shape == (width,):  # what a filter asks most
-        return values.tolist()
+    if type(values) is np.ndarray and values.dtype == np.float64 and values.shape == (width,):
+        return values.tolist()  # what a filter asks most
     array = _as_poses(values, name, width)
-    if array.ndim == 1:
-        return array.tolist()
-    return tuple(array[..., k] for k in range(width))
+    return array.tolist() if array.ndim == 1 else tuple(array[..., k] for k in range(width))
 
 
 def _cos_sin(angle: Component) -> tuple[Component, Component]:
-    if isinstance(angle, float):
-        return math.cos(angle), math.sin(angle)
-    return np.cos(angle), np.sin(angle)
+    return (math.cos(angle), math.sin(angle)) if isinstance(angle, float) else (np.cos(angle), np.sin(angle))
 
 
 def _sinc(angle: Component) -> Component:
@@ -283,9 +279,7 @@ def _sine_gap(angle: Component) -> Component:
 
 
 def _pose(x: Component, y: Component, theta: Component) -> FloatArray:
-    if type(x) is type(theta) is float:
-        return np.array((x, y, wrap(theta)))
-    return _stack(x, y, wrap(theta))
+    return np.array((x, y, wrap(theta))) if type(x) is type(theta) is float else _stack(x, y, wrap(theta))
 
 
 def _stack(*parts: Component) -> FloatArray:
