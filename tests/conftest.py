@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent / "support"))  # helpers of several tiers
+sys.path.insert(0, str(Path(__file__).parent / "support"))  # what several tiers share
 pytest.register_assert_rewrite("real_logs")
 
 
