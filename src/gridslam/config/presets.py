@@ -19,13 +19,13 @@ __all__ = ["PRESETS", "preset"]
 
 
 def _fast() -> Configuration:
-    """Few particles, key scans farther apart: for a first look, or a small computer."""
-    return Configuration(particles=10, when_to_update=MovedAtLeast(0.6, 0.35))
+    """Half the particles: for a first look, or a small computer."""
+    return Configuration(particles=15)
 
 
 def _accurate() -> Configuration:
     """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MovedAtLeast(0.3, 0.2))
+    return Configuration(particles=100, when_to_update=MovedAtLeast(0.4, 0.25))
 
 
 def _gmapping() -> Configuration:

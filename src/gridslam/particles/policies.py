@@ -77,12 +77,12 @@ class MovedAtLeast:
     Parameters
     ----------
     translation_m : float > 0, m
-        0.4: a few cells of a grid of 5 cm, while neighbouring scans still see nearly the same walls.
+        0.5: ten cells of a grid of 5 cm, while neighbouring scans still see nearly the same walls.
     rotation_rad : float > 0, rad
         0.25 (14 degrees): a laser that sees half the plane still keeps nine tenths of its view.
     """
 
-    translation_m: Annotated[float, Field(gt=0)] = 0.4
+    translation_m: Annotated[float, Field(gt=0)] = 0.5
     rotation_rad: Annotated[float, Field(gt=0)] = 0.25
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:

@@ -21,12 +21,13 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.correlative import Correlative
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.types import Beams, FloatArray, Odometry
+from gridslam.types import Beams, FloatArray, Match, Odometry
 
 __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
+_LOOK = GaussNewton(max_passes=0)
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
 
@@ -117,6 +118,13 @@ class Tracker:
     jump_m, jump_rad : float
         Odometry that moves farther between two scans than this and `speed_mps` (`turn_rps`) allow has jumped: it was
         reset, or a message was lost. Its increment is not used, and the scan is searched for around the last pose.
+    slip_m : float, m
+        A match that moves the position farther than this from the odometry, and than four of the odometry's standard
+        deviations, must convince: the wheels slipped, or a reading came late. Else something misled it (a person
+        walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position keeps the
+        odometry, and only the heading is taken.
+    slip_share, slip_gain : float
+        Share of the beams that must agree after such a match, and share that must agree more than before it.
     speed_mps, turn_rps : float
         Above what an indoor robot drives (m/s, rad/s).
     matcher : GaussNewton
@@ -133,6 +141,9 @@ class Tracker:
     beam_sigma_m: float = Field(default=0.0016, gt=0)
     jump_m: float = Field(default=1.0, gt=0)
     jump_rad: float = Field(default=1.0, gt=0)
+    slip_m: float = Field(default=0.08, gt=0)
+    slip_share: float = Field(default=0.6, ge=0, le=1)
+    slip_gain: float = Field(default=0.1, ge=0, le=1)
     speed_mps: float = Field(default=3.0, ge=0)
     turn_rps: float = Field(default=3.0, ge=0)
     matcher: GaussNewton = GaussNewton()
@@ -157,9 +168,11 @@ class Tracker:
         if not len(beams) or (moved < self.still_m and turned < self.still_rad and not jumped):
             state.pose = predicted
             return Tracked(predicted, predicted)
-        prior = _NO_PRIOR if jumped else self._prior(moved, turned, state.maps.resolution_m)
+        sigma_m, sigma_rad = self._odometry_sigma(moved, turned, state.maps.resolution_m)
+        prior = _NO_PRIOR if jumped else self._prior(sigma_m, sigma_rad)
         matcher: GaussNewton | Correlative = self.recovery if jumped else self.matcher
-        pose = matcher(state.maps, _ROWS[state.active], predicted[None], prior, beams).poses[0]
+        match = matcher(state.maps, _ROWS[state.active], predicted[None], prior, beams)
+        pose = match.poses[0] if jumped else self._believed(state, match, predicted, sigma_m, beams)
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
         self._insert(state, beams)
@@ -171,12 +184,25 @@ class Tracker:
         far = math.hypot(dx, dy) > self.jump_m + self.speed_mps * seconds
         return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.turn_rps * seconds
 
-    def _prior(self, moved: float, turned: float, cell: float) -> FloatArray:
-        """Information (1, 3, 3) of the odometry: standard deviations grow with the motion from a tenth of a cell."""
-        weight = self.beam_sigma_m**2
-        sigma_m = 0.1 * cell + 0.15 * moved + 0.5 * cell * turned
-        sigma_rad = 0.003 + 0.05 * turned + 0.04 * moved
-        position, heading = weight / sigma_m**2, weight / sigma_rad**2
+    def _believed(
+        self, state: TrackerState, match: Match, predicted: FloatArray, sigma_m: float, beams: Beams
+    ) -> FloatArray:
+        """Pose of the match or, where that is implausible, the odometry's position with the match's heading."""
+        pose, score = match.poses[0], float(match.score[0])
+        if math.hypot(pose[0] - predicted[0], pose[1] - predicted[1]) <= max(self.slip_m, 4 * sigma_m):
+            return pose
+        stayed = np.array([predicted[0], predicted[1], pose[2]])
+        before = _LOOK(state.maps, _ROWS[state.active], stayed[None], _NO_PRIOR, beams).score[0]
+        convincing = score > self.slip_share * len(beams) and score - float(before) > self.slip_gain * len(beams)
+        return pose if convincing else stayed
+
+    def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
+        """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
+        return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
+
+    def _prior(self, sigma_m: float, sigma_rad: float) -> FloatArray:
+        """Information (1, 3, 3) of the odometry, beside residuals in m."""
+        position, heading = (self.beam_sigma_m / sigma_m) ** 2, (self.beam_sigma_m / sigma_rad) ** 2
         return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
 
     def _insert(self, state: TrackerState, beams: Beams) -> None:
