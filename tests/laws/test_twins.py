@@ -127,7 +127,7 @@ def test_owned_tiles(seed):
     keep = maps.snapshot()
     maps._cover(poses, beams_to(ends))
     touched = compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
-    spare = maps._arena.spare(len(touched))
+    spare = maps._arena.spare(len(touched), len(touched))
     results = []
     for kernels in (compiled, reference):
         view, refs = copies(maps._view), (maps._arena.page_refs.copy(), maps._arena.tile_refs.copy())

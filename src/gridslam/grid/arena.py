@@ -76,15 +76,19 @@ class TileArena:
         held = (self.pages, self.log_odds, self.field, self.page_refs, self.tile_refs)
         return sum(array.nbytes for array in held)
 
-    def spare(self, n: int) -> tuple[Int32Array, Int32Array]:
-        """Free page and tile ids, at least `n` of each; taken from the end by `take`."""
-        if len(self._free_pages) < n:
-            old, new = self._grow(len(self.page_refs), n - len(self._free_pages))
+    def has_spare(self, n: int) -> bool:
+        """Say whether `n` pages and `n` tiles are free."""
+        return len(self._free_pages) >= n and len(self._free_tiles) >= n
+
+    def spare(self, pages: int, tiles: int) -> tuple[Int32Array, Int32Array]:
+        """Free page and tile ids, at least so many of each; taken from the end by `take`."""
+        if len(self._free_pages) < pages:
+            old, new = self._grown(len(self.page_refs), pages - len(self._free_pages))
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
             self._free_pages = np.concatenate([np.arange(new - 1, old - 1, -1, dtype=np.int32), self._free_pages])
-        if len(self._free_tiles) < n:
-            old, new = self._grow(len(self.tile_refs), n - len(self._free_tiles))
+        if len(self._free_tiles) < tiles:
+            old, new = self._grown(len(self.tile_refs), tiles - len(self._free_tiles))
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
@@ -93,8 +97,8 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     @staticmethod
-    def _grow(size: int, missing: int) -> tuple[int, int]:
-        return size, size + max(missing, size // 4, 64)
+    def _grown(size: int, missing: int) -> tuple[int, int]:
+        return size, size + max(missing, size // 8, 64)
 
     def take(self, pages: int, tiles: int) -> None:
         """Mark the last `pages` and `tiles` spare ids as used."""

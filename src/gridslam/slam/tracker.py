@@ -118,13 +118,16 @@ class Tracker:
     jump_m, jump_rad : float
         Odometry that moves farther between two scans than this and `speed_mps` (`turn_rps`) allow has jumped: it was
         reset, or a message was lost. Its increment is not used, and the scan is searched for around the last pose.
+    poor_share : float
+        A match with which a smaller share of the beams agrees is not believed: the scan sees mostly what is new, or a
+        turn too fast for the scans' rate has led the descent astray. It takes the odometry.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
         deviations, must convince: the wheels slipped, or a reading came late. Else something misled it (a person
         walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position keeps the
         odometry, and only the heading is taken.
-    slip_share, slip_gain : float
-        Share of the beams that must agree after such a match, and share that must agree more than before it.
+    slip_gain : float
+        Share of the beams that must agree more after such a match than before it.
     speed_mps, turn_rps : float
         Above what an indoor robot drives (m/s, rad/s).
     matcher : GaussNewton
@@ -141,8 +144,8 @@ class Tracker:
     beam_sigma_m: float = Field(default=0.0016, gt=0)
     jump_m: float = Field(default=1.0, gt=0)
     jump_rad: float = Field(default=1.0, gt=0)
+    poor_share: float = Field(default=0.5, ge=0, le=1)
     slip_m: float = Field(default=0.08, gt=0)
-    slip_share: float = Field(default=0.6, ge=0, le=1)
     slip_gain: float = Field(default=0.1, ge=0, le=1)
     speed_mps: float = Field(default=3.0, ge=0)
     turn_rps: float = Field(default=3.0, ge=0)
@@ -189,12 +192,13 @@ class Tracker:
     ) -> FloatArray:
         """Pose of the match or, where that is implausible, the odometry's position with the match's heading."""
         pose, score = match.poses[0], float(match.score[0])
+        if score < self.poor_share * len(beams):
+            return predicted
         if math.hypot(pose[0] - predicted[0], pose[1] - predicted[1]) <= max(self.slip_m, 4 * sigma_m):
             return pose
         stayed = np.array([predicted[0], predicted[1], pose[2]])
         before = _LOOK(state.maps, _ROWS[state.active], stayed[None], _NO_PRIOR, beams).score[0]
-        convincing = score > self.slip_share * len(beams) and score - float(before) > self.slip_gain * len(beams)
-        return pose if convincing else stayed
+        return pose if score - float(before) > self.slip_gain * len(beams) else stayed
 
     def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
