@@ -125,14 +125,14 @@ def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_
 def test_options_go_preset_then_file_then_set(log, tmp_path, call):
     file = tmp_path / "my.toml"
     file.write_text("particles = 7\n[tracker]\ninsert_m = 0.5\ninsert_rad = 0.5\n")
-    options = "--preset", "fast", "--config", file, "--set", "insert_m=0.25", "--set", "tracker.map_scans=10"
+    options = "--preset", "accurate", "--config", file, "--set", "insert_m=0.25", "--set", "tracker.map_scans=10"
     status, out, _ = call("map", log, "-o", tmp_path / "out", *options, *FEW, "--json")
     assert status == 0
     configuration = json.loads(out)["configuration"]
     tracker = configuration["tracker"]
     assert (configuration["particles"], tracker["insert_m"]) == (3, 0.25)
     assert (tracker["insert_rad"], tracker["map_scans"]) == (0.5, 10)
-    assert configuration["when_to_update"] == {"translation_m": 0.6, "rotation_rad": 0.35}
+    assert configuration["when_to_update"] == {"translation_m": 0.4, "rotation_rad": 0.25}
 
 
 def test_map_replaces_an_earlier_result_and_leaves_other_files(log, tmp_path, call):

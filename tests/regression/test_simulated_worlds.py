@@ -107,7 +107,6 @@ def test_covariances_are_of_the_errors_size(worlds):
     assert consistency.lower / 2 < consistency.average_nees < AVERAGE_NEES
 
 
-@pytest.mark.xfail(strict=True, reason="the tracker stands still with a person who walks ahead at the robot's pace")
 @pytest.mark.parametrize("seed", [1, 3])
 def test_people_who_walk_ahead_do_not_stop_the_robot(seed):
     """Odometry is off by less than 1 cm in the second in which the person covers a sixth of the view."""

@@ -259,7 +259,7 @@ class TileMaps:
         arena.take(*backend.own(*self._view, arena.page_refs, arena.tile_refs, *spare, touched))
 
     def _needed(self, touched: Int32Array) -> tuple[int, int]:
-        """How many pages and tiles must be made to own those `touched` (n, 3) = [row, tile y, tile x], all different."""
+        """How many pages and tiles must be made to own `touched` (n, 3) = [row, tile y, tile x], no two alike."""
         row, y, x = touched.T
         slot = row, y // PAGE - self._first[0], x // PAGE - self._first[1]
         page = self._roots[slot]

@@ -51,6 +51,7 @@ class Confidence:
 
     def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
         """Report of the scan that the filter begins with: a key scan that weighs nothing."""
+        state.covariance = self._spread(state)
         n_eff = effective_sample_size(state.log_weights)
         return StepReport(
             scan.stamp_ns, state.poses[state.best], state.covariance, np.zeros(3), best=state.best, n_eff=n_eff,
@@ -75,13 +76,19 @@ class Confidence:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
-        away = state.poses - state.poses[best]
-        away[:, 2] = wrap(away[:, 2])
-        spread = (np.exp(state.log_weights) * away.T) @ away
-        state.covariance = spread + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
-        state.lost = score < self.lost_below * len(beams)
+        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
+        # the second key scan is not judged: a first scan that saw nothing leaves an empty map
+        state.lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         return StepReport(
             scan.stamp_ns, state.poses[best], state.covariance, key_from_base,
             undetermined=undetermined(information, score), lost=state.lost, best=best,
             n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
         )  # fmt: skip
+
+    @staticmethod
+    def _spread(state: GridFastSlamState) -> FloatArray:
+        """Weighted covariance (3, 3) of the particles about the best one."""
+        away = state.poses - state.poses[state.best]
+        away[:, 2] = wrap(away[:, 2])
+        spread: FloatArray = (np.exp(state.log_weights) * away.T) @ away
+        return spread

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyAgreement
@@ -100,9 +101,10 @@ class GridFastSlam:
         particles : int or (N, 3) float64
             How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`).
         """
-        poses = at_pose(particles, pose) if isinstance(particles, int) else np.array(particles, np.float64)
-        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
-            raise ArgumentError("particles", "a number or shape (N, 3)", poses.shape)
+        poses = at_pose(int(particles), pose) if np.ndim(particles) == 0 else np.array(particles, np.float64)
+        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
+            raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", f"{particles!r:.60}")
+        poses[:, 2] = wrap(poses[:, 2])
         beams = scan.beams(self.range_min_m, self.range_max_m)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
         maps = self.mapper.empty(len(poses), self.threads)

@@ -191,7 +191,8 @@ class Tracker:
         self, state: TrackerState, match: Match, predicted: FloatArray, sigma_m: float, beams: Beams
     ) -> FloatArray:
         """Pose of the match or, where that is implausible, the odometry's position with the match's heading."""
-        pose, score = match.poses[0], float(match.score[0])
+        pose: FloatArray = match.poses[0]
+        score = float(match.score[0])
         if score < self.poor_share * len(beams):
             return predicted
         if math.hypot(pose[0] - predicted[0], pose[1] - predicted[1]) <= max(self.slip_m, 4 * sigma_m):

@@ -31,11 +31,11 @@ def test_resampling_policies() -> None:
 
 
 def test_update_policy() -> None:
-    moved = MovedAtLeast(translation_m=0.4, rotation_rad=0.25)
+    moved = MovedAtLeast(translation_m=0.5, rotation_rad=0.25)
     assert isinstance(moved, UpdatePolicy)
     assert moved == MovedAtLeast()
-    assert not moved(0.39, 0.24)
-    assert moved(0.4, 0.0)
+    assert not moved(0.49, 0.24)
+    assert moved(0.5, 0.0)
     assert moved(0.0, 0.25)
     assert moved(0.0, -0.25)
     assert not MovedAtLeast(translation_m=math.inf)(1e9, 0.0)
