@@ -119,25 +119,27 @@ def test_nothing_is_touched_without_poses_or_changes():
         assert none.shape == kernels.touch_cells(np.zeros((0, 4), np.int32), 3).shape == (0, 3)
 
 
+@pytest.mark.parametrize("few", [3, 1000])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_owned_tiles(seed):
+def test_owned_tiles(seed, few):
+    """As far as the free ids go: three are too few for any scan."""
     rng = np.random.default_rng(seed)
     maps = random_maps(rng)
     poses, ends = random_poses(rng), random_ends(rng)
     keep = maps.snapshot()
     maps._cover(poses, beams_to(ends))
     touched = compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
-    spare = maps._arena.spare(len(touched), len(touched))
+    pages, tiles = maps._arena.spare
     results = []
     for kernels in (compiled, reference):
         view, refs = copies(maps._view), (maps._arena.page_refs.copy(), maps._arena.tile_refs.copy())
-        used = kernels.own(*view, *refs, *spare, touched)
-        results.append((view, refs, used))
+        results.append((view, refs, kernels.own(*view, *refs, pages, tiles[-few:], touched)))
     assert_same_maps(results[0][0], results[1][0])
     np.testing.assert_array_equal(results[0][1][0], results[1][1][0])
     np.testing.assert_array_equal(results[0][1][1], results[1][1][1])
     assert tuple(results[0][2]) == results[1][2]
-    assert results[1][2][1] > 0
+    assert 0 < results[1][2][1] <= few
+    assert few > 3 or results[1][2][2] < len(touched)
     del keep
 
 

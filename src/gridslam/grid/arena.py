@@ -76,29 +76,29 @@ class TileArena:
         held = (self.pages, self.log_odds, self.field, self.page_refs, self.tile_refs)
         return sum(array.nbytes for array in held)
 
-    def has_spare(self, n: int) -> bool:
-        """Say whether `n` pages and `n` tiles are free."""
-        return len(self._free_pages) >= n and len(self._free_tiles) >= n
+    @property
+    def spare(self) -> tuple[Int32Array, Int32Array]:
+        """Free page and tile ids; they are taken from the end by `take`."""
+        return self._free_pages, self._free_tiles
 
-    def spare(self, pages: int, tiles: int) -> tuple[Int32Array, Int32Array]:
-        """Free page and tile ids, at least so many of each; taken from the end by `take`."""
-        if len(self._free_pages) < pages:
-            old, new = self._grown(len(self.page_refs), pages - len(self._free_pages))
+    def grow(self) -> None:
+        """Make more pages or tiles, or both, where none is free: an eighth of what there is."""
+        if not len(self._free_pages):
+            self._free_pages, new = self._more(self.page_refs)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
-            self._free_pages = np.concatenate([np.arange(new - 1, old - 1, -1, dtype=np.int32), self._free_pages])
-        if len(self._free_tiles) < tiles:
-            old, new = self._grown(len(self.tile_refs), tiles - len(self._free_tiles))
+        if not len(self._free_tiles):
+            self._free_tiles, new = self._more(self.tile_refs)
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
             self.tile_refs.resize(new, refcheck=False)
-            self._free_tiles = np.concatenate([np.arange(new - 1, old - 1, -1, dtype=np.int32), self._free_tiles])
-        return self._free_pages, self._free_tiles
 
     @staticmethod
-    def _grown(size: int, missing: int) -> tuple[int, int]:
-        return size, size + max(missing, size // 8, 64)
+    def _more(refs: Int32Array) -> tuple[Int32Array, int]:
+        """Ids to be added to those that `refs` counts, and how many there are then."""
+        size = len(refs) + max(len(refs) // 8, 64)
+        return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
 
     def take(self, pages: int, tiles: int) -> None:
         """Mark the last `pages` and `tiles` spare ids as used."""

@@ -254,20 +254,13 @@ class TileMaps:
 
     def _own(self, touched: Int32Array) -> None:
         arena = self._arena
-        n = len(touched)
-        spare = arena.spare(n, n) if arena.has_spare(n) else arena.spare(*self._needed(touched))
-        arena.take(*backend.own(*self._view, arena.page_refs, arena.tile_refs, *spare, touched))
-
-    def _needed(self, touched: Int32Array) -> tuple[int, int]:
-        """How many pages and tiles must be made to own `touched` (n, 3) = [row, tile y, tile x], no two alike."""
-        row, y, x = touched.T
-        slot = row, y // PAGE - self._first[0], x // PAGE - self._first[1]
-        page = self._roots[slot]
-        tile = self._arena.pages[page, y % PAGE, x % PAGE]
-        new_page = (page == 0) | (self._arena.page_refs[page] > 1)
-        new_tile = new_page | (tile == 0) | (self._arena.tile_refs[tile] > 1)
-        slots = np.ravel_multi_index(slot, self._roots.shape)[new_page]
-        return len(np.unique(slots)), int(new_tile.sum())
+        while True:
+            pages, tiles, done = backend.own(*self._view, arena.page_refs, arena.tile_refs, *arena.spare, touched)
+            arena.take(pages, tiles)
+            if done == len(touched):
+                return
+            touched = touched[done:]
+            arena.grow()
 
     def _cover(self, poses: FloatArray, beams: Beams) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""

@@ -67,13 +67,13 @@ auto py_touch_cells(Array<const int32_t, 2> cells, int reach) {
 auto py_own(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,
             Array<const int32_t, 2> touched) {
   const Maps m = view(roots, first, pages, log_odds, field);
-  int64_t used[2];
+  int64_t used[3];
   {
     nb::gil_scoped_release release;
     own(m, page_refs.data(), tile_refs.data(), free_pages.data(), static_cast<int64_t>(free_pages.shape(0)), free_tiles.data(),
         static_cast<int64_t>(free_tiles.shape(0)), touched.data(), static_cast<int64_t>(touched.shape(0)), used);
   }
-  return std::make_tuple(used[0], used[1]);
+  return std::make_tuple(used[0], used[1], used[2]);
 }
 
 auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int hit, int miss, int min,

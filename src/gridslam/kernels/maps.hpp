@@ -125,7 +125,7 @@ void touch_rays(const int32_t* rows, const double* poses, int k, const double* e
                 double resolution, int threads, Touched& out);
 void touch_cells(const Cell* cells, int n, int reach, Touched& out);
 void own(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
-         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* touched, int64_t n, int64_t used[2]);
+         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* touched, int64_t n, int64_t used[3]);
 
 struct Evidence {
   int hit, miss, min, max, occupied_above;

@@ -110,7 +110,7 @@ def touch_cells(cells: Int32Array, reach: int) -> Int32Array:
 def own(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
     page_refs: Int32Array, tile_refs: Int32Array, free_pages: Int32Array, free_tiles: Int32Array, touched: Int32Array,
-) -> tuple[int, int]:  # fmt: skip
+) -> tuple[int, int, int]:  # fmt: skip
     """Copy on write: give every touched tile (N, 3) = [row, tile y, tile x] to its map alone, in order.
 
     A page or tile that is empty or that more than one owner uses is copied to the last free id not yet taken. A table
@@ -121,18 +121,20 @@ def own(
     page_refs, tile_refs : (K,), (T,) int32
         How often each id is used; changed in place, as are `roots`, `pages`, `log_odds` and `field`.
     free_pages, free_tiles : (F,), (G,) int32
-        Ids that nothing uses, at least N of each.
+        Ids that nothing uses; where they do not suffice, the caller makes more and goes on from there.
 
     Returns
     -------
-    (int, int)
-        How many free pages and tiles were taken.
+    (int, int, int)
+        How many free pages and tiles were taken, and how many of the touched tiles are owned now.
     """
-    pages_left, tiles_left = len(free_pages), len(free_tiles)
+    pages_left, tiles_left, done = len(free_pages), len(free_tiles), 0
     for row, ty, tx in touched.tolist():
         at = row, ty // PAGE - first[0], tx // PAGE - first[1]
         page = roots[at]
         if page == 0 or page_refs[page] > 1:
+            if pages_left == 0:
+                break
             pages_left -= 1
             fresh = free_pages[pages_left]
             pages[fresh] = pages[page]
@@ -143,6 +145,8 @@ def own(
             roots[at] = page = fresh
         tile = pages[page, ty % PAGE, tx % PAGE]
         if tile == 0 or tile_refs[tile] > 1:
+            if tiles_left == 0:
+                break
             tiles_left -= 1
             fresh = free_tiles[tiles_left]
             log_odds[fresh], field[fresh] = log_odds[tile], field[tile]
@@ -150,7 +154,8 @@ def own(
                 tile_refs[tile] -= 1
             tile_refs[fresh] = 1
             pages[page, ty % PAGE, tx % PAGE] = fresh
-    return len(free_pages) - pages_left, len(free_tiles) - tiles_left
+        done += 1
+    return len(free_pages) - pages_left, len(free_tiles) - tiles_left, done
 
 
 def _counted(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
