@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text_source import open_for_reading
+from gridslam.io.archive import read_arrays
 from gridslam.types import FloatArray, IntArray, StepReport
 
 __all__ = ["Record", "RecordFlag", "RecordWriter", "read_record"]
@@ -122,17 +120,7 @@ class RecordWriter:
 
 def read_record(path: str | Path) -> Record:
     """Read a record; raises InputError where the file is none, or its arrays do not belong together."""
-    with open_for_reading(path) as file:
-        try:
-            with zipfile.ZipFile(file):
-                file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(path, f"expected a record of a run, got: {error}") from None
-    schema = str(arrays.get("schema", "none"))
-    if schema != _SCHEMA:
-        raise InputError(path, f"expected schema {_SCHEMA}, got {schema}")
+    arrays = read_arrays(path, _SCHEMA, "a record of a run")
     steps, particles = arrays["poses"].shape[:2] if arrays.get("poses", np.zeros(0)).ndim == 3 else (-1, -1)
     for name, (dtype, ndim) in _FORMS.items():
         want = (steps, particles, 3)[:ndim]

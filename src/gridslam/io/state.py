@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +13,8 @@ from numpy.typing import NDArray
 
 from gridslam.config import Configuration, dumps, loads
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.archive import read_arrays
 from gridslam.io.output import written_aside
-from gridslam.io.text_source import open_for_reading
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.state import GridFastSlamState
 
@@ -94,7 +92,7 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
     InputError
         The file cannot be read, has another schema, or its arrays do not belong together.
     """
-    arrays = _read_arrays(path)
+    arrays = read_arrays(path, _SCHEMA, "a saved run")
 
     def part(prefix: str) -> dict[str, NDArray[Any]]:
         return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
@@ -110,21 +108,6 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
         )
     except (ArgumentError, ConfigurationError) as error:
         raise InputError(path, f"expected a saved run: {error}") from None
-
-
-def _read_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    with open_for_reading(path) as file:
-        try:
-            with zipfile.ZipFile(file):
-                file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(path, f"expected a saved run, got: {error}") from None
-    schema = str(arrays.get("schema", "none"))
-    if schema != _SCHEMA:
-        raise InputError(path, f"expected schema {_SCHEMA}, got {schema}")
-    return arrays
 
 
 def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:

@@ -26,7 +26,7 @@ def _load() -> tuple[Any, bool]:
             return _compiled, True
         except ImportError:
             warnings.warn(
-                "gridslam was installed without its compiled kernels and runs on NumPy, some hundred times slower; "
+                "gridslam was installed without its compiled kernels and runs on NumPy, many times slower; "
                 "install a C++20 compiler and reinstall",
                 RuntimeWarning,
                 stacklevel=2,

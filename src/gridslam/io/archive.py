@@ -1,0 +1,32 @@
+"""Archives of plain arrays (.npz without pickles) under a named schema."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import InputError
+from gridslam.io.text_source import open_for_reading
+
+__all__ = ["read_arrays"]
+
+
+def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+    """All arrays of an archive; raises InputError where the file is not `what` or is of another schema."""
+    with open_for_reading(path) as file:
+        try:
+            with zipfile.ZipFile(file):
+                file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(path, f"expected {what}, got: {error}") from None
+    got = str(arrays.get("schema", "none"))
+    if got != schema:
+        raise InputError(path, f"expected schema {schema}, got {got}")
+    return arrays
