@@ -1,0 +1,92 @@
+"""The pose graph: what GraphSLAM solves, loop closure builds and a g2o file holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["PoseGraph"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraph:
+    """Poses, and what was measured between pairs of them.
+
+    Attributes
+    ----------
+    poses : (N, 3) float64
+        Estimate or first guess, map frame. Pose 0 is held where it is (the gauge).
+    edges : (M, 2) int64
+        For each measurement the places in `poses` of the two that it joins: from, to.
+    measurements : (M, 3) float64
+        The pose `to` seen from the pose `from`.
+    information : (M, 3, 3) float64
+        Inverse covariance of the error of each measurement (see `errors`), by x, y in m and theta in rad.
+    trusted : (M,) bool
+        Measurements that no robust estimation doubts: odometry.
+    """
+
+    poses: FloatArray
+    edges: IntArray
+    measurements: FloatArray
+    information: FloatArray
+    trusted: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        poses: ArrayLike,
+        edges: ArrayLike,
+        measurements: ArrayLike,
+        information: ArrayLike,
+        trusted: ArrayLike | None = None,
+    ) -> PoseGraph:
+        """Validate and copy; where nothing is said, edges between neighbours in the order of the poses are trusted.
+
+        Raises
+        ------
+        ArgumentError
+            A shape is wrong, a value is not finite, an edge joins a pose to itself or to one that is not there, or an
+            information matrix is not symmetric and positive definite.
+        """
+        nodes = np.array(poses, np.float64).reshape(-1, 3)
+        pairs = np.array(edges, np.int64).reshape(-1, 2)
+        z = np.array(measurements, np.float64).reshape(-1, 3)
+        omega = np.array(information, np.float64).reshape(-1, 3, 3)
+        apart = np.abs(pairs[:, 1] - pairs[:, 0])
+        trust = apart == 1 if trusted is None else np.array(trusted, np.bool_)
+        if not len(nodes) or not len(pairs) == len(z) == len(omega) == len(trust):
+            got = nodes.shape, pairs.shape, z.shape, omega.shape, trust.shape
+            raise ArgumentError("PoseGraph", "poses (N, 3), edges (M, 2), (M, 3), (M, 3, 3), (M,)", got)
+        if not all(np.isfinite(array).all() for array in (nodes, z, omega)):
+            raise ArgumentError("PoseGraph", "finite poses, measurements and information", "a value that is not")
+        if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(nodes) or (apart == 0).any()):
+            raise ArgumentError("edges", f"pairs of different places in [0, {len(nodes)})", pairs.tolist())
+        if not np.allclose(omega, omega.transpose(0, 2, 1)) or (len(omega) and np.linalg.eigvalsh(omega).min() <= 0):
+            raise ArgumentError("information", "symmetric positive definite matrices", "another")
+        return cls(nodes, pairs, z, omega, trust)
+
+    def with_poses(self, poses: FloatArray) -> PoseGraph:
+        """Return the same measurements about other poses (N, 3)."""
+        return replace(self, poses=poses)
+
+    def errors(self, poses: FloatArray | None = None) -> FloatArray:
+        """Errors (M, 3) of the measurements at poses (N, 3), by default its own: g2o's.
+
+        e = z^-1 (x_from^-1 x_to): position in the frame in which the measurement ends, heading in [-pi, pi).
+        """
+        at = self.poses if poses is None else poses
+        return between(self.measurements, between(at[self.edges[:, 0]], at[self.edges[:, 1]]))
+
+    def chi2(self, poses: FloatArray | None = None) -> float:
+        """Sum of e' information e over the measurements."""
+        e = self.errors(poses)
+        return float(np.einsum("mi,mij,mj->", e, self.information, e))
