@@ -186,22 +186,33 @@ class TileMaps:
 
     def occupancy(self, row: int) -> OccupancyGrid:
         """The map as a rectangle, cut to the tiles that hold something; a single unknown cell if there are none."""
+        cells, corner = self._rectangle(row, self._arena.log_odds, UNKNOWN)
+        known = cells != UNKNOWN
+        log_odds = np.where(known, cells, 0).astype(np.float32)
+        log_odds *= LOG_ODDS_UNIT
+        return OccupancyGrid(log_odds, known, self.resolution_m, cell_corner(*corner, self.resolution_m))
+
+    def field(self, row: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+        """The distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
+
+        255 at an occupied cell, falling with the distance to 0 at the field's reach.
+        """
+        return self._rectangle(row, self._arena.field, 0)
+
+    def _rectangle(self, row: int, stored: NDArray[Any], empty: int) -> tuple[NDArray[Any], tuple[int, int]]:
+        """Cells (H, W) of a map's tiles in `stored` (T, 32, 32), `empty` between them, and the corner's cell."""
         page_rows, page_cols = np.nonzero(self._roots[row])
         tiles = self._arena.pages[self._roots[row, page_rows, page_cols]]
         which, ty, tx = np.nonzero(tiles)
         if not len(which):
-            return OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), bool), self.resolution_m, (0.0, 0.0))
+            return np.full((1, 1), empty, stored.dtype), (0, 0)
         rows = (page_rows[which] + self._first[0]) * PAGE + ty
         cols = (page_cols[which] + self._first[1]) * PAGE + tx
         row0, col0 = int(rows.min()), int(cols.min())
-        blocks = np.full((int(rows.max()) - row0 + 1, int(cols.max()) - col0 + 1, TILE, TILE), UNKNOWN, np.int16)
-        blocks[rows - row0, cols - col0] = self._arena.log_odds[tiles[which, ty, tx]]
-        cells = blocks.swapaxes(1, 2).reshape(blocks.shape[0] * TILE, -1)
-        known = cells != UNKNOWN
-        log_odds = np.where(known, cells, 0).astype(np.float32)
-        log_odds *= LOG_ODDS_UNIT
-        origin = cell_corner(row0 * TILE, col0 * TILE, self.resolution_m)
-        return OccupancyGrid(log_odds, known, self.resolution_m, origin)
+        shape = int(rows.max()) - row0 + 1, int(cols.max()) - col0 + 1, TILE, TILE
+        blocks = np.full(shape, empty, stored.dtype)
+        blocks[rows - row0, cols - col0] = stored[tiles[which, ty, tx]]
+        return blocks.swapaxes(1, 2).reshape(shape[0] * TILE, -1), (row0 * TILE, col0 * TILE)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
