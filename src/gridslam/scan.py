@@ -8,14 +8,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["BeamStatus", "Beams", "FloatArray", "IntArray", "LaserScan", "Rows", "ScanGeometry", "frozen"]
+__all__ = [
+    "BeamEnds", "BeamStatus", "Beams", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Rows", "ScanGeometry",
+    "frozen",
+]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -188,6 +191,46 @@ class Beams:
     @property
     def reach_m(self) -> float:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
-        ends, origin = self.ends, self.origin
-        farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
-        return math.sqrt(farthest)
+        return _reach_m(self.ends, self.origin)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class EndPoints:
+    """What maps and matchers need of a scan that is long past: ends (K, 2) of its usable beams and origin (2,)."""
+
+    ends: FloatArray
+    origin: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of beams K."""
+        return len(self.ends)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base."""
+        return _reach_m(self.ends, self.origin)
+
+
+class BeamEnds(Protocol):
+    """Where beams end, seen from the base: `Beams` of a scan at hand, or `EndPoints` of one that was kept."""
+
+    @property
+    def ends(self) -> FloatArray:
+        """End points (K, 2) in the base frame, m."""
+
+    @property
+    def origin(self) -> FloatArray:
+        """The laser's place (2,) in the base frame, m."""
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base."""
+
+    def __len__(self) -> int:
+        """Return the number of beams K."""
+
+
+def _reach_m(ends: FloatArray, origin: FloatArray) -> float:
+    farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
+    return math.sqrt(farthest)

@@ -14,12 +14,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.scan import Beams, BeamStatus, FloatArray, IntArray, LaserScan, Rows, ScanGeometry, frozen
+from gridslam.scan import (
+    BeamEnds,
+    Beams,
+    BeamStatus,
+    EndPoints,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    Rows,
+    ScanGeometry,
+    frozen,
+)
 
 __all__ = [
-    "BeamStatus", "Beams", "DistanceMaps", "FloatArray", "IntArray", "LaserScan", "Match", "MotionModel",
-    "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel", "SkipReason",
-    "StepReport", "Trajectory", "Weigher",
+    "BeamEnds", "BeamStatus", "Beams", "DistanceMaps", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Match",
+    "MotionModel", "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel",
+    "SkipReason", "StepReport", "Trajectory", "Weigher",
 ]  # fmt: skip
 
 

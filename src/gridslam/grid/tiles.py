@@ -13,7 +13,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena
 from gridslam.grid.frame import cell_corner
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
-from gridslam.types import Beams, FloatArray, IntArray, OccupancyGrid, Rows
+from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
 __all__ = ["LOG_ODDS_UNIT", "Evidence", "TileMaps"]
 
@@ -131,7 +131,7 @@ class TileMaps:
         self._arena.release(self._roots[row])
         self._roots[row] = 0
 
-    def update(self, rows: Int32Array, poses: FloatArray, beams: Beams) -> None:
+    def update(self, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> None:
         """Insert a scan into maps `rows` (K,) int32, each at most once, at poses (K, 3): the binary Bayes filter.
 
         The cell at a beam's end is hit once for each beam, the cells before it are missed once for each; a cell in
@@ -273,7 +273,7 @@ class TileMaps:
             touched = touched[done:]
             arena.grow()
 
-    def _cover(self, poses: FloatArray, beams: Beams) -> None:
+    def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""
         reach = beams.reach_m + 2 * self.reach_m
         page_m = self.resolution_m * _PAGE_CELLS

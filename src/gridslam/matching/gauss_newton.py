@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.types import Beams, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = ["LEAST_INFORMATION", "GaussNewton", "undetermined"]
 
@@ -53,7 +53,7 @@ class GaussNewton:
     min_information: float = Field(default=LEAST_INFORMATION, ge=0)
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
         cell = maps.resolution_m
