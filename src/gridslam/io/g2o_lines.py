@@ -54,6 +54,8 @@ def _numbered(path: str | Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, from 1; a file whose compressed end is missing is refused."""
     source, number = TextSource(path), 0
     for block in source:
+        if source.cut_off:  # what is left is the beginning of a line
+            break
         yield from enumerate(block, number + 1)
         number += len(block)
     if source.cut_off:

@@ -1,0 +1,205 @@
+"""g2o files: what is read, what is written, and what is said of bad ones."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.g2o import read_g2o, write_g2o
+from gridslam.slam.pose_graph import PoseGraph
+
+FAR = "2 0 0 3 0 4"  # the end of an information matrix's row of six
+SMALL = """# three vertices
+EDGE_SE2 7 9 1 0 0.5 2 0.5 0.25 3 0.125 4
+
+VERTEX_SE2 5 0 0 0
+VERTEX_SE2 7 1 2 3
+VERTEX_SE2 8 -1.5 2e-3 6.5
+EDGE_SE2 8 7 0.5 0 -4 1 0 0 1 0 1
+FIX 7
+VERTEX_SE2 9 3 3 0
+EDGE_SE2 5 9 1 1 1 1 0 0 1 0 1
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(text):
+        path = tmp_path / "a.g2o"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_vertices_edges_and_the_fixed_one(file):
+    read = read_g2o(file(SMALL))
+    assert read.ids.tolist() == [7, 5, 8, 9]  # the fixed one is pose 0, the others stand as in the file
+    assert read.ids[read.order].tolist() == [5, 7, 8, 9]
+    np.testing.assert_array_equal(read.graph.poses[:, :2], [[1, 2], [0, 0], [-1.5, 2e-3], [3, 3]])
+    np.testing.assert_allclose(read.graph.poses[:, 2], [3, 0, 6.5 - 2 * np.pi, 0])
+    assert read.edge_ids.tolist() == [[7, 9], [8, 7], [5, 9]]
+    np.testing.assert_allclose(read.graph.measurements, [[1, 0, 0.5], [0.5, 0, 2 * np.pi - 4], [1, 1, 1]])
+    np.testing.assert_array_equal(read.graph.information[0], [[2, 0.5, 0.25], [0.5, 3, 0.125], [0.25, 0.125, 4]])
+    assert read.graph.trusted.tolist() == [False, True, False]
+    assert read.skipped == {}
+
+
+def test_what_is_read_is_a_valid_graph(file):
+    graph = read_g2o(file(SMALL)).graph
+    PoseGraph.of(graph.poses, graph.edges, graph.measurements, graph.information, graph.trusted)
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
+def test_compressed_files_are_told_by_their_first_bytes(tmp_path, file, pack):
+    (tmp_path / "b.g2o").write_bytes(pack(SMALL.encode()))
+    np.testing.assert_array_equal(read_g2o(tmp_path / "b.g2o").graph.edges, read_g2o(file(SMALL)).graph.edges)
+
+
+def test_line_ends_of_other_systems(file):
+    assert read_g2o(file(SMALL.replace("\n", "\r\n"))).ids.tolist() == [7, 5, 8, 9]
+
+
+def test_unknown_tags_are_counted(file):
+    read = read_g2o(file(f"{SMALL}VERTEX_XY 1 2 3\nPARAMS a\nVERTEX_XY 2 2 3"), skip_unknown=True)
+    assert read.skipped == {"VERTEX_XY": 2, "PARAMS": 1}
+
+
+def test_one_vertex_is_a_graph(file):
+    read = read_g2o(file("VERTEX_SE2 3 1 2 0\n"))
+    assert (read.graph.poses.shape, read.graph.edges.shape, read.graph.information.shape) == ((1, 3), (0, 2), (0, 3, 3))
+
+
+TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 2 0 0 3 0\n", 3, "expected 'EDGE_SE2 from to"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 2 0 0 3 0 4 5\n", 3, "expected 'EDGE_SE2 from to"),
+        ("VERTEX_SE2 0 0 0\n", 1, "expected 'VERTEX_SE2 id x y theta', got 'VERTEX_SE2 0 0 0'"),
+        ("VERTEX_SE2 0 0 0 zero\n", 1, "zero"),
+        ("VERTEX_SE2 0.0 0 0 0\n", 1, "0.0"),
+        ("VERTEX_SE2 0 0 1_0 0\n", 1, "1_0"),
+        (f"VERTEX_SE2 {2**63} 0 0 0\n", 1, str(2**63)),
+        (f"{TWO}FIX\n", 3, "expected 'FIX id'"),
+        ("VERTEX_SE2 0 0 nan 0\n", 1, "finite"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR.replace('3', '1e999')}\n", 3, "finite"),
+        (f"{TWO}VERTEX_SE3 2 0 0 0\n", 3, "--skip-unknown"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nEDGE_SE2 1 2 1 0 0 {FAR}\n", 4, "vertex 2, which is not there"),
+        (f"{TWO}VERTEX_SE2 0 0 0 0\n", 3, "got 0 again, which line 1 has"),
+        (f"{TWO}EDGE_SE2 1 1 1 0 0 {FAR}\n", 3, "from 1 to itself"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 1 0 0 1 0 0\n", 3, "positive definite"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 1 2 0 1 0 1\n", 3, "eigenvalue -1"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 2\n", 4, "vertex to fix, got 2"),
+        (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 1\nFIX 1\nFIX 0\n", 6, "one fixed vertex, got 0 after 1"),
+        (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\n", 2, "2 cannot be reached: 1 2"),
+        (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\nFIX 2", 1, "vertex 2 to all others, 1  be reached: 0"),
+        ("# nothing\n", None, "expected a vertex"),
+        ("", None, "empty"),
+        ("VERTEX_SE2 0 \x00\n", None, "binary"),
+    ],
+)  # fmt: skip
+def test_bad_files(file, text, line, said):
+    path = file(text)
+    with pytest.raises(InputError) as caught:
+        read_g2o(path)
+    assert caught.value.line == line
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(f"{path}, line {line}: " if line else f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_many_lonely_vertices_are_not_all_named(file):
+    with pytest.raises(InputError, match=r"99 cannot be reached: 1 2 3 4 5 6 7 8 9 10 \.\.\.$"):
+        read_g2o(file("".join(f"VERTEX_SE2 {k} 0 0 0\n" for k in range(100))))
+
+
+def test_lines_that_are_passed_over_do_not_join(file):
+    with pytest.raises(InputError, match="cannot be reached"):
+        read_g2o(file(f"{TWO}EDGE_SE2_XY 0 1 2 3 4 5\n"), skip_unknown=True)
+
+
+def test_no_file_and_a_cut_off_one(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_g2o(tmp_path / "no.g2o")
+    lines = "".join(f"VERTEX_SE2 {k} {k * 0.37} 0 0\n" for k in range(500))
+    (tmp_path / "cut.g2o").write_bytes(gzip.compress(lines.encode())[:-100])
+    with pytest.raises(InputError, match="compressed end is missing"):
+        read_g2o(tmp_path / "cut.g2o")
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
+headings = st.floats(-np.pi, np.pi, exclude_max=True)
+
+
+@st.composite
+def graphs(draw):
+    """Chains with some closures: any numbers, informations positive definite as written."""
+    count = draw(st.integers(1, 5))
+    chain = [(k, k + 1) for k in range(count - 1)]
+    more = draw(st.lists(st.sampled_from(chain), max_size=3)) if chain else []
+    edges = chain + [(b, a) for a, b in more]
+    pose = st.tuples(numbers, numbers, headings)
+    poses = draw(st.lists(pose, min_size=count, max_size=count))
+    measured = draw(st.lists(pose, min_size=len(edges), max_size=len(edges)))
+    scales = np.array(draw(st.lists(st.floats(1e-6, 1e6), min_size=len(edges), max_size=len(edges))))
+    information = np.array([[2, 0.1, -1], [0.1, 3, 1 / 3], [-1, 1 / 3, 4]]) * scales.reshape(-1, 1, 1)
+    ids = draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=count, max_size=count, unique=True))
+    return PoseGraph.of(poses, edges, measured, information), ids, draw(st.permutations(range(count)))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@given(graphs())
+def test_what_is_written_is_read_back_exactly_and_written_to_the_same_bytes(tmp_path, given_graph):
+    graph, ids, order = given_graph
+    first, second = tmp_path / "1.g2o", tmp_path / "2.g2o"
+    write_g2o(first, graph, ids, order)
+    back = read_g2o(first)
+    write_g2o(second, back.graph, back.ids, back.order)
+    assert second.read_bytes() == first.read_bytes()
+    place = [ids.index(name) for name in back.ids.tolist()]
+    assert place[0] == 0
+    np.testing.assert_array_equal(back.graph.poses, graph.poses[place])
+    np.testing.assert_array_equal(back.edge_ids, np.array(ids)[graph.edges])
+    np.testing.assert_array_equal(back.graph.measurements, graph.measurements)
+    np.testing.assert_array_equal(back.graph.information, graph.information)
+
+
+def test_form_of_a_written_file(tmp_path):
+    graph = PoseGraph.of([[0, 0, 0], [1, 0.1, -0.5]], [[0, 1]], [[1, 2, 0.25]], [[[2, 0, 0], [0, 3, 1], [0, 1, 4]]])
+    write_g2o(tmp_path / "a.g2o", graph, [4, 2], [1, 0])
+    assert (tmp_path / "a.g2o").read_text() == (
+        "VERTEX_SE2 2 1.0 0.1 -0.5\nVERTEX_SE2 4 0.0 0.0 0.0\nFIX 4\n"
+        "EDGE_SE2 4 2 1.0 2.0 0.25 2.0 0.0 0.0 3.0 1.0 4.0\n"
+    )
+    write_g2o(tmp_path / "a.g2o", graph)
+    assert (tmp_path / "a.g2o").read_text().startswith("VERTEX_SE2 0 0.0 0.0 0.0\nFIX 0\nVERTEX_SE2 1 ")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.g2o"]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"), [({"ids": [1]}, "ids"), ({"ids": [1, 1]}, "ids"), ({"order": [0, 0]}, "order")]
+)
+def test_bad_names(tmp_path, names, said):
+    graph = PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1, 2, 0.25]], [np.eye(3)])
+    with pytest.raises(ArgumentError, match=said):
+        write_g2o(tmp_path / "a.g2o", graph, **names)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "vertices", "edges", "closures"),
+    [("intel", 1728, 2512, 785), ("intel_1228", 1228, 1483, 256), ("m3500", 3500, 5453, 1954), ("ring", 434, 459, 26)],
+)
+def test_real_graphs(data_dir, name, vertices, edges, closures):
+    graph = read_g2o(data_dir / "graphs" / f"{name}.g2o.gz").graph
+    assert (len(graph.poses), len(graph.edges), (~graph.trusted).sum()) == (vertices, edges, closures)
+    assert np.isfinite(graph.chi2())

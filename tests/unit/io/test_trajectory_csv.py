@@ -1,0 +1,75 @@
+"""Trajectories in CSV, with the covariance of each pose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.trajectory import CSV_HEADER, read_trajectory_csv, write_trajectory_csv
+from gridslam.types import Trajectory
+
+ROW = "1.5,1,2,3,1,0,0,1,0,1"
+metres = st.floats(-1e4, 1e4)
+rows = st.tuples(
+    st.integers(-(10**18), 4 * 10**18), metres, metres, st.floats(-np.pi, np.pi, exclude_max=True),
+    st.lists(st.floats(-1e3, 1e3), min_size=9, max_size=9),
+)  # fmt: skip
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
+@given(st.lists(rows, min_size=1, max_size=10))
+def test_round_trip(tmp_path, given_rows):
+    stamps = np.array([row[0] for row in given_rows])
+    poses = np.array([row[1:4] for row in given_rows])
+    roots = np.array([row[4] for row in given_rows]).reshape(-1, 3, 3)
+    covariances = roots @ roots.transpose(0, 2, 1)
+    write_trajectory_csv(tmp_path / "t.csv", Trajectory(stamps, poses), covariances)
+    back, spread = read_trajectory_csv(tmp_path / "t.csv")
+    assert back.stamps_ns.tolist() == stamps.tolist()
+    np.testing.assert_allclose(back.poses[:, :2], poses[:, :2], rtol=0, atol=0.6e-9)  # nine decimals
+    assert np.abs(np.angle(np.exp(1j * (back.poses[:, 2] - poses[:, 2])))).max() < 0.6e-9
+    assert ((back.poses[:, 2] >= -np.pi) & (back.poses[:, 2] < np.pi)).all()
+    np.testing.assert_allclose(spread, covariances, rtol=0.6e-8, atol=0)  # nine significant digits
+
+
+def test_form(tmp_path):
+    trajectory = Trajectory(np.array([976052857337530001, -1]), np.array([[1.0, -2.5, 0.25], [0.0, 0.0, 0.0]]))
+    covariances = np.array([[[1, 2, 3], [2, 4, 5], [3, 5, 6]]] * 2) * 1e-7
+    write_trajectory_csv(tmp_path / "t.csv", trajectory, covariances)
+    first, *rest = (tmp_path / "t.csv").read_text().splitlines()
+    assert first == CSV_HEADER
+    assert rest == [
+        "976052857.337530001,1.000000000,-2.500000000,0.250000000,1e-07,2e-07,3e-07,4e-07,5e-07,6e-07",
+        "-0.000000001,0.000000000,0.000000000,0.000000000,1e-07,2e-07,3e-07,4e-07,5e-07,6e-07",
+    ]
+
+
+def test_as_many_covariances_as_poses(tmp_path):
+    with pytest.raises(ArgumentError, match="covariances"):
+        write_trajectory_csv(tmp_path / "t.csv", Trajectory(np.array([1]), np.zeros((1, 3))), np.zeros((2, 3, 3)))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", None),
+        (f"{ROW}\n", 1),
+        (f"{CSV_HEADER}\n", None),
+        (f"{CSV_HEADER}\n{ROW}\n{ROW},1\n", 3),
+        (f"{CSV_HEADER}\n{ROW[:-2]}\n", 2),
+        (f"{CSV_HEADER}\n{ROW}\n\n", 3),
+        (f"{CSV_HEADER}\nx{ROW}\n", 2),
+        (f"{CSV_HEADER}\n{ROW}\n1.5,1,2,3,1,0,0,1,0,nan\n", 3),
+        (f"{CSV_HEADER}\n{ROW}\n1.5,1,2,3,1,0,0,1,0,y\n", 3),
+    ],
+    ids=["empty", "no header", "no row", "too many", "too few", "blank", "stamp", "nan", "word"],
+)
+def test_bad_files(tmp_path, text, line):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_trajectory_csv(tmp_path / "t.csv")
+    assert caught.value.line == line
