@@ -101,7 +101,7 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 2\n", 4, "vertex to fix, got 2"),
         (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR}\nFIX 1\nFIX 1\nFIX 0\n", 6, "one fixed vertex, got 0 after 1"),
         (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\n", 2, "2 cannot be reached: 1 2"),
-        (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\nFIX 2", 1, "vertex 2 to all others, 1  be reached: 0"),
+        (f"{TWO}VERTEX_SE2 2 0 0 0\nEDGE_SE2 1 2 1 0 0 {FAR}\nFIX 2", 1, "2 to all others, 1 cannot be reached: 0"),
         ("# nothing\n", None, "expected a vertex"),
         ("", None, "empty"),
         ("VERTEX_SE2 0 \x00\n", None, "binary"),
