@@ -8,7 +8,10 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["FAINT", "FREE", "OCCUPIED", "RULE", "TIME_ENDS", "TRUTH", "UNKNOWN", "Colour", "time_colours"]
+__all__ = [
+    "CLOSURE", "FAINT", "FREE", "OCCUPIED", "REJECTED", "RULE", "TIME_ENDS", "TRUTH", "UNKNOWN", "Colour",
+    "time_colours",
+]  # fmt: skip
 
 Colour: TypeAlias = tuple[int, int, int]
 
@@ -18,6 +21,8 @@ OCCUPIED: Colour = (34, 41, 54)
 FAINT: Colour = (104, 113, 126)
 RULE: Colour = (196, 201, 207)
 TRUTH: Colour = (0, 150, 136)
+CLOSURE: Colour = (30, 136, 210)
+REJECTED: Colour = (34, 41, 54)
 
 # From early to late: lightness (CIE L*) rises evenly from 22 to 73 while the hue turns from violet to orange, so the
 # order can be read in grey as well, and the lightest colour still stands out from white.

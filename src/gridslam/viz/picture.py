@@ -10,7 +10,7 @@ from PIL import Image
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory
 from gridslam.viz.footer import paint_footer
 from gridslam.viz.layout import Layout, lay_out
-from gridslam.viz.palette import FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
 from gridslam.viz.strokes import disc, stroke
 
 __all__ = ["draw_map"]
@@ -38,6 +38,7 @@ def draw_map(
     caption: Sequence[str] = (),
     truth: Trajectory | None = None,
     walls: FloatArray | None = None,
+    closures: FloatArray | None = None,
 ) -> Image.Image:
     """Draw the known part of a map with the trajectory over it, a scale bar and a caption under it.
 
@@ -54,6 +55,8 @@ def draw_map(
         The true trajectory in the frame of the grid, drawn under the other.
     walls : (S, 4) float64, m, optional
         A floor plan in the frame of the grid, drawn in the colour of the truth.
+    closures : (K, 4) float64, m, optional
+        Loop closures as [x0, y0, x1, y1], the two places that each of them joins, in the frame of the grid.
 
     Returns
     -------
@@ -66,7 +69,11 @@ def draw_map(
     _paint_truth(page, truth, walls, layout)
     if trajectory is not None and len(trajectory):
         _paint_trajectory(page, trajectory, layout)
-    paint_footer(page, layout, title, caption, trajectory, truth is not None or walls is not None)
+    keys = [("truth", TRUTH)] if truth is not None or walls is not None else []
+    if closures is not None and len(closures):
+        _paint_closures(page, closures, layout)
+        keys.append(("loop closures", CLOSURE))
+    paint_footer(page, layout, title, caption, trajectory, keys)
     return page
 
 
@@ -106,6 +113,12 @@ def _paint_truth(page: Image.Image, truth: Trajectory | None, walls: FloatArray 
     if truth is not None and len(truth):
         ends, _ = _path(truth, layout)
         stroke(page, ends, [TRUTH] * len(ends), 2.0 * layout.unit)
+
+
+def _paint_closures(page: Image.Image, closures: FloatArray, layout: Layout) -> None:
+    points = layout.pixels(closures.reshape(-1, 2))
+    stroke(page, points.reshape(-1, 4), [CLOSURE] * len(closures), 1.5 * layout.unit)
+    stroke(page, np.tile(points, 2), [CLOSURE] * len(points), 5.0 * layout.unit)  # a dot at each end
 
 
 def _paint_trajectory(page: Image.Image, trajectory: Trajectory, layout: Layout) -> None:

@@ -10,7 +10,7 @@ from gridslam.types import OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
 from gridslam.viz.footer import round_length
 from gridslam.viz.layout import MARGIN, lay_out
-from gridslam.viz.palette import FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
 
 RESOLUTION = 0.05
 
@@ -131,6 +131,18 @@ def test_truth_is_drawn_in_its_own_colour_and_stays_off_the_footer():
     assert _colour_at(page, layout, 2.0, 2.5) != FREE
     column = int(layout.pixels(np.array([[3.0, 0.0]]))[0, 0])
     assert page.getpixel((column, page.height - 5)) == UNKNOWN
+
+
+def test_closures_join_their_places_over_the_trajectory_and_are_explained():
+    grid, line = _grid((100, 100)), _straight((1.0, 1.0), (4.0, 1.0))
+    page, layout = draw_map(grid, line, closures=np.array([[1.5, 1.0, 3.5, 4.0]])), lay_out(grid)
+    assert _colour_at(page, layout, 1.5, 1.0) == CLOSURE
+    assert _colour_at(page, layout, 3.5, 4.0) == CLOSURE
+    assert np.abs(np.subtract(_colour_at(page, layout, 2.5, 2.5), CLOSURE)).max() < 60  # a thin line, antialiased
+    footer = np.asarray(page)[layout.map_box[3] :]
+    assert (footer == CLOSURE).all(axis=2).any()
+    for none in (None, np.empty((0, 4))):
+        assert not (np.asarray(draw_map(grid, line, closures=none)) == CLOSURE).all(axis=2).any()
 
 
 def test_lightness_of_time_rises():
