@@ -1,5 +1,6 @@
 """Measures of accuracy: arrays and trajectories in, frozen results out."""
 
+from gridslam.evaluation.closures import closure_errors, false_closures
 from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
 from gridslam.evaluation.map import MapAgreement, compare_maps
 from gridslam.evaluation.relations import RelationErrors, Relations, relation_errors
@@ -24,7 +25,9 @@ __all__ = [
     "associate",
     "check_consistency",
     "chi_square_quantile",
+    "closure_errors",
     "compare_maps",
+    "false_closures",
     "interpolate",
     "nees",
     "relation_errors",

@@ -1,11 +1,19 @@
-"""Simulated buildings, robots and lidars: logs whose truth is known."""
+"""Simulated buildings, robots and lidars: logs whose truth is known.
+
+`make_world` knows, by name: buildings that are always the same (`demo`, `loop`, `rooms`, `hall`, `corridor`), and
+buildings drawn from a seed: `random`; four kinds made to deceive loop closure, `equal_rooms`, `symmetric`,
+`bare_corridors` and `moved_furniture`; and two large ones, `campus` (2 km of corridors up to 200 m long) and `fleet`
+(10 km in a warehouse, best streamed).
+"""
 
 from gridslam.sim.lidar import LidarConfig
+from gridslam.sim.people import PeopleConfig
 from gridslam.sim.robot import OdometryNoise, RobotConfig
-from gridslam.sim.simulate import PeopleConfig, SimulatedLog, simulate
-from gridslam.sim.worlds import WORLDS, World, make_world
+from gridslam.sim.simulate import SimulatedLog, SimulatedStream, simulate, simulate_stream
+from gridslam.sim.world import Change, World
+from gridslam.sim.worlds import DRAWN_WORLDS, WORLDS, make_world
 
 __all__ = [
-    "WORLDS", "LidarConfig", "OdometryNoise", "PeopleConfig", "RobotConfig", "SimulatedLog", "World", "make_world",
-    "simulate",
+    "DRAWN_WORLDS", "WORLDS", "Change", "LidarConfig", "OdometryNoise", "PeopleConfig", "RobotConfig", "SimulatedLog",
+    "SimulatedStream", "World", "make_world", "simulate", "simulate_stream",
 ]  # fmt: skip

@@ -1,4 +1,7 @@
-"""Floor plans: walls are line segments (S, 4) = [x0, y0, x1, y1] in m, made by a few builders and joined by `join`."""
+"""Floor plans: walls are line segments (S, 4) = [x0, y0, x1, y1] in m, made by a few builders and joined by `join`.
+
+`carve` goes the other way about: it is told the free space, and makes the walls around it.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,13 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
-__all__ = ["box", "clearance", "furniture", "join", "pillar", "place", "polyline", "room", "wall"]
+__all__ = ["box", "carve", "clearance", "furniture", "join", "near", "pillar", "place", "polyline", "room", "wall"]
 
 WALL_THICKNESS_M = 0.12
 """An inner wall: thick enough that its two faces are two lines of 5 cm cells in a map, as in a real building."""
@@ -95,6 +98,46 @@ def room(x0: float, y0: float, x1: float, y1: float, **doors: Sequence[tuple[flo
     return join(*(wall((a, b), (c, d), doors.get(side, ())) for side, (a, b, c, d) in ends.items()))
 
 
+def carve(spaces: ArrayLike) -> FloatArray:
+    """Walls (S, 4) around free space: the outline of the union of upright rectangles.
+
+    Corridors, rooms, doorways through the thickness of a wall and niches are all rectangles; where they overlap or
+    touch, one opens into the other. No wall is there twice, and those in one line are one.
+
+    Parameters
+    ----------
+    spaces : (R, 4) array_like, m
+        Two opposite corners of each rectangle; taken to the micrometre, so that edges meant to touch do.
+
+    Raises
+    ------
+    ArgumentError
+        For another shape.
+    """
+    corners = np.array(spaces, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 4:
+        raise ArgumentError("spaces", "shape (R, 4)", corners.shape)
+    corners = np.round(corners, 6).reshape(-1, 2, 2)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    xs, ys = np.unique(corners[..., 0]), np.unique(corners[..., 1])
+    free = np.zeros((len(ys) + 1, len(xs) + 1), np.bool_)  # cells between the lines, with a border of solid ones
+    columns, rows = (np.searchsorted(line, [low[:, k], high[:, k]]) + 1 for k, line in enumerate((xs, ys)))
+    for left, right, bottom, top in zip(*columns, *rows, strict=True):
+        free[bottom:top, left:right] = True
+    line, first, last = _runs(free[1:] != free[:-1])
+    level = np.stack([xs[first], ys[line], xs[last], ys[line]], axis=1)
+    line, first, last = _runs((free[:, 1:] != free[:, :-1]).T)
+    upright = np.stack([xs[line], ys[first], xs[line], ys[last]], axis=1)
+    return join(level, upright)
+
+
+def _runs(marked: NDArray[np.bool_]) -> IntArray:
+    """Row, first and last line (3, K) of each run of marked cells between lines; the cells at both ends are not."""
+    steps = np.diff(marked.astype(np.int8), axis=1)
+    row, first = np.nonzero(steps == 1)
+    return np.stack([row, first, np.nonzero(steps == -1)[1]])
+
+
 def pillar(x: float, y: float, radius_m: float, sides: int = 16) -> FloatArray:
     """Regular polygon (sides, 4) with its corners on a circle: a round pillar, or with few sides a crate."""
     angles = 2 * math.pi * np.arange(sides) / sides
@@ -120,3 +163,14 @@ def clearance(walls: FloatArray, points: FloatArray) -> FloatArray:
         along = np.clip((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-300), 0.0, 1.0)
         np.minimum(distances, np.hypot(px - along * dx, py - along * dy), out=distances)
     return distances
+
+
+def near(walls: FloatArray, points: FloatArray, reach_m: float) -> FloatArray:
+    """Those of walls (S, 4), in their order, that may be within `reach_m` of one of points (N, 2).
+
+    Told by upright boxes around each wall and around all points: none that is near is left out, some that are not stay.
+    """
+    low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
+    ends = walls.reshape(-1, 2, 2)
+    found: FloatArray = walls[((ends.max(axis=1) >= low) & (ends.min(axis=1) <= high)).all(axis=1)]
+    return found

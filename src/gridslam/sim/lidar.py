@@ -10,6 +10,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
+from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
 __all__ = ["LidarConfig", "cast_rays", "disc_ranges", "measure"]
@@ -63,12 +64,17 @@ class LidarConfig:
         return -self.field_of_view_rad / 2 + step * np.arange(self.beams, dtype=np.float64)
 
     @property
+    def reach_m(self) -> float:
+        """Range in m beyond which a wall is not seen, whatever the noise: eight of its standard deviations."""
+        return self.range_max_m + 8 * self.sigma_range_m
+
+    @property
     def geometry(self) -> ScanGeometry:
         """Bearings and mounting as scans carry them."""
         return ScanGeometry.planar(self.bearings, [self.x_m, self.y_m, self.heading_rad])
 
 
-def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray) -> FloatArray:
+def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray, reach_m: float = math.inf) -> FloatArray:
     """Distance along each beam to the first wall.
 
     Seen from a laser, a wall covers an interval of bearings. Only the beams in it are intersected with the wall,
@@ -82,6 +88,8 @@ def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray) -> Fl
         Poses of the laser, not on a wall, in the frame of the walls.
     bearings : (B,) float64, rad
         Ascending, within one turn, in the frame of the laser.
+    reach_m : float, m
+        Walls farther away may be seen or not: those that are far from all the lasers cost nothing.
 
     Returns
     -------
@@ -91,7 +99,8 @@ def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray) -> Fl
     ranges = np.full((len(lasers), len(bearings)), np.inf)
     rows = max(1, _CHUNK // max(1, len(walls)))
     for first in range(0, len(lasers), rows):
-        _intersect(walls, lasers[first : first + rows], bearings, ranges[first : first + rows])
+        some = lasers[first : first + rows]
+        _intersect(near(walls, some[:, :2], reach_m), some, bearings, ranges[first : first + rows])
     return ranges
 
 
@@ -149,9 +158,14 @@ def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearin
     return ranges
 
 
-def measure(true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator) -> FloatArray:
-    """Ranges (N, B) in m as the sensor reports them: with noise, and `range_max_m` for a beam without return."""
+def measure(
+    true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator, losses: np.random.Generator | None = None
+) -> FloatArray:
+    """Ranges (N, B) in m as the sensor reports them: with noise, and `range_max_m` for a beam without return.
+
+    The noise is drawn from `rng`, and then, which beams are lost: from `losses` where it is given.
+    """
     noise = lidar.sigma_range_m * rng.standard_normal(true_ranges.shape)
-    lost = rng.random(true_ranges.shape) < lidar.no_return_probability
+    lost = (rng if losses is None else losses).random(true_ranges.shape) < lidar.no_return_probability
     measured = np.clip(true_ranges + noise, 1e-3, lidar.range_max_m)
     return np.where(lost, lidar.range_max_m, measured)

@@ -12,9 +12,9 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import STRICT
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
-__all__ = ["OdometryNoise", "RobotConfig", "drive", "read_odometry"]
+__all__ = ["OdometryNoise", "RobotConfig", "drive", "follow", "read_odometry"]
 
 _STEP_M = 0.01  # speed is planned at this spacing along the path
 _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
@@ -90,6 +90,7 @@ class _Piece(NamedTuple):
     twist: tuple[float, float, float]
     length_m: float  # driven by the outer limit: a turn on the spot counts v_max / omega_max metres a radian
     v_max_m_s: float
+    leg: int
 
 
 def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
@@ -97,6 +98,14 @@ def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
 
     It heads for the second waypoint at the start, rounds corners with arcs and turns sharp ones on the spot; speed is
     the greatest that the limits of the robot allow, from rest to rest.
+    """
+    return follow(route, robot, period_s)[0]
+
+
+def follow(route: FloatArray, robot: RobotConfig, period_s: float) -> tuple[FloatArray, IntArray]:
+    """Poses (N, 3) as `drive` gives them, and the leg of the route (N,) int64 that each is on.
+
+    Leg k leads from waypoint k to waypoint k + 1, the turn there included.
     """
     pieces = _pieces(route, robot)
     starts = [np.array([*route[0], math.atan2(*(route[1] - route[0])[::-1])])]
@@ -107,7 +116,8 @@ def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
     index = np.searchsorted(begins[1:-1], at, side="right")
     share = (at - begins[index]) / np.diff(begins)[index]
     twists = np.array([piece.twist for piece in pieces])
-    return se2.compose(np.array(starts)[index], se2.exp(twists[index] * share[:, None]))
+    poses = se2.compose(np.array(starts)[index], se2.exp(twists[index] * share[:, None]))
+    return poses, np.array([piece.leg for piece in pieces], np.int64)[index]
 
 
 def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
@@ -123,14 +133,15 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
             room = 0.5 * float(min(length, lengths[leg + 1]))
             tangent = min(robot.turning_radius_m * math.tan(abs(turn) / 2), room)
         straight = length - cut - tangent
-        pieces.append(_Piece((straight, 0.0, 0.0), straight, robot.v_max_m_s))
+        pieces.append(_Piece((straight, 0.0, 0.0), straight, robot.v_max_m_s, leg))
         cut = tangent
         if tangent > 0:
             radius = tangent / math.tan(abs(turn) / 2)
             arc = radius * abs(turn)
-            pieces.append(_Piece((arc, 0.0, turn), arc, min(robot.v_max_m_s, robot.omega_max_rad_s * radius)))
+            speed = min(robot.v_max_m_s, robot.omega_max_rad_s * radius)
+            pieces.append(_Piece((arc, 0.0, turn), arc, speed, leg))
         elif turn:
-            pieces.append(_Piece((0.0, 0.0, turn), metres_per_radian * abs(turn), robot.v_max_m_s))
+            pieces.append(_Piece((0.0, 0.0, turn), metres_per_radian * abs(turn), robot.v_max_m_s, leg))
     return [piece for piece in pieces if piece.length_m > 1e-9]
 
 

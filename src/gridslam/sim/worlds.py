@@ -3,49 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError
+from gridslam.sim.deceptive import bare_corridors, equal_rooms, symmetric
 from gridslam.sim.floor_plan import box, furniture, join, pillar, polyline, room, wall
+from gridslam.sim.large import campus, fleet
+from gridslam.sim.moved_furniture import moved_furniture
 from gridslam.sim.random_building import random_building
+from gridslam.sim.world import World
 from gridslam.types import FloatArray
 
-__all__ = ["WORLDS", "World", "corridor", "demo", "hall", "loop", "make_world", "rooms"]
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class World:
-    """A floor plan and the way the robot takes through it.
-
-    Attributes
-    ----------
-    name : str
-    walls : (S, 4) float64, m
-        Line segments [x0, y0, x1, y1].
-    route : (K, 2) float64, m
-        Waypoints, K >= 2.
-    """
-
-    name: str
-    walls: FloatArray
-    route: FloatArray
-
-    @classmethod
-    def of(cls, name: str, walls: ArrayLike, route: ArrayLike) -> World:
-        """Validate and copy; raises ArgumentError for wrong shapes, or waypoints that are not finite or repeat."""
-        segments = np.array(walls, dtype=np.float64).reshape(-1, 4)
-        waypoints = np.array(route, dtype=np.float64)
-        if waypoints.ndim != 2 or waypoints.shape[1] != 2 or len(waypoints) < 2:
-            raise ArgumentError("route", "shape (K, 2) with K >= 2", waypoints.shape)
-        if not (np.isfinite(segments).all() and (np.abs(np.diff(waypoints, axis=0)).sum(axis=1) > 1e-6).all()):
-            raise ArgumentError("route", "finite waypoints, no two in a row the same", waypoints.tolist())
-        return cls(name, segments, waypoints)
+__all__ = ["DRAWN_WORLDS", "WORLDS", "corridor", "demo", "hall", "loop", "make_world", "rooms"]
 
 
 def demo() -> World:
@@ -142,22 +113,32 @@ def corridor() -> World:
     return World.of("corridor", join(south, north, doors, *ends), [(1.0, 1.1), (38.8, 1.1), (20.0, 1.1), (1.4, 1.1)])
 
 
+def _random(rng: np.random.Generator) -> World:
+    return World.of("random", *random_building(rng))
+
+
 WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
     {"demo": demo, "loop": loop, "rooms": rooms, "hall": hall, "corridor": corridor}
 )
-"""The worlds that are always the same, by name; `make_world` knows `random` besides."""
+"""The worlds that are always the same, by name."""
+
+DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProxyType({
+    "random": _random, "equal_rooms": equal_rooms, "symmetric": symmetric, "bare_corridors": bare_corridors,
+    "moved_furniture": moved_furniture, "campus": campus, "fleet": fleet,
+})  # fmt: skip
+"""Kinds of worlds of which each seed draws another, by name."""
 
 
 def make_world(name: str, rng: np.random.Generator) -> World:
-    """World of that name; `random` is a building drawn from `rng`, which the others do not use.
+    """World of that name, one of `WORLDS`, which do not use `rng`, or of `DRAWN_WORLDS`.
 
     Raises
     ------
     ArgumentError
         If there is no world of that name.
     """
-    if name == "random":
-        return World.of(name, *random_building(rng))
+    if name in DRAWN_WORLDS:
+        return DRAWN_WORLDS[name](rng)
     if name not in WORLDS:
-        raise ArgumentError("name", f"one of {', '.join([*WORLDS, 'random'])}", repr(name))
+        raise ArgumentError("name", f"one of {', '.join([*WORLDS, *DRAWN_WORLDS])}", repr(name))
     return WORLDS[name]()

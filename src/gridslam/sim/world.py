@@ -1,0 +1,81 @@
+"""A world: a floor plan, the robot's way through it, and what changes while it drives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Change", "World"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """Other walls, (S, 4) float64 in m, that stand from when the robot leaves waypoint number `waypoint` on.
+
+    They replace all that stood before, the floor plan's own included: furniture is moved, doors are opened or shut.
+    """
+
+    waypoint: int
+    walls: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """A floor plan and the way the robot takes through it.
+
+    Attributes
+    ----------
+    name : str
+    walls : (S, 4) float64, m
+        Line segments [x0, y0, x1, y1] at the start.
+    route : (K, 2) float64, m
+        Waypoints, K >= 2.
+    changes : tuple of Change
+        In the order in which they happen.
+    """
+
+    name: str
+    walls: FloatArray
+    route: FloatArray
+    changes: tuple[Change, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, walls: ArrayLike, route: ArrayLike, changes: Sequence[Change] = ()) -> World:
+        """Validate and copy.
+
+        Raises
+        ------
+        ArgumentError
+            For wrong shapes, waypoints that are not finite or repeat, or changes that are not at ascending waypoints
+            between the first and the last.
+        """
+        segments = np.array(walls, dtype=np.float64).reshape(-1, 4)
+        waypoints = np.array(route, dtype=np.float64)
+        if waypoints.ndim != 2 or waypoints.shape[1] != 2 or len(waypoints) < 2:
+            raise ArgumentError("route", "shape (K, 2) with K >= 2", waypoints.shape)
+        if not (np.isfinite(segments).all() and (np.abs(np.diff(waypoints, axis=0)).sum(axis=1) > 1e-6).all()):
+            raise ArgumentError("route", "finite waypoints, no two in a row the same", waypoints.tolist())
+        at = [0, *(change.waypoint for change in changes), len(waypoints) - 1]
+        if (np.diff(at) <= 0).any():
+            raise ArgumentError("changes", f"at ascending waypoints in [1, {at[-1] - 1}]", at[1:-1])
+        return cls(name, segments, waypoints, tuple(changes))
+
+    def stretches(self, legs: IntArray, longest: int) -> Iterator[tuple[slice, FloatArray]]:
+        """Cut a drive into stretches of at most `longest` poses, and tell the walls (S, 4) that stand during each.
+
+        `legs` (N,) is the leg of the route that each pose is on, ascending.
+        """
+        begins = np.searchsorted(legs, [change.waypoint for change in self.changes]).tolist()
+        plans = [self.walls, *(change.walls for change in self.changes)]
+        for first, end, walls in zip([0, *begins], [*begins, len(legs)], plans, strict=True):
+            for begin in range(first, end, longest):
+                yield slice(begin, min(begin + longest, end)), walls
