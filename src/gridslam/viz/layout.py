@@ -16,7 +16,7 @@ from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = [
     "KEY_GAP", "MARGIN", "SCALE_WIDTH", "TEXT_LINE", "TEXT_SIZE", "TIME_WIDTH", "TITLE_LINE", "TITLE_SIZE", "Layout",
-    "font", "lay_out",
+    "font", "footer_size", "lay_out",
 ]  # fmt: skip
 
 MARGIN, TITLE_SIZE, TITLE_LINE, TEXT_SIZE, TEXT_LINE = 50, 30, 44, 19, 28  # in units of the layout, as are these:
@@ -75,12 +75,10 @@ def lay_out(grid: OccupancyGrid, title: str = "", caption: Sequence[str] = ()) -
     map_size = max(1, round(width * fitted)), max(1, round(height * fitted))
     unit = max(1.0, max(map_size) / least)
     margin = round(MARGIN * unit)
-    text_px = max((font(TEXT_SIZE, unit).getlength(line) for line in caption), default=0.0)
-    text_px = max(text_px, font(TITLE_SIZE, unit).getlength(title))
-    keys_px = (SCALE_WIDTH + KEY_GAP + TIME_WIDTH) * unit
-    page_width = max(map_size[0] + 2 * margin, math.ceil(text_px + keys_px) + 3 * margin)
-    footer = round(unit * max(_KEY_HEIGHT, TITLE_LINE * bool(title) + TEXT_LINE * len(caption)))
-    page_height = map_size[1] + 3 * margin + footer
+    footer = footer_size(title, caption, unit)
+    keys_px = round((SCALE_WIDTH + KEY_GAP + TIME_WIDTH) * unit)
+    page_width = max(map_size[0] + 2 * margin, footer[0] + keys_px + 3 * margin)
+    page_height = map_size[1] + 3 * margin + footer[1]
     if max(page_width, page_height) < _PAGE_SIDE_PX:
         page_width = _PAGE_SIDE_PX
     left = (page_width - map_size[0]) // 2
@@ -94,6 +92,13 @@ def lay_out(grid: OccupancyGrid, title: str = "", caption: Sequence[str] = ()) -
         top_m=grid.origin[1] + rows.stop * grid.resolution_m,
         unit=unit,
     )
+
+
+def footer_size(title: str, caption: Sequence[str], unit: float) -> tuple[int, int]:
+    """Width of the caption in px, and height that it and the keys beside it need."""
+    lengths = [font(TEXT_SIZE, unit).getlength(line) for line in caption] + [font(TITLE_SIZE, unit).getlength(title)]
+    height = max(_KEY_HEIGHT, TITLE_LINE * bool(title) + TEXT_LINE * len(caption))
+    return math.ceil(max(lengths)), round(unit * height)
 
 
 def _extent(known: NDArray[np.bool_], axis: int) -> slice:

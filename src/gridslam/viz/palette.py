@@ -22,7 +22,7 @@ FAINT: Colour = (104, 113, 126)
 RULE: Colour = (196, 201, 207)
 TRUTH: Colour = (0, 150, 136)
 CLOSURE: Colour = (30, 136, 210)
-REJECTED: Colour = (34, 41, 54)
+REJECTED: Colour = (160, 167, 176)
 
 # From early to late: lightness (CIE L*) rises evenly from 22 to 73 while the hue turns from violet to orange, so the
 # order can be read in grey as well, and the lightest colour still stands out from white.
