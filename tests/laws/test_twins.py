@@ -14,7 +14,11 @@ from gridslam.types import LaserScan, ScanGeometry
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
-KERNELS = ("touch_rays", "touch_cells", "own", "update_log_odds", "update_field", "match", "distances", "cast_rays")
+KERNELS = (
+    "touch_rays", "touch_cells", "own", "update_log_odds", "update_field", "match", "distances", "cast_rays",
+    "max_pyramid", "correlate",
+)  # fmt: skip
+"""The last two in `test_branch_and_bound_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

@@ -2,8 +2,10 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/tuple.h>
 
+#include "correlate.hpp"
 #include "maps.hpp"
 
 namespace nb = nanobind;
@@ -134,6 +136,34 @@ auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix 
   return out;
 }
 
+auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
+  const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
+  auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
+  Pyramid<uint8_t> p{fine.data(), levels, static_cast<int>(rows + 2 * side), static_cast<int>(cols + 2 * side), nullptr};
+  auto top = fresh<uint8_t, 4>({side, side, static_cast<size_t>(p.top_rows()) + 1, static_cast<size_t>(p.stride())});
+  p.top = top.data();
+  {
+    nb::gil_scoped_release release;
+    max_pyramid(likelihood.data(), static_cast<int>(rows), static_cast<int>(cols), p);
+  }
+  return std::make_tuple(fine, top);
+}
+
+auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Matrix ends, Vector headings, std::array<int, 4> window,
+                  Vector centre, Matrix information, double distance, int places, int floor, double rival, double apart_cells,
+                  double apart_rad) {
+  const Pyramid<const uint8_t> p{fine.data(), static_cast<int>(fine.shape(0)), static_cast<int>(fine.shape(1)),
+                                 static_cast<int>(fine.shape(2)), top.data()};
+  const Lattice lattice{window[0], window[1], window[2], window[3], headings.data(), static_cast<int>(headings.shape(0))};
+  std::vector<Place> found;
+  {
+    nb::gil_scoped_release release;
+    correlate(p, ends.data(), static_cast<int>(ends.shape(0)), lattice, {centre.data(), information.data(), distance},
+              {places, floor, rival, apart_cells, apart_rad}, found);
+  }
+  return as_rows(found.data(), found.size(), 4);
+}
+
 }  // namespace
 }  // namespace gridslam
 
@@ -152,4 +182,7 @@ NB_MODULE(_compiled, m) {
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
         "threads"_a);
+  m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
+  m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a, "distance"_a,
+        "places"_a, "floor"_a, "rival"_a, "apart_cells"_a, "apart_rad"_a);
 }

@@ -1,0 +1,200 @@
+"""Branch and bound: where in a large window does a scan fit a map best, and where else nearly as well."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass
+from itertools import chain
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.grid.frame import cell_centres, cells_of
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import backend
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["BranchAndBound", "Found", "Pyramid", "thinned"]
+
+_LEVELS = 3
+"""Nodes of 8 x 8 cells are bounded side by side, all of them; larger ones bound too little to be worth their time."""
+
+_MOST_POINTS = 256
+"""So many sums of a byte fit in two."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Pyramid:
+    """A map's likelihoods and their maxima over squares of cells, made once for all searches in it.
+
+    Attributes
+    ----------
+    fine, top : uint8 arrays
+        See `gridslam.kernels.reference.max_pyramid`.
+    corner : (int, int)
+        The cell (row, column) of the world that is the map's first.
+    resolution_m : float
+        Side of a cell.
+    """
+
+    fine: NDArray[np.uint8]
+    top: NDArray[np.uint8]
+    corner: tuple[int, int]
+    resolution_m: float
+
+    @classmethod
+    def of(cls, maps: TileMaps, row: int, cauchy_m: float = 0.1) -> Pyramid:
+        """Take one map's distances d to 1 / (1 + (d / `cauchy_m`)^2), the weight of `GaussNewton`; 0 out of reach."""
+        field, corner = maps.field(row)
+        distance_m = maps.reach_m * (1 - np.arange(256) / 255)
+        likelihood = np.rint(255 / (1 + np.square(distance_m / cauchy_m))).astype(np.uint8)
+        likelihood[0] = 0
+        fine, top = backend.max_pyramid(likelihood.take(field), _LEVELS)
+        return cls(fine, top, corner, maps.resolution_m)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Where a scan fits, to half a cell; Gauss-Newton refines it.
+
+    Attributes
+    ----------
+    pose : (3,) float64
+        The best pose.
+    share : float
+        Mean weight of the points there, in [0, 1]: `Match.score` for each beam, up to the lattice.
+    other_pose : (3,) float64 or None
+        The best pose that is another place; None where none is good enough to be told.
+    other_share : float
+        Its share; 0 where there is none.
+    """
+
+    pose: FloatArray
+    share: float
+    other_pose: FloatArray | None = None
+    other_share: float = 0.0
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class BranchAndBound:
+    """Finds the best of all poses of a lattice, without trying all, and the best one that is another place.
+
+    The lattice has the map's cells, and headings between which the ends move by one cell in the root mean square.
+
+    Parameters
+    ----------
+    window_m, window_rad : float
+        Half the sides of the largest window; pi is the full turn.
+    gate : float
+        Mahalanobis distance up to which poses are tried, where the guess has a covariance.
+    points : int
+        Points used in the search, spread evenly in space.
+    floor : float
+        Least share of a place. The higher, the sooner a search ends that finds nothing.
+    rival : float
+        Least part of the best share from which on another place is told.
+    other_place_m, other_place_rad : float
+        A pose within both of the best is the same place. A peak is a few times as wide as `cauchy_m` and as a step of
+        the headings; but along a bare corridor it has no end, and the other place is its next part.
+
+    Source: Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), section V; Olson, Real-time correlative
+    scan matching (ICRA 2009).
+    """
+
+    window_m: float = Field(default=15.0, gt=0, le=100)
+    window_rad: float = Field(default=0.5, gt=0, le=math.pi)
+    gate: float = Field(default=3.0, gt=0)
+    points: int = Field(default=200, ge=8, le=_MOST_POINTS)
+    floor: float = Field(default=0.5, gt=0, le=1)
+    rival: float = Field(default=0.6, gt=0, le=1)
+    other_place_m: float = Field(default=1.0, gt=0)
+    other_place_rad: float = Field(default=0.3, gt=0)
+
+    def search(
+        self, pyramid: Pyramid, guess: FloatArray, covariance: FloatArray | None, points: FloatArray
+    ) -> Found | None:
+        """Search around a guess.
+
+        Parameters
+        ----------
+        pyramid : Pyramid
+            Of the map.
+        guess : (3,) float64
+            In the map's frame.
+        covariance : (3, 3) float64 or None
+            Of the guess; poses within `gate` of it and in the window are tried. None: the whole window.
+        points : (N, 2) float64, m
+            Ends of a scan, or of several, in the base frame.
+
+        Returns
+        -------
+        Found or None
+            None where no pose has a share of `floor`.
+
+        Raises
+        ------
+        ArgumentError
+            The guess or a point is not finite, or the covariance is not positive semidefinite.
+        """
+        if not np.isfinite(guess).all():
+            raise ArgumentError("guess", "finite x, y, theta", guess.tolist())
+        if not np.isfinite(points).all():
+            raise ArgumentError("points", "finite x, y", "a point that is not finite")
+        if not len(points):
+            return None
+        cell, corner = pyramid.resolution_m, np.array(pyramid.corner)
+        few = thinned(points, self.points, cell)
+        step_rad = cell / max(math.sqrt(float(np.square(few).sum(axis=1).mean())), cell)
+        sides, information = self._ellipsoid(covariance, np.array([cell, cell, step_rad]))
+        turns = math.floor(sides[2] / step_rad)
+        headings = guess[2] + step_rad * np.arange(-turns, turns + 1)
+        y, x = (cells_of(guess[:2], cell) - corner).tolist()
+        across, up = np.ceil(sides[:2] / cell).astype(int).tolist()
+        unit = np.array([cell, cell, 1.0])
+        places = backend.correlate(
+            pyramid.fine, pyramid.top, few / cell, headings, (x - across, x + across + 1, y - up, y + up + 1),
+            guess / unit - np.append(corner[::-1], 0), information * unit[:, None] * unit, 1.0,
+            2, math.ceil(self.floor * 255 * len(few)), self.rival, self.other_place_m / cell, self.other_place_rad,
+        )  # fmt: skip
+        poses = np.column_stack([cell_centres(places[:, 2:] + corner, cell), wrap(headings[places[:, 1]])])
+        told = zip(poses, (places[:, 0] / (255 * len(few))).tolist(), strict=True)
+        return Found(*chain.from_iterable(told)) if len(places) else None
+
+    def _ellipsoid(self, covariance: FloatArray | None, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Half the sides (3,) of the window, and the information (3, 3) of the ellipsoid d^T information d <= 1 in it.
+
+        The ellipsoid is widened until it holds the pose next to the guess of a lattice of spacing `steps` (3,).
+        """
+        largest = np.array([self.window_m, self.window_m, self.window_rad])
+        if covariance is None:
+            return largest, np.zeros((3, 3))
+        if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
+            raise ArgumentError("covariance", "a positive semidefinite matrix (3, 3)", covariance.tolist())
+        spread = self.gate**2 * covariance + np.diag(0.75 * np.square(steps))
+        information: FloatArray = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        return np.minimum(largest, np.sqrt(np.diag(spread))), information
+
+
+def thinned(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatArray:
+    """At most `most` of points (N, 2), spread evenly in space: the first in each square of the finest grid that does.
+
+    Grids have sides `finest_m`, and each next one a tenth more; `most` is 4 or more.
+    """
+
+    def firsts(grid: int) -> IntArray:
+        cells = np.floor(points * (1 / (finest_m * 1.1**grid))).astype(np.int64)
+        indices: IntArray = np.unique((cells[:, 0] << 32) + cells[:, 1], return_index=True)[1]
+        return indices
+
+    grid = bisect_left(range(200), -most, key=lambda grid: -len(firsts(grid)))
+    evenly: FloatArray = points[np.sort(firsts(grid))]
+    return evenly
