@@ -83,6 +83,24 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
     demo(**options)
 
 
+@gridslam.command("graph")
+@click.argument("file", type=_PATH)
+@click.option("-o", "--out", type=_PATH, required=True, help="Folder for the results; made if need be.")
+@click.option("--robust", is_flag=True, help="Find the loop closures that are false, and leave them out.")
+@click.option("--no-guess", is_flag=True, help="Take no notice of the poses in FILE: guess them from the edges.")
+@click.option("--skip-unknown", is_flag=True, help="Pass over lines with unknown tags, and count them.")
+@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, help="From one guess.")
+@_json
+def graph_command(**options: Any) -> None:  # noqa: ANN401
+    """Solve FILE, a pose graph in g2o's form (plain, .gz or .bz2), by GraphSLAM.
+
+    OUT gets graph.g2o (the poses found), graph.png (before and after), graph.json and, with --robust, weights.csv.
+    """
+    from gridslam.cli.graph import graph_to_folder
+
+    graph_to_folder(**options)
+
+
 @gridslam.command("evaluate")
 @click.argument("trajectory", type=_PATH)
 @click.argument("reference", type=_PATH)

@@ -58,7 +58,7 @@ def draw_graph(
     Returns
     -------
     PIL.Image.Image
-        RGB, its long side about 1400 to 2400 px.
+        RGB, its long side about 1200 to 2400 px.
 
     Raises
     ------

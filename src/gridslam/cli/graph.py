@@ -1,0 +1,166 @@
+"""gridslam graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam import __version__
+from gridslam.cli import STARTED_S
+from gridslam.cli.output import opened, print_json
+from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.output import OutputFolder
+from gridslam.io.text_source import sha256_of
+from gridslam.pipeline import Stopwatch
+from gridslam.slam.graph_descent import squared_errors
+from gridslam.slam.graph_robust import GraduatedNonConvexity
+from gridslam.slam.graph_slam import GraphSlam, GraphSolution
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.viz import draw_graph
+
+__all__ = ["GRAPH_SCHEMA", "graph_to_folder"]
+
+GRAPH_SCHEMA = "gridslam.graph/1"
+
+_GRAPH, _PICTURE, _DOCUMENT, _WEIGHTS = "graph.g2o", "graph.png", "graph.json", "weights.csv"
+_KEPT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
+_SHOWN = 10  # rejected edges in the summary
+
+
+def graph_to_folder(
+    file: Path, out: Path, robust: bool, no_guess: bool, skip_unknown: bool, max_iterations: int, as_json: bool
+) -> None:
+    """Solve a graph into a folder and say what came of it."""
+    watch = Stopwatch(STARTED_S, 0.0)
+    solver = GraphSlam(
+        first_guess="computed" if no_guess else "either",
+        robust=GraduatedNonConvexity() if robust else None,
+        max_iterations=max_iterations,
+    )
+    watch.lap("start")
+    source = read_g2o(file, skip_unknown=skip_unknown)
+    watch.lap("read")
+    with opened(out) as folder:
+        _import_algebra()
+        watch.lap("start")
+        solution = solver.solve(source.graph)
+        watch.lap("solve")
+        document = _document(file, source, solver, solution, watch)
+        _write(folder, source, solution, document, watch)
+    if not solution.converged:
+        click.echo(f"gridslam: {file}: the least chi2 was not reached in {solution.iterations} iterations", err=True)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(_summary(document, out)))
+
+
+def _import_algebra() -> None:
+    """Solve a graph of two poses: the first one imports SciPy, which the time of the one that is asked for is not."""
+    GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
+
+
+def _rejected(solution: GraphSolution) -> NDArray[np.bool_]:
+    """Which edges (M,) were found to be false."""
+    return np.asarray(solution.weights < _KEPT)
+
+
+def _document(
+    file: Path, source: G2oGraph, solver: GraphSlam, solution: GraphSolution, watch: Stopwatch
+) -> dict[str, Any]:
+    """What graph.json says, but for the times of writing."""
+    graph = source.graph
+    document = {
+        "schema": GRAPH_SCHEMA,
+        "version": __version__,
+        "input": {
+            "path": str(file),
+            "sha256": sha256_of(file),
+            "vertices": len(graph.poses),
+            "edges": len(graph.edges),
+            "loop_closures": int((~graph.trusted).sum()),
+            "fixed": int(source.ids[0]),
+            "skipped": source.skipped,
+        },
+        "first_guess": solver.first_guess,
+        "robust": solver.robust is not None,
+        "max_iterations": solver.max_iterations,
+        "chi2_before": solution.chi2_before,
+        "chi2_after": solution.chi2_after,
+        "iterations": solution.iterations,
+        "converged": solution.converged,
+        "seconds": watch.stages["solve"][0],
+    }
+    if solver.robust is not None:
+        document |= {"rejected": source.edge_ids[_rejected(solution)].tolist(), "weights": _WEIGHTS}
+    return document
+
+
+def _write(
+    folder: OutputFolder, source: G2oGraph, solution: GraphSolution, document: dict[str, Any], watch: Stopwatch
+) -> None:
+    """Write the files, and how long that took into the document."""
+    write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order)
+    rejected = None
+    if document["robust"]:
+        _write_weights(folder.file(_WEIGHTS), source, solution)
+        rejected = _rejected(solution)
+    watch.lap("write")
+    picture = draw_graph(
+        solution.graph,
+        source.graph.poses,
+        rejected=rejected,
+        title=Path(document["input"]["path"]).name,
+        caption=_caption(document),
+        heads=(f"before: chi2 {solution.chi2_before:.6g}", f"after: chi2 {solution.chi2_after:.6g}"),
+        ends=(str(source.ids[0]), str(source.ids[-1])),
+    )
+    picture.save(folder.file(_PICTURE), optimize=False)
+    watch.lap("draw")
+    wall, cpu = watch.total()
+    stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in watch.stages.items()}
+    document["time"] = {"wall_s": wall, "cpu_s": cpu, "stages": stages}
+    folder.write_json(_DOCUMENT, document)
+
+
+def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> None:
+    """Write what each edge counts and how far it is off, in the order of the file."""
+    chi2 = squared_errors(solution.graph, solution.graph.errors())
+    rows = zip(source.edge_ids.tolist(), solution.weights.tolist(), chi2.tolist(), strict=True)
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        file.write("from,to,weight,chi2\n")
+        file.writelines(f"{first},{second},{weight:.6g},{off:.6g}\n" for (first, second), weight, off in rows)
+
+
+def _caption(document: dict[str, Any]) -> list[str]:
+    graph = document["input"]
+    rejected = f", {len(document['rejected'])} rejected" if document["robust"] else ""
+    return [
+        f"{graph['vertices']} poses, {graph['edges']} edges, {graph['loop_closures']} of them loop closures{rejected}",
+        f"{document['iterations']} iterations in {document['seconds']:.3f} s: gridslam {__version__}",
+    ]
+
+
+def _summary(document: dict[str, Any], out: Path) -> list[str]:
+    """What a person wants to know, in a few lines."""
+    graph, rejected = document["input"], document.get("rejected", [])
+    lines = [
+        f"{Path(graph['path']).name}: {graph['vertices']} poses, {graph['edges']} edges, "
+        f"{graph['loop_closures']} of them loop closures",
+        f"chi2 {document['chi2_before']:.6g} before, {document['chi2_after']:.6g} after, "
+        f"{document['iterations']} iterations in {document['seconds']:.3f} s",
+        f"graph: {out / _GRAPH}, {out / _PICTURE}",
+    ]
+    if graph["skipped"]:
+        counts = ", ".join(f"{count} {tag}" for tag, count in graph["skipped"].items())
+        lines.insert(1, f"passed over: {counts}")
+    if document["robust"]:
+        some = ", ".join(f"{first} {second}" for first, second in rejected[:_SHOWN])
+        listed = (": " + some + (", ..." if len(rejected) > _SHOWN else "")) if rejected else ""
+        lines.insert(-1, f"rejected {len(rejected)} loop closures{listed}")
+        lines.append(f"weights: {out / _WEIGHTS}")
+    return lines

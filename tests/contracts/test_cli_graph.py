@@ -1,0 +1,215 @@
+"""What `gridslam graph` writes, prints and returns."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam import __version__
+from gridslam.cli.main import main
+from gridslam.geometry.se2 import between, compose
+from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.text_source import sha256_of
+from gridslam.slam.pose_graph import PoseGraph
+
+FILES = {"graph.g2o", "graph.png", "graph.json"}
+FALSE = [(3, 31), (8, 39), (25, 45)]
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main(["graph", *map(str, arguments)])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+def _rounds(false=()):
+    """A robot that goes three times around a circle of 20 poses, and sees where it was one and two rounds ago."""
+    rng = np.random.default_rng(3)
+    angle = np.arange(60) * np.pi / 10
+    truth = np.stack([10 * np.cos(angle), 10 * np.sin(angle), angle], axis=1)
+    edges = [(k, k + 1) for k in range(59)] + [(k, k + 20) for k in range(40)] + [(k, k + 40) for k in range(20)]
+    pairs = np.array([*edges, *false])
+    exact = between(truth[pairs[:, 0]], truth[pairs[:, 1]])
+    exact[len(edges) :] = 0.0  # what is false says that two places are one
+    measured = compose(exact, rng.normal(0, [0.05, 0.05, 0.01], exact.shape))
+    poses = truth[:1].repeat(60, axis=0)
+    for k in range(59):
+        poses[k + 1] = compose(poses[k], measured[k])
+    information = [np.diag([400.0, 400.0, 1e4])] * len(pairs)
+    return truth, PoseGraph.of(poses, pairs, measured, information)
+
+
+@pytest.fixture
+def graph(tmp_path):
+    """Path of the file and what is in it; its ids are the places plus 100."""
+    path = tmp_path / "rounds.g2o"
+    write_g2o(path, _rounds()[1], np.arange(100, 160))
+    return path, read_g2o(path)
+
+
+def test_files_and_figures(call, graph, tmp_path):
+    path, source = graph
+    out = tmp_path / "new" / "out"
+    status, text, err = call(path, "-o", out)
+    assert (status, err) == (0, "")
+    assert {file.name for file in out.iterdir()} == FILES
+    solved = read_g2o(out / "graph.g2o")
+    document = json.loads((out / "graph.json").read_text())
+    assert document["chi2_before"] == pytest.approx(source.graph.chi2())
+    assert document["chi2_after"] == pytest.approx(solved.graph.chi2())
+    assert f"chi2 {document['chi2_before']:.6g} before, {document['chi2_after']:.6g} after" in text
+    # 3 (119 - 59) degrees of freedom: the least chi2 lies within 5 standard deviations of its mean, 180.
+    assert abs(solved.graph.chi2() - 180) < 5 * np.sqrt(2 * 180)
+    assert source.graph.chi2() > 2 * solved.graph.chi2()
+    with Image.open(out / "graph.png") as picture:
+        assert min(picture.size) > 1000
+
+
+def test_only_the_poses_are_changed(call, graph, tmp_path):
+    path, source = graph
+    call(path, "-o", tmp_path / "out")
+    solved = read_g2o(tmp_path / "out" / "graph.g2o")
+    assert (tmp_path / "out" / "graph.g2o").read_text().splitlines()[-119:] == path.read_text().splitlines()[-119:]
+    assert solved.ids.tolist() == source.ids.tolist()
+    assert solved.graph.poses[0].tolist() == source.graph.poses[0].tolist()
+    assert not np.array_equal(solved.graph.poses, source.graph.poses)
+
+
+def test_json(call, graph, tmp_path):
+    path, _ = graph
+    status, text, err = call(path, "-o", tmp_path / "out", "--json", "--max-iterations", "50")
+    assert (status, err) == (0, "")
+    document = json.loads(text)
+    assert document == json.loads((tmp_path / "out" / "graph.json").read_text())
+    assert document["schema"] == "gridslam.graph/1"
+    assert document["version"] == __version__
+    assert document["input"] == {
+        "path": str(path), "sha256": sha256_of(path), "vertices": 60, "edges": 119, "loop_closures": 60, "fixed": 100,
+        "skipped": {},
+    }  # fmt: skip
+    assert document["converged"] is True
+    assert 0 < document["iterations"] <= 50
+    assert (document["first_guess"], document["robust"], document["max_iterations"]) == ("either", False, 50)
+    assert 0 < document["seconds"] == document["time"]["stages"]["solve"]["wall_s"] < 10
+    assert "rejected" not in document
+
+
+def test_fixed_vertex_and_order_of_the_file_stay(call, graph, tmp_path):
+    _, source = graph
+    backward = tmp_path / "backward.g2o"
+    write_g2o(backward, source.graph, source.ids, np.arange(60)[::-1])
+    status, text, _ = call(backward, "-o", tmp_path / "out", "--json")
+    assert status == 0
+    assert json.loads(text)["input"]["fixed"] == 100
+    solved = (tmp_path / "out" / "graph.g2o").read_text().splitlines()
+    assert [line.split()[:2] for line in solved] == [line.split()[:2] for line in backward.read_text().splitlines()]
+    assert solved[60] == "FIX 100"
+    assert solved[59] == backward.read_text().splitlines()[59]
+
+
+def test_without_a_guess_the_same_is_found(call, graph, tmp_path):
+    path, source = graph
+    call(path, "-o", tmp_path / "guess")
+    nowhere = np.vstack([source.graph.poses[:1], np.zeros((59, 3))])
+    write_g2o(tmp_path / "nowhere.g2o", source.graph.with_poses(nowhere), source.ids)
+    for options in ([], ["--no-guess"]):
+        status, text, _ = call(tmp_path / "nowhere.g2o", "-o", tmp_path / "none", "--json", *options)
+        assert status == 0
+        assert json.loads(text)["first_guess"] == ("computed" if options else "either")
+        solved, expected = (read_g2o(tmp_path / name / "graph.g2o").graph.poses for name in ("none", "guess"))
+        np.testing.assert_allclose(solved[:, :2], expected[:, :2], atol=1e-3)
+
+
+def test_robust_finds_the_false_closures_and_the_truth(call, tmp_path):
+    truth, graph = _rounds(FALSE)
+    path, out = tmp_path / "false.g2o", tmp_path / "out"
+    write_g2o(path, graph, np.arange(100, 160))
+    status, text, _ = call(path, "-o", out, "--robust", "--json")
+    assert status == 0
+    document = json.loads(text)
+    assert {file.name for file in out.iterdir()} == FILES | {"weights.csv"}
+    assert document["rejected"] == [[a + 100, b + 100] for a, b in FALSE]
+    assert document["weights"] == "weights.csv"
+    with (out / document["weights"]).open() as file:
+        rows = list(csv.DictReader(file))
+    assert [[int(row["from"]), int(row["to"])] for row in rows] == read_g2o(path).edge_ids.tolist()
+    assert [float(row["weight"]) < 0.5 for row in rows] == [k >= 119 for k in range(122)]
+    solved = read_g2o(out / "graph.g2o")
+    kept = sum(float(row["chi2"]) * float(row["weight"]) for row in rows)
+    assert document["chi2_after"] == pytest.approx(kept, rel=1e-4)
+    # Half a metre is ten times a measurement's sigma; a false closure believed pulls by metres.
+    assert np.hypot(*(solved.graph.poses - truth)[:, :2].T).max() < 0.5
+    _, text, _ = call(path, "-o", out, "--robust")
+    assert "rejected 3 loop closures: 103 131, 108 139, 125 145" in text
+
+
+def test_robust_rejects_nothing_where_nothing_is_false(call, graph, tmp_path):
+    _, text, _ = call(graph[0], "-o", tmp_path / "out", "--robust")
+    assert "rejected 0 loop closures\n" in text
+
+
+def test_too_few_iterations_are_told(call, graph, tmp_path):
+    path, source = graph
+    far = source.graph.poses + np.random.default_rng(0).normal(0, 1, (60, 3)) * (np.arange(60) > 0)[:, None]
+    write_g2o(path, source.graph.with_poses(far), source.ids)
+    status, text, err = call(path, "-o", tmp_path / "out", "--json", "--max-iterations", "1", "--no-guess")
+    assert status == 0
+    assert json.loads(text)["converged"] is False
+    assert err == f"gridslam: {path}: the least chi2 was not reached in 1 iterations\n"
+
+
+def test_unknown_tags(call, graph, tmp_path):
+    path, _ = graph
+    path.write_text(path.read_text() + "VERTEX_XY 7 1 2\nVERTEX_XY 8 1 2\nPARAMS\n")
+    status, _, err = call(path, "-o", tmp_path / "out")
+    assert status == 2
+    assert err.startswith(f"gridslam: {path}, line 181: ")
+    assert "--skip-unknown" in err
+    status, text, _ = call(path, "-o", tmp_path / "out", "--skip-unknown")
+    assert status == 0
+    assert "passed over: 2 VERTEX_XY, 1 PARAMS" in text
+    document = json.loads((tmp_path / "out" / "graph.json").read_text())
+    assert document["input"]["skipped"] == {"VERTEX_XY": 2, "PARAMS": 1}
+
+
+@pytest.mark.parametrize("text", ["VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n", "no graph\n", ""])
+def test_bad_files_leave_nothing(call, tmp_path, text):
+    (tmp_path / "bad.g2o").write_text(text)
+    status, out, err = call(tmp_path / "bad.g2o", "-o", tmp_path / "new" / "out", "--json")
+    assert (status, out) == (2, "")
+    assert err.startswith(f"gridslam: {tmp_path / 'bad.g2o'}")
+    assert err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.g2o"]
+
+
+def test_bad_usage(call, graph, tmp_path):
+    path, _ = graph
+    assert call(path)[0] == 2
+    assert call(path, "-o", tmp_path / "out", "--max-iterations", "0")[0] == 2
+    assert call(path, "-o", path)[0] == 2
+    assert call(tmp_path / "none.g2o", "-o", tmp_path / "out")[0] == 2
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+def test_one_pose(call, tmp_path):
+    (tmp_path / "one.g2o").write_text("VERTEX_SE2 4 1 2 0.5\n")
+    status, text, _ = call(tmp_path / "one.g2o", "-o", tmp_path / "out", "--json", "--robust")
+    assert (status, json.loads(text)["chi2_after"]) == (0, 0.0)
+    assert isinstance(read_g2o(tmp_path / "out" / "graph.g2o"), G2oGraph)
+
+
+@pytest.mark.parametrize(
+    ("name", "chi2"), [("intel", 45.0047), ("intel_1228", 215.83), ("m3500", 137.913), ("ring", 11.1631)]
+)
+def test_least_chi2_of_published_graphs(call, data_dir, tmp_path, name, chi2):
+    status, text, _ = call(data_dir / "graphs" / f"{name}.g2o.gz", "-o", tmp_path / "out", "--json")
+    assert status == 0
+    assert json.loads(text)["chi2_after"] == pytest.approx(chi2, rel=1e-5)
