@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -213,3 +215,15 @@ def test_least_chi2_of_published_graphs(call, data_dir, tmp_path, name, chi2):
     status, text, _ = call(data_dir / "graphs" / f"{name}.g2o.gz", "-o", tmp_path / "out", "--json")
     assert status == 0
     assert json.loads(text)["chi2_after"] == pytest.approx(chi2, rel=1e-5)
+
+
+def test_the_three_lines_run(graph, tmp_path, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "graph_slam.md"
+    text = page.read_text(encoding="utf-8")
+    code = re.search(r"^<!-- graph -->\n```python\n(.*?)\n```$", text, re.DOTALL | re.MULTILINE)
+    monkeypatch.chdir(tmp_path)
+    graph[0].rename("m3500.g2o.gz")  # plain text all the same: the first bytes tell
+    names = {}
+    exec(code[1], names)
+    assert names["solution"].poses.shape == (60, 3)
+    assert names["solution"].chi2_after < names["solution"].chi2_before

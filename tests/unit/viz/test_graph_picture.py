@@ -29,7 +29,7 @@ def _panels(page):
 
 
 def _has(page, box, colour, within=0):
-    return bool((np.abs(np.asarray(page.crop(box)).astype(int) - colour).max(axis=2) <= within).any())
+    return bool((np.abs(np.asarray(page.crop(box)).astype(np.int16) - colour).max(axis=2) <= within).any())
 
 
 def test_both_states_are_drawn_and_the_path_has_the_colours_of_its_order():
