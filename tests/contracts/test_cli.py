@@ -334,10 +334,21 @@ def test_simulate_writes_a_log_and_the_truth_beside_it(call, tmp_path):
     assert again.read_bytes() == path.read_bytes()
 
 
+@pytest.mark.parametrize("world", ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture", "campus", "fleet"])
+def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
+    logs = []
+    for seed in (1, 2):
+        path = tmp_path / f"{seed}.clf"
+        assert call("simulate", world, "-o", path, "--seed", seed, "--duration", 3)[0] == 0
+        logs.append([scan.ranges.tobytes() for _, scan in CarmenLog(path)])
+    assert len(logs[0]) == 16
+    assert logs[0] != logs[1]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["lop"], "WORLD: name: expected one of demo, loop, rooms, hall, corridor, random, got 'lop'"),
+        (["lop"], "WORLD: name: expected one of demo, loop, rooms, hall, corridor, random, equal_rooms, symmetric, "),
         (["loop", "--fov", "0"], "field_of_view_rad"),
         (["loop", "--beams", "1"], "'--beams': 1 is not in the range"),
         (["loop", "--duration", "-1"], "--duration: expected 0 s or more, got -1"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import islice
 from pathlib import Path
 
 import click
@@ -13,7 +14,15 @@ from gridslam.cli.output import opened, print_json
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
-from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, SimulatedLog, make_world, simulate
+from gridslam.sim import (
+    LidarConfig,
+    OdometryNoise,
+    PeopleConfig,
+    RobotConfig,
+    SimulatedStream,
+    make_world,
+    simulate_stream,
+)
 from gridslam.types import Trajectory
 
 __all__ = ["SIMULATION_SCHEMA", "simulate_to_log"]
@@ -46,13 +55,12 @@ def simulate_to_log(
     truth_name = f"{out.name.split('.')[0] or 'log'}.truth.tum"
     with opened(out.parent) as folder:
         try:
-            log = simulate(
-                make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=PeopleConfig(count=people)
-            )
+            crowd = PeopleConfig(count=people)
+            log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         except ArgumentError as error:
             raise click.ClickException(f"WORLD: {error}") from None
         kept = _first(log.truth, scans)
-        write_carmen(folder.file(out.name), log.measurements[:scans])
+        write_carmen(folder.file(out.name), islice(log.measurements, scans))
         write_tum(folder.file(truth_name), kept)
     _tell(log, kept, world, seed, out, out.parent / truth_name, as_json)
 
@@ -71,7 +79,7 @@ def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[:scans], trajectory.poses[:scans])
 
 
-def _tell(log: SimulatedLog, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool) -> None:
+def _tell(log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool) -> None:
     steps = np.diff(kept.poses[:, :2], axis=0)
     length_m, duration_s = float(np.hypot(*steps.T).sum()), float(np.ptp(kept.stamps_ns)) * 1e-9
     if as_json:

@@ -145,7 +145,7 @@ def _around(length: float, width: float) -> list[_Point]:
 
 def ring(rng: np.random.Generator) -> World:
     """Twice around a ring, or along three sides of a larger one: one that it never closes."""
-    width, returns = float(rng.uniform(1.9, 2.5)), rng.random() < 0.7
+    width, returns = float(rng.uniform(1.9, 2.5)), rng.random() < 0.5
     length = float(rng.uniform(20, 30) if returns else rng.uniform(38, 48))
     side, lap = _side(length, width, rng), _around(length, width)
     spaces = [space for quarters in range(4) for space in _turned(side, length / 2, quarters)]
@@ -205,8 +205,8 @@ def serpentine(rng: np.random.Generator) -> World:
 def bare_loop(rng: np.random.Generator) -> World:
     """Once around a bare ring and half around again."""
     width, long, short = float(rng.uniform(1.8, 2.6)), float(rng.uniform(42, 65)), float(rng.uniform(18, 42))
-    spaces = [(0, 0, long, width), (0, short - width, long, short)]
-    spaces += [(0, 0, width, short), (long - width, 0, long, short)]
+    spaces = [(0.0, 0.0, long, width), (0.0, short - width, long, short)]
+    spaces += [(0.0, 0.0, width, short), (long - width, 0.0, long, short)]
     middle, right, top = width / 2, long - width / 2, short - width / 2
     lap = [(right, middle), (right, top), (middle, top), (middle, middle)]
     way = [(long / 3, middle), *lap, *lap[:2], (long / 2, top)]

@@ -113,11 +113,11 @@ def _scattered(
     zone: _Area, sizes: tuple[tuple[float, float], tuple[float, float]], kept: _Pieces, lane: FloatArray,
     rng: np.random.Generator,
 ) -> _Pieces:  # fmt: skip
-    """Add pieces to those that are kept, until there is one for each 6 m2 or no room is found for it."""
+    """Add pieces to those that are kept, until there is one for each 8 m2 or no room is found for it."""
     x0, y0, x1, y1 = zone
     pieces = kept
     for _ in range(400):
-        if len(pieces) >= abs((x1 - x0) * (y1 - y0)) / 6:
+        if len(pieces) >= abs((x1 - x0) * (y1 - y0)) / 8:
             break
         x, y, heading = rng.uniform((x0 + 0.2, y0 + 0.2, 0.0), (x1 - 0.2, y1 - 0.2, math.pi))
         square = np.round(heading / (math.pi / 2)) * math.pi / 2
@@ -133,8 +133,8 @@ def _fits(piece: FloatArray, others: _Pieces, lane: FloatArray) -> bool:
 
 
 def _rearranged(pieces: _Pieces, plan: _Plan, zone: int, lane: FloatArray, rng: np.random.Generator) -> _Pieces:
-    """Leave about two of five pieces where they are and put others anywhere."""
-    return _scattered(plan.zones[zone], plan.sizes, pieces[rng.random(len(pieces)) < 0.4], lane, rng)
+    """Leave about half of the pieces where they are, and put others anywhere."""
+    return _scattered(plan.zones[zone], plan.sizes, pieces[rng.random(len(pieces)) < 0.5], lane, rng)
 
 
 def _shifted(pieces: _Pieces, plan: _Plan, zone: int, lane: FloatArray, rng: np.random.Generator) -> _Pieces:

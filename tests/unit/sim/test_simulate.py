@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from itertools import islice
+
 import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
-from gridslam.sim import LidarConfig, OdometryNoise, PeopleConfig, RobotConfig, World, make_world, simulate
-from gridslam.sim.floor_plan import box, clearance
+from gridslam.sim import (
+    Change,
+    LidarConfig,
+    OdometryNoise,
+    PeopleConfig,
+    RobotConfig,
+    World,
+    make_world,
+    simulate,
+    simulate_stream,
+)
+from gridslam.sim.floor_plan import box, clearance, join, polyline
 from gridslam.types import BeamStatus
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -71,3 +84,61 @@ def test_robot_that_does_not_fit_is_refused_with_the_place():
     world = World.of("box", box(0, 0, 4, 2), [(1.0, 1.0), (3.5, 1.0)])
     with pytest.raises(ArgumentError, match=r"world: .*0\.6 m from walls, got 0\.5.* m at \(3\.[45].*, 1\.00\)"):
         simulate(world, RobotConfig(radius_m=0.6), EXACT, NOISELESS, np.random.default_rng(0))
+
+
+def test_stream_gives_the_same_bytes_and_leaves_the_generator_as_simulate_does():
+    lidar, people = LidarConfig(rate_hz=4.0, beams=40), PeopleConfig(count=2)
+    parts = make_world("rooms", np.random.default_rng(0)), RobotConfig(), OdometryNoise(), lidar
+    one, other = np.random.default_rng(8), np.random.default_rng(8)
+    log, stream = simulate(*parts, one, people=people), simulate_stream(*parts, other, people=people)
+    assert len(stream) == len(log) > 256  # more than are made at a time
+    assert one.random() == other.random()  # and what is drawn meanwhile changes nothing
+    assert stream.truth.poses.tobytes() == log.truth.poses.tobytes()
+    assert stream.odometry.poses.tobytes() == log.odometry.poses.tobytes()
+    for mine, streamed in zip(log.measurements, stream.measurements, strict=True):
+        assert mine.scan.ranges.tobytes() == streamed.scan.ranges.tobytes()
+        assert mine.odometry.pose.tobytes() == streamed.odometry.pose.tobytes()
+    assert next(stream.measurements, None) is None
+
+
+def test_logs_are_what_they_always_were():
+    """Taken down before logs were streamed."""
+    log = _rooms(3, LidarConfig(rate_hz=2.0), OdometryNoise(), PeopleConfig(count=2))
+    assert sum(m.scan.ranges.sum() for m in log.measurements) == pytest.approx(134993.2401222695, rel=1e-12)
+    assert log.odometry.poses[-1] == pytest.approx([2.289778533159554, 2.6301774718074427, 2.7027081118604177])
+
+
+def test_stream_does_not_keep_what_it_gave():
+    """To keep 1280 scans of 360 beams, 8 bytes of range and 1 of status each, would take 4 MB."""
+    world = World.of("box", box(0, 0, 10, 2), [(1.0, 1.0), (9.0, 1.0)] * 15)
+    rng = np.random.default_rng(0)
+    tracemalloc.start()
+    stream = simulate_stream(world, RobotConfig(), OdometryNoise(), LidarConfig(beams=360), rng)
+    held = []
+    for _ in range(2):
+        assert sum(1 for _ in islice(stream.measurements, 1280)) == 1280
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[1] - held[0] < 1e6
+
+
+def test_walls_change_when_the_robot_leaves_the_waypoint():
+    """A shelf before the far end is moved back by half a metre when the robot turns around."""
+    shelf, moved = polyline([(9.0, 0.0), (9.0, 4.0)]), polyline([(9.5, 0.0), (9.5, 4.0)])
+    empty = box(0, 0, 10, 4)
+    world = World.of("w", join(empty, shelf), [(1, 2), (7, 2), (3, 2), (7, 2)], [Change(2, join(empty, moved))])
+    log = simulate(world, RobotConfig(), EXACT, LidarConfig(181, sigma_range_m=0, no_return_probability=0, x_m=0.0),
+                   np.random.default_rng(0))  # fmt: skip
+    poses = log.truth.poses
+    east = np.abs(wrap(poses[:, 2])) < 1e-6
+    ahead = np.array([m.scan.ranges[90] for m in log.measurements]) + poses[:, 0]
+    turned = int(np.argmax(~east))
+    assert ahead[east][:turned] == pytest.approx(9.0)
+    assert ahead[east][turned:] == pytest.approx(9.5)
+    assert len(ahead[east]) > turned + 5
+
+
+def test_a_change_that_stands_in_the_way_is_refused():
+    world = World.of("w", box(0, 0, 10, 4), [(1, 2), (7, 2), (3, 2)], [Change(1, polyline([(5, 0), (5, 4)]))])
+    with pytest.raises(ArgumentError, match=r"got 0\.0.* m at \((4\.9|5\.0).*, 2\.00\)"):
+        simulate(world, RobotConfig(), EXACT, NOISELESS, np.random.default_rng(0))

@@ -6,11 +6,25 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.sim.floor_plan import box, clearance
-from gridslam.sim.robot import RobotConfig, drive
-from gridslam.sim.worlds import WORLDS, World, make_world
+from gridslam.sim import Change, World
+from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
+from gridslam.sim.floor_plan import box, clearance, join, near
+from gridslam.sim.robot import RobotConfig, drive, follow
+from gridslam.sim.worlds import WORLDS, make_world
 
 NAMES = [*((name, 0) for name in WORLDS), *(("random", seed) for seed in range(12))]
+DECEPTIVE = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture", *SYMMETRIC, *BARE_CORRIDORS]
+
+
+def _length_of_drive(world, robot, period_s=0.1):
+    """Once it is clear that the robot passes every wall that stands at the time."""
+    poses, legs = follow(world.route, robot, period_s)
+    for part, walls in world.stretches(legs, 500):
+        path = poses[part, :2]
+        some = near(walls, path, 1.0)
+        assert clearance(some, path).min() > robot.radius_m + 0.1
+        assert _crossings(some, path) == 0
+    return np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
 
 
 def _crossings(walls, path):
@@ -26,10 +40,24 @@ def _crossings(walls, path):
 
 @pytest.mark.parametrize(("name", "seed"), NAMES)
 def test_robot_passes_every_wall(name, seed):
-    world, robot = make_world(name, np.random.default_rng(seed)), RobotConfig()
-    path = drive(world.route, robot, 0.1)[:, :2]
-    assert clearance(world.walls, path).min() > robot.radius_m + 0.1
-    assert _crossings(world.walls, path) == 0
+    assert _length_of_drive(make_world(name, np.random.default_rng(seed)), RobotConfig()) > 30
+
+
+@pytest.mark.parametrize("maker", DECEPTIVE, ids=str)
+@pytest.mark.parametrize("seed", range(5))
+def test_drives_that_deceive_are_100_to_400_m_long(maker, seed):
+    rng = np.random.default_rng(seed)
+    world = make_world(maker, rng) if isinstance(maker, str) else maker(rng)
+    assert 100 <= _length_of_drive(world, RobotConfig()) <= 400
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("campus", 1950, 2250), ("fleet", 9_800, 10_200)])
+def test_large_buildings_are_driven_about(name, least, most):
+    world, robot = make_world(name, np.random.default_rng(1)), RobotConfig(v_max_m_s=0.8, turning_radius_m=0.7)
+    assert least <= _length_of_drive(world, robot, 0.2) <= most
+    extent = np.ptp(world.walls.reshape(-1, 2), axis=0)
+    assert (extent >= (100, 60)).all()
+    assert (extent < (210, 125)).all()
 
 
 def test_crossing_is_noticed():
@@ -70,3 +98,19 @@ def test_unknown_world_is_refused_with_the_names_there_are():
 def test_route_that_cannot_be_driven_is_refused(route):
     with pytest.raises(ArgumentError, match="route"):
         World.of("w", box(0, 0, 1, 1), route)
+
+
+@pytest.mark.parametrize("waypoints", [(0,), (3,), (2, 1), (1, 1)])
+def test_changes_come_in_order_and_on_the_way(waypoints):
+    with pytest.raises(ArgumentError, match="changes"):
+        World.of("w", join(), [(0, 0), (1, 0), (2, 0), (3, 0)], [Change(k, join()) for k in waypoints])
+
+
+def test_stretches_of_a_drive_have_the_walls_that_stand():
+    """A door that is shut when the robot leaves the second waypoint, and gone when it leaves the fourth."""
+    door = box(0, 0, 1, 1)
+    changes = [Change(1, door), Change(3, join())]
+    world = World.of("w", join(), [(0, 0), (1, 0), (2, 0), (3, 0), (4, 0)], changes)
+    stretches = list(world.stretches(np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]), 3))
+    assert [(part.start, part.stop) for part, _ in stretches] == [(0, 3), (3, 5), (5, 8), (8, 9)]
+    assert [len(walls) for _, walls in stretches] == [0, 0, 4, 0]

@@ -1,0 +1,131 @@
+"""Simulated drives that judge loop closure: forty made to deceive, a campus of 2 km, a fleet's log of 10 km."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam import Trajectory
+from gridslam.errors import ArgumentError
+from gridslam.evaluation import false_closures
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, make_world, simulate_stream
+from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["DECEPTIVE", "Drive", "Verdict", "campus", "deceptive", "fleet", "judge", "returns"]
+
+DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
+SEEDS = 10
+
+_FAST = RobotConfig(v_max_m_s=0.8, turning_radius_m=0.7)
+_VARIANTS = {"symmetric": SYMMETRIC, "bare_corridors": BARE_CORRIDORS}
+
+
+@final
+@dataclass(frozen=True)
+class Drive:
+    """A robot in a world, with all that its log is made from."""
+
+    name: str
+    world: World
+    robot: RobotConfig
+    odometry: OdometryNoise
+    lidar: LidarConfig
+    seed: int
+
+    def stream(self) -> SimulatedStream:
+        """Simulate it, from the start each time; the same bytes each time."""
+        rng = np.random.default_rng([self.seed, 1])
+        return simulate_stream(self.world, self.robot, self.odometry, self.lidar, rng)
+
+
+def deceptive(kind: str, seed: int) -> Drive:
+    """One of the worlds made to deceive; of the kinds that have variants, the seeds take these in turn.
+
+    Odometry turns by 3 to 5 degrees in 100 m and is 2 % long or short. After 100 m that is some metres, no less than
+    from one of the equal rooms or parallel corridors to the next.
+    """
+    if kind not in DECEPTIVE:
+        raise ArgumentError("kind", f"one of {', '.join(DECEPTIVE)}", repr(kind))
+    rng = np.random.default_rng(seed)
+    variants = _VARIANTS.get(kind)
+    world = make_world(kind, rng) if variants is None else variants[seed % len(variants)](rng)
+    odometry = _drifting(rng, math.radians(rng.uniform(3, 5)) / 100, alpha2=1e-5)
+    return Drive(f"{kind} {seed}", world, RobotConfig(), odometry, LidarConfig(), seed)
+
+
+def campus(seed: int) -> Drive:
+    """2 km in corridors up to 200 m long; the odometry's heading drifts by 80 to 160 degrees, and walks at random.
+
+    A laser like SICK's: 180 beams over 180 degrees, 1.5 cm of noise.
+    """
+    rng = np.random.default_rng(seed)
+    world = make_world("campus", rng)
+    odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
+    lidar = LidarConfig(range_max_m=50.0, sigma_range_m=0.015)
+    return Drive(f"campus {seed}", world, _FAST, odometry, lidar, seed)
+
+
+def fleet(seed: int) -> Drive:
+    """10 km in a warehouse; to be streamed."""
+    rng = np.random.default_rng(seed)
+    world = make_world("fleet", rng)
+    odometry = _drifting(rng, math.radians(rng.uniform(40, 80)) / 1000, alpha2=1e-4)
+    return Drive(f"fleet {seed}", world, _FAST, odometry, LidarConfig(), seed)
+
+
+def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) -> OdometryNoise:
+    """Draw to which side odometry turns, and whether it is 2 % long or short."""
+    side, longer = rng.choice([-1.0, 1.0], 2).tolist()
+    return OdometryNoise(
+        distance_scale=1 + 0.02 * longer, turn_scale=1 + float(rng.uniform(-0.005, 0.005)),
+        bias_rad_per_m=side * bias_rad_per_m, alpha2=alpha2,
+    )  # fmt: skip
+
+
+def returns(poses: FloatArray, near_m: float = 1.0, apart_m: float = 30.0) -> float:
+    """Share of the way on which the robot is less than `near_m` from where it was `apart_m` of driving or more before.
+
+    Where it is 0, every closure is false; `poses` (N, 3) are the true ones.
+    """
+    driven = np.append(0.0, np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
+    at = np.searchsorted(driven, np.arange(0.0, driven[-1], near_m / 2))
+    points, driven = poses[at, :2], driven[at]
+    back = [
+        bool((np.hypot(*(points[: np.searchsorted(driven, d - apart_m)] - p).T) < near_m).any())
+        for p, d in zip(points, driven, strict=True)
+    ]
+    return float(np.mean(back))
+
+
+@final
+@dataclass(frozen=True)
+class Verdict:
+    """How many closures were accepted, and how many of them are false."""
+
+    accepted: int
+    false: int
+
+
+def judge(truth: Trajectory, stamps_ns: IntArray, edges: ArrayLike, measurements: ArrayLike) -> Verdict:
+    """Judge closures between key scans.
+
+    Parameters
+    ----------
+    truth : Trajectory
+    stamps_ns : (K,) int64, ns
+        Of the key scans: each that of a scan of the log.
+    edges : (M, 2) int
+        Key scans that each closure joins, as places in `stamps_ns`.
+    measurements : (M, 3)
+        The second seen from the first.
+    """
+    places = np.searchsorted(truth.stamps_ns, stamps_ns)
+    if not np.array_equal(truth.stamps_ns.take(places, mode="clip"), stamps_ns):
+        raise ArgumentError("stamps_ns", "stamps of scans of the log", "others")
+    false = false_closures(truth.poses[places], edges, measurements)
+    return Verdict(len(false), int(false.sum()))

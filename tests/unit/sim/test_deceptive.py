@@ -1,0 +1,85 @@
+"""In worlds made to deceive, places that are not the same look the same; `test_worlds` drives through them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.geometry import se2
+from gridslam.sim import RobotConfig, make_world
+from gridslam.sim.deceptive import cross, ring, serpentine, twins
+from gridslam.sim.lidar import LidarConfig, cast_rays
+from gridslam.sim.robot import follow
+
+KINDS = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture"]
+BEARINGS = LidarConfig().bearings
+
+
+@pytest.mark.parametrize("name", [*KINDS, "campus", "fleet"])
+def test_each_seed_has_its_own_and_always_the_same(name):
+    one, again, other = (make_world(name, np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert one.name == name
+    assert one.walls.tobytes() == again.walls.tobytes()
+    assert one.route.tobytes() == again.route.tobytes()
+    assert [c.walls.tobytes() for c in one.changes] == [c.walls.tobytes() for c in again.changes]
+    assert one.route.tobytes() != other.route.tobytes()
+
+
+@pytest.mark.parametrize(("maker", "turn"), [(ring, math.pi / 2), (cross, math.pi / 2), (twins, math.pi)])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_symmetric_building_looks_the_same_after_a_turn(maker, turn, seed):
+    world = maker(np.random.default_rng(seed))
+    ends = world.walls.reshape(-1, 2)
+    centre = (ends.min(axis=0) + ends.max(axis=0)) / 2
+    here = follow(world.route, RobotConfig(), 5.0)[0]
+    about = se2.compose([*centre, turn], se2.compose(se2.inverse(np.array([*centre, 0.0])), here))
+    one, other = (cast_rays(world.walls, poses, BEARINGS) for poses in (here, about))
+    # A beam that grazes a corner may pass it on either side.
+    assert np.isclose(one, other, atol=1e-4).mean() > 0.999
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_middles_of_parallel_corridors_look_the_same(seed):
+    world = serpentine(np.random.default_rng(seed))
+    x = world.walls[:, [0, 2]]
+    poses, _ = follow(world.route, RobotConfig(), 0.2)
+    middle = poses[np.abs(poses[:, 0] - (x.min() + x.max()) / 2) < 0.07]
+    rows = np.unique(np.round(middle[:, 1] / 1.0))
+    assert len(rows) >= 3
+    straight = np.column_stack([middle[:, :2], np.where(np.cos(middle[:, 2]) > 0, 0.0, -math.pi)])
+    widths = cast_rays(world.walls, straight, np.array([-math.pi / 2, math.pi / 2])).sum(axis=1)
+    assert np.ptp(widths) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_equal_rooms_are_equal(seed):
+    """Each desk stands in its room as the first does in the first, or mirrored: the scan from before it is the same."""
+    world = make_world("equal_rooms", np.random.default_rng(seed))
+    desks = world.walls[np.isclose(np.hypot(*(world.walls[:, 2:] - world.walls[:, :2]).T), 1.4)]
+    upright = desks[np.isclose(desks[:, 1], desks[:, 3])]
+    tops = upright[np.argsort(upright[:, 1])]
+    row = tops[np.isclose(tops[:, 1], tops[0, 1])]
+    before = np.column_stack([row[:, [0, 2]].mean(axis=1), row[:, 1] + 1.7, np.full(len(row), -math.pi / 2)])
+    views = cast_rays(world.walls, before, BEARINGS)
+    assert len(row) >= 6
+    assert np.isclose(views, views[0]).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_furniture_moves_while_the_robot_is_elsewhere(seed):
+    """What is seen just before a change and just after it is nearly the same, but in the end much has moved."""
+    world = make_world("moved_furniture", np.random.default_rng(seed))
+    poses, legs = follow(world.route, RobotConfig(), 0.2)
+    firsts = np.searchsorted(legs, [change.waypoint for change in world.changes])
+    plans = [world.walls, *(change.walls for change in world.changes)]
+    at = poses[firsts]
+    seen = [
+        np.isclose(*(cast_rays(plan, pose[None], BEARINGS) for plan in pair)).mean()
+        for pose, *pair in zip(at, plans[:-1], plans[1:], strict=True)
+    ]
+    assert len(seen) >= 6
+    assert min(seen) > 0.9
+    first, last = (cast_rays(plan, poses[::20], BEARINGS) for plan in (plans[0], plans[-1]))
+    assert 0.1 < (np.abs(first - last) > 0.1).mean() < 0.6
