@@ -100,22 +100,22 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
     graph : PoseGraph
         The poses and what was measured. Which edges are trusted has no place in the file: see `read_g2o`.
     ids : (N,) int, optional
-        Names of the poses, all different; their places if not given.
+        Names of the poses, >= 0 and all different; their places if not given.
     order : (N,) int, optional
         Places of the poses in the order in which they are written, by default their own.
 
     Raises
     ------
     ArgumentError
-        `ids` are not N different ones, or `order` is no permutation of the places.
+        `ids` are not N different ones >= 0, or `order` is no permutation of the places.
     OutputError
         The file cannot be written.
     """
     places = np.arange(len(graph.poses))
     names = places if ids is None else np.asarray(ids, np.int64)
     written = places if order is None else np.asarray(order, np.int64)
-    if names.shape != places.shape or len(np.unique(names)) != len(places):
-        raise ArgumentError("ids", f"{len(places)} different ids", names.tolist())
+    if names.shape != places.shape or len(np.unique(names)) != len(places) or names.min() < 0:
+        raise ArgumentError("ids", f"{len(places)} different ids >= 0", names.tolist())
     if not np.array_equal(np.sort(written), places):
         raise ArgumentError("order", f"a permutation of the places 0 to {len(places) - 1}", written.tolist())
     edges = np.concatenate([graph.measurements, graph.information[:, _UPPER[0], _UPPER[1]]], axis=1)

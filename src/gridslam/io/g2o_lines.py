@@ -6,7 +6,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,6 @@ VERTEX, EDGE, FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
 _FIELDS = {VERTEX: "id x y theta", EDGE: "from to x y theta I_xx I_xy I_xt I_yy I_yt I_tt", FIX: "id"}
 _WIDTHS = {tag: len(fields.split()) for tag, fields in _FIELDS.items()}
 _IDS = {VERTEX: 1, EDGE: 2, FIX: 1}
-_Row: TypeAlias = tuple[int, list[int], list[float]]  # line number, ids, numbers
 
 
 class Rows(NamedTuple):
@@ -32,16 +31,27 @@ class Rows(NamedTuple):
     lines: list[int]
 
 
+class _Found(NamedTuple):
+    """The same, one value after another: a list for each row would cost more than its numbers."""
+
+    ids: list[int]
+    values: list[float]
+    lines: list[int]
+
+
 def read_rows(path: str | Path, skip_unknown: bool) -> tuple[dict[str, Rows], dict[str, int]]:
     """Read the lines of each known tag, and count those of each unknown one; raises InputError as `read_g2o` says."""
-    found: dict[str, list[_Row]] = {tag: [] for tag in _FIELDS}
+    found = {tag: _Found([], [], []) for tag in _FIELDS}
     skipped = Counter[str]()
     for number, line in _numbered(path):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         if (tag := words[0]) in found:
-            found[tag].append(_parsed(path, tag, words, line, number))
+            ids, values = _parsed(path, tag, words, line, number)
+            found[tag].ids.extend(ids)
+            found[tag].values.extend(values)
+            found[tag].lines.append(number)
         elif skip_unknown:
             skipped[tag] += 1
         else:
@@ -62,24 +72,24 @@ def _numbered(path: str | Path) -> Iterator[tuple[int, str]]:
         raise InputError(path, "expected a whole file, got one whose compressed end is missing", number)
 
 
-def _parsed(path: str | Path, tag: str, words: list[str], line: str, number: int) -> _Row:
+def _parsed(path: str | Path, tag: str, words: list[str], line: str, number: int) -> tuple[list[int], list[float]]:
+    """Ids and numbers of a line."""
     split = 1 + _IDS[tag]
     # Python reads 1_000 as a number; the format knows no such thing.
     if len(words) == 1 + _WIDTHS[tag] and line.count("_") == tag.count("_"):
         try:
             ids = [int(word) for word in words[1:split]]
-            if max(ids) < 2**63 and min(ids) >= -(2**63):
-                return number, ids, [float(word) for word in words[split:]]
+            if min(ids) >= 0 and max(ids) < 2**63:
+                return ids, [float(word) for word in words[split:]]
         except ValueError:
             pass
     raise InputError(path, f"expected '{tag} {_FIELDS[tag]}', got {textwrap.shorten(line, 100)!r}", number)
 
 
-def _table(path: str | Path, tag: str, rows: list[_Row]) -> Rows:
-    lines = [number for number, _, _ in rows]
-    ids = np.array([names for _, names, _ in rows], np.int64).reshape(-1, _IDS[tag])
-    values = np.array([numbers for _, _, numbers in rows], np.float64).reshape(len(rows), _WIDTHS[tag] - _IDS[tag])
+def _table(path: str | Path, tag: str, found: _Found) -> Rows:
+    ids = np.array(found.ids, np.int64).reshape(-1, _IDS[tag])
+    values = np.array(found.values, np.float64).reshape(len(ids), _WIDTHS[tag] - _IDS[tag])
     if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
         got = " ".join(f"{value:g}" for value in values[bad[0]])
-        raise InputError(path, f"expected finite numbers for {tag} {_FIELDS[tag]}, got {got}", lines[bad[0]])
-    return Rows(ids, values, lines)
+        raise InputError(path, f"expected finite numbers for {tag} {_FIELDS[tag]}, got {got}", found.lines[bad[0]])
+    return Rows(ids, values, found.lines)

@@ -89,6 +89,7 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         ("VERTEX_SE2 0.0 0 0 0\n", 1, "0.0"),
         ("VERTEX_SE2 0 0 1_0 0\n", 1, "1_0"),
         (f"VERTEX_SE2 {2**63} 0 0 0\n", 1, str(2**63)),
+        ("VERTEX_SE2 -1 0 0 0\n", 1, "-1"),
         (f"{TWO}FIX\n", 3, "expected 'FIX id'"),
         ("VERTEX_SE2 0 0 nan 0\n", 1, "finite"),
         (f"{TWO}EDGE_SE2 0 1 1 0 0 {FAR.replace('3', '1e999')}\n", 3, "finite"),
@@ -152,7 +153,7 @@ def graphs(draw):
     measured = draw(st.lists(pose, min_size=len(edges), max_size=len(edges)))
     scales = np.array(draw(st.lists(st.floats(1e-6, 1e6), min_size=len(edges), max_size=len(edges))))
     information = np.array([[2, 0.1, -1], [0.1, 3, 1 / 3], [-1, 1 / 3, 4]]) * scales.reshape(-1, 1, 1)
-    ids = draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=count, max_size=count, unique=True))
+    ids = draw(st.lists(st.integers(0, 2**63 - 1), min_size=count, max_size=count, unique=True))
     return PoseGraph.of(poses, edges, measured, information), ids, draw(st.permutations(range(count)))
 
 
@@ -186,7 +187,8 @@ def test_form_of_a_written_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "said"), [({"ids": [1]}, "ids"), ({"ids": [1, 1]}, "ids"), ({"order": [0, 0]}, "order")]
+    ("names", "said"),
+    [({"ids": [1]}, "ids"), ({"ids": [1, 1]}, "ids"), ({"ids": [1, -1]}, "ids"), ({"order": [0, 0]}, "order")],
 )
 def test_bad_names(tmp_path, names, said):
     graph = PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1, 2, 0.25]], [np.eye(3)])
