@@ -52,7 +52,8 @@ def graph_to_folder(
         document = _document(file, source, solver, solution, watch)
         _write(folder, source, solution, document, watch)
     if not solution.converged:
-        click.echo(f"gridslam: {file}: the least chi2 was not reached in {solution.iterations} iterations", err=True)
+        problem = f"the least chi2 was not reached with --max-iterations {max_iterations}"
+        click.echo(f"gridslam: {file}: {problem}", err=True)
     if as_json:
         print_json(document)
     else:
