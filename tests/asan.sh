@@ -48,5 +48,6 @@ cd "$work"
 env -u GRIDSLAM_KERNELS -u PYTHONPATH LD_PRELOAD="$preload" ASAN_OPTIONS="detect_leaks=0:log_path=$work/report" \
   PYTHONMALLOC=malloc PYTHONDONTWRITEBYTECODE=1 \
   "$python" run.py -p no:cacheprovider -c "$root/pyproject.toml" --rootdir "$root" \
-  "$root/tests/laws/test_twins.py" "$root/tests/laws/test_tiles.py" "$root/tests/unit/kernels/test_threads.py" "$@" ||
+  "$root/tests/laws/test_twins.py" "$root/tests/laws/test_tiles.py" "$root/tests/laws/test_branch_and_bound_laws.py" \
+  "$root/tests/unit/kernels/test_threads.py" "$root/tests/unit/matching/test_branch_and_bound.py" "$@" ||
   { cat "$work"/report* >&2 2> /dev/null; exit 1; }

@@ -177,7 +177,8 @@ class BranchAndBound:
         largest = np.array([self.window_m, self.window_m, self.window_rad])
         if covariance is None:
             return largest, np.zeros((3, 3))
-        if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
+        fits = covariance.shape == (3, 3) and np.isfinite(covariance).all()
+        if not fits or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
             raise ArgumentError("covariance", "a positive semidefinite matrix (3, 3)", covariance.tolist())
         spread = self.gate**2 * covariance + np.diag(0.75 * np.square(steps))
         information: FloatArray = np.asarray(np.linalg.inv(spread), dtype=np.float64)

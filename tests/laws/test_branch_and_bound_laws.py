@@ -1,0 +1,162 @@
+"""The pyramid holds the maxima, and the search finds what trying every pose of the lattice finds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridslam.kernels import reference
+
+compiled = pytest.importorskip("gridslam.kernels._compiled")
+
+BOTH = pytest.mark.parametrize("kernels", [compiled, reference], ids=["compiled", "reference"])
+ANYWHERE = np.zeros((3, 3)), 1.0
+QUICK = settings(deadline=None, max_examples=400)
+
+
+def square(likelihood, y, x, side):
+    """The greatest value of the square that begins at (y, x); 0 outside."""
+    inside = likelihood[max(y, 0) : max(y + side, 0), max(x, 0) : max(x + side, 0)]
+    return int(inside.max()) if inside.size else 0
+
+
+@BOTH
+@pytest.mark.parametrize("levels", [1, 2, 3, 4])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 3), (16, 33), (1, 90)])
+def test_the_pyramid_holds_the_maxima(kernels, levels, shape):
+    likelihood = np.random.default_rng(levels).integers(0, 256, shape, dtype=np.uint8)
+    likelihood[likelihood < 200] //= 4
+    fine, top = kernels.max_pyramid(likelihood, levels)
+    side = 2**levels
+    rows, cols = shape[0] + 2 * side, shape[1] + 2 * side
+    assert fine.shape == (levels, rows, cols)
+    for y in range(-side, shape[0] + side):
+        for x in range(-side, shape[1] + side):
+            framed = y + side, x + side
+            assert [square(likelihood, y, x, 2**h) for h in range(levels)] == fine[:, framed[0], framed[1]].tolist()
+            at = framed[0] % side, framed[1] % side, framed[0] // side, 64 + framed[1] // side
+            assert top[at] == square(likelihood, y, x, side)
+    assert not top[:, :, -1].any()
+    assert not top[..., :64].any()
+    assert top.shape == (side, side, -(-rows // side) + 1, 64 - (-cols // side))
+
+
+def exhaustive(likelihood, ends, headings, window, centre, information, distance, places, floor, rival, apart):
+    """Every pose of the lattice, one by one, in plain Python."""
+    (x0, x1, y0, y1), (height, width) = window, likelihood.shape
+    scored = []
+    for a, heading in enumerate(headings):
+        c, s = math.cos(heading), math.sin(heading)
+        cells = [(math.floor(s * u + c * v + 0.5), math.floor(c * u - s * v + 0.5)) for u, v in ends.tolist()]
+        for y in range(y0, y1):
+            for x in range(x0, x1):
+                d = np.array([x + 0.5, y + 0.5, heading]) - centre
+                if d @ information @ d > distance**2:
+                    continue
+                seen = [(y + dy, x + dx) for dy, dx in cells]
+                total = sum(int(likelihood[v, u]) for v, u in seen if 0 <= v < height and 0 <= u < width)
+                if total >= floor:
+                    scored.append((total, a, y, x))
+    scored.sort(key=lambda pose: (-pose[0], *pose[1:]))
+    found = []
+    for pose in scored:
+        if len(found) == places or (found and pose[0] < rival * found[0][0]):
+            break
+        if all(differs(pose, place, headings, *apart) for place in found):
+            found.append(pose)
+    return found
+
+
+def differs(pose, place, headings, cells, rad):
+    turn = (headings[pose[1]] - headings[place[1]] + math.pi) % (2 * math.pi) - math.pi
+    return abs(turn) > rad or math.hypot(pose[2] - place[2], pose[3] - place[3]) > cells
+
+
+@st.composite
+def searches(draw):
+    """A small map of few values, so that sums tie, and a window that may stick out of it or miss it."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    height, width = draw(st.integers(1, 24)), draw(st.integers(1, 24))
+    likelihood = rng.choice(np.array([0, 0, 1, 2, 255], np.uint8), (height, width))
+    ends = rng.uniform(-12, 12, (draw(st.integers(1, 7)), 2))
+    if draw(st.booleans()):
+        ends = np.round(ends) + 0.5  # on borders of cells
+    x0, y0 = draw(st.integers(-20, 20)), draw(st.integers(-20, 20))
+    window = x0, x0 + draw(st.integers(1, 19)), y0, y0 + draw(st.integers(1, 19))
+    first, step, count = draw(st.sampled_from([0.0, 3.0])), draw(st.sampled_from([0.1, 1.6])), draw(st.integers(1, 4))
+    headings = first + step * np.arange(count)
+    centre = np.array([x0 + 6.3, y0 + 4.8, headings.mean()])
+    root = rng.normal(size=(3, 3)) * draw(st.sampled_from([0.0, 0.05, 0.5]))
+    gate = centre, root @ root.T, draw(st.sampled_from([0.5, 1.0, 3.0]))
+    wanted = draw(st.integers(1, 4)), draw(st.sampled_from([0, 1, 200, 500])), draw(st.sampled_from([0.0, 0.6, 1.0]))
+    apart = draw(st.sampled_from([0.5, 3.0, 7.5])), draw(st.sampled_from([0.05, 0.35, 4.0]))
+    return likelihood, draw(st.integers(1, 4)), ends, headings, window, *gate, *wanted, apart
+
+
+@given(searches())
+@QUICK
+def test_the_search_equals_trying_every_pose(search):
+    likelihood, levels, ends, headings, window, *gate, places, floor, rival, apart = search
+    expected = exhaustive(likelihood, ends, headings, window, *gate, places, floor, rival, apart)
+    for kernels in (compiled, reference):
+        pyramid = kernels.max_pyramid(likelihood, levels)
+        found = kernels.correlate(*pyramid, ends, headings, window, *gate, places, floor, rival, *apart)
+        assert found.dtype == np.int32
+        assert [tuple(place) for place in found.tolist()] == expected
+
+
+def walls(rng, size=220):
+    """Likelihoods of random walls, falling off as those of a map do."""
+    occupied = np.zeros((size, size), bool)
+    for _ in range(14):
+        y, x, length = rng.integers([0, 0, 20], [size, size, 120]).tolist()
+        occupied[(y, slice(x, x + length)) if rng.random() < 0.5 else (slice(y, y + length), x)] = True
+    y, x = np.nonzero(occupied)
+    likelihood = np.zeros((size, size), np.uint8)
+    for dy, dx in np.ndindex(13, 13):
+        v, u = y + dy - 6, x + dx - 6
+        inside = (v >= 0) & (u >= 0) & (v < size) & (u < size)
+        weight = np.uint8(255 / (1 + ((dy - 6) ** 2 + (dx - 6) ** 2) / 4))
+        np.maximum.at(likelihood, (v[inside], u[inside]), weight)
+    return likelihood, np.column_stack([x, y]) + 0.5
+
+
+@pytest.mark.parametrize("gated", [False, True], ids=["box", "ellipse"])
+@pytest.mark.parametrize("seed", range(6))
+def test_both_agree_on_walls(seed, gated):
+    """Windows of many strips and levels, up to 256 points, several places; the first is where the points were seen."""
+    rng = np.random.default_rng(seed)
+    likelihood, points = walls(rng)
+    truth = np.array([*(rng.integers(60, 160, 2) + 0.5), rng.uniform(-3, 3)])
+    c, s = math.cos(truth[2]), math.sin(truth[2])
+    seen = points[rng.choice(len(points), 256)] - truth[:2]
+    ends = np.column_stack([c * seen[:, 0] + s * seen[:, 1], c * seen[:, 1] - s * seen[:, 0]])
+    x, y = (int(v) for v in truth[:2] + rng.integers(-20, 20, 2))
+    window = x - 75, x + 71, y - 40, y + 53
+    headings = truth[2] + 0.02 * np.arange(-9, 4)
+    spread = np.array([[900, 880, 0.5], [880, 900, 0.2], [0.5, 0.2, 0.01]])
+    gate = truth + np.array([4.0, -3.0, 0.05]), np.linalg.inv(spread), 2.0
+    if not gated:
+        gate = truth, *ANYWHERE
+    pyramid = compiled.max_pyramid(likelihood, 3)
+    args = *pyramid, ends, headings, window, *gate, 4, 40 * 256, 0.3, 12.0, 0.1
+    found = compiled.correlate(*args)
+    np.testing.assert_array_equal(found, reference.correlate(*args))
+    # Ends are cells' centres, here turned back and forth: a border is half a cell away, so each is in its own cell
+    assert found[0].tolist() == [255 * 256, 9, int(truth[1]), int(truth[0])]
+    assert len(found) > 1
+
+
+@BOTH
+def test_nothing_is_found_below_the_floor_or_without_places(kernels):
+    pyramid = kernels.max_pyramid(np.full((20, 20), 100, np.uint8), 3)
+    for places, floor, expected in ((1, 201, 0), (1, 200, 1), (0, 0, 0)):
+        window, headings = (5, 9, 5, 9), np.zeros(1)
+        found = kernels.correlate(
+            *pyramid, np.zeros((2, 2)), headings, window, np.zeros(3), *ANYWHERE, places, floor, 0.0, 1.0, 0.1
+        )
+        assert found.shape == (expected, 4)

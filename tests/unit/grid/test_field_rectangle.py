@@ -1,0 +1,45 @@
+"""The distance field as a rectangle: what the maps hold tile by tile, at its place in the world."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gridslam.grid import Evidence, TileMaps
+from gridslam.types import LaserScan, ScanGeometry
+
+ROW = np.zeros(1, np.int32)
+CELL = 0.1
+
+
+def maps_that_saw(*hits):
+    maps = TileMaps(2, resolution_m=CELL, reach_cells=4.0, evidence=Evidence(2.0, -0.4, -9.0, 9.0, 1.0))
+    ends = np.array(hits, dtype=np.float64)
+    beams = LaserScan.from_ranges(0, np.hypot(*ends.T), ScanGeometry(np.zeros(len(ends)))).beams(0.0, np.inf)
+    maps.update(ROW, np.zeros((1, 3)), replace(beams, indices=np.arange(len(ends)), ends=ends))
+    return maps
+
+
+def test_the_field_falls_with_the_distance_to_the_nearest_obstacle():
+    """Hits at (-71, 33) and (15, -52), in cells; 255 there, 0 from four cells away on."""
+    maps = maps_that_saw((-7.05, 3.35), (1.55, -5.15))
+    field, corner = maps.field(0)
+    assert field.dtype == np.uint8
+    y, x = np.mgrid[: field.shape[0], : field.shape[1]] + np.array(corner)[:, None, None]
+    away = np.minimum(np.hypot(x + 71, y - 33), np.hypot(x - 15, y + 52))
+    np.testing.assert_array_equal(field, np.rint(255 * np.maximum(0, 1 - away / 4)).astype(np.uint8))
+    assert (field == 255).sum() == 2
+
+
+def test_field_and_occupancy_are_one_rectangle():
+    maps = maps_that_saw((-7.05, 3.35), (1.55, -5.15))
+    field, corner = maps.field(0)
+    grid = maps.occupancy(0)
+    assert field.shape == grid.known.shape
+    np.testing.assert_allclose(np.array(corner)[::-1] * CELL, grid.origin)
+
+
+def test_an_empty_map_is_one_cell_far_from_everything():
+    field, corner = maps_that_saw((1.0, 1.0)).field(1)
+    assert (field.tolist(), corner) == ([[0]], (0, 0))
