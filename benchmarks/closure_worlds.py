@@ -14,6 +14,7 @@ from gridslam.errors import ArgumentError
 from gridslam.evaluation import false_closures
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, make_world, simulate_stream
 from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
+from gridslam.sim.equal_rooms import EQUAL_ROOMS
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["DECEPTIVE", "Drive", "Verdict", "campus", "deceptive", "fleet", "judge", "returns"]
@@ -22,7 +23,7 @@ DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors", "moved_furniture")
 SEEDS = 10
 
 _FAST = RobotConfig(v_max_m_s=0.8, turning_radius_m=0.7)
-_VARIANTS = {"symmetric": SYMMETRIC, "bare_corridors": BARE_CORRIDORS}
+_VARIANTS = {"equal_rooms": EQUAL_ROOMS, "symmetric": SYMMETRIC, "bare_corridors": BARE_CORRIDORS}
 
 
 @final

@@ -1,97 +1,27 @@
-"""Buildings made to deceive loop closure, drawn by chance: places that are not the same look as if they were.
+"""Symmetric buildings and bare corridors, drawn by chance: places that are not the same look as if they were.
 
-In some of each kind the robot comes back to where it was long before, in others (but for `moved_furniture`) it never
-does, and whoever says so is fooled. Drives are between 100 m and 400 m long.
+In some of each kind the robot comes back to where it was long before, in others it never does, and whoever says so is
+fooled. Drives are between 100 m and 400 m long.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.sim.floor_plan import box, carve, join
+from gridslam.sim.floor_plan import carve
 from gridslam.sim.routes import distinct, wander
 from gridslam.sim.world import World
-from gridslam.types import FloatArray
 
 __all__ = [
-    "BARE_CORRIDORS", "SYMMETRIC", "alleys", "bare_corridors", "bare_loop", "cross", "equal_rooms", "ring",
-    "serpentine", "symmetric", "twins",
+    "BARE_CORRIDORS", "SYMMETRIC", "alleys", "bare_corridors", "bare_loop", "cross", "ring", "serpentine",
+    "symmetric", "twins",
 ]  # fmt: skip
 
 _WALL_M = 0.15
 _Space = tuple[float, float, float, float]
 _Point = tuple[float, float]
-
-
-class _Rooms(NamedTuple):
-    """Equal rooms in a row, at equal distances along the x axis, each with a door to a corridor."""
-
-    number: int
-    pitch: float
-    depth: float
-    door: float  # of each room's door from its left wall
-    door_width: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator) -> _Rooms:
-        pitch = float(rng.uniform(3.6, 5.0))
-        door = pitch * float(rng.uniform(0.35, 0.65))
-        return cls(int(rng.integers(6, 9)), pitch, float(rng.uniform(3.4, 4.6)), door, float(rng.uniform(1.0, 1.2)))
-
-    @property
-    def length(self) -> float:
-        return self.number * self.pitch
-
-    def spaces(self, y: float, side: int) -> list[_Space]:
-        """Rooms and doorways on one side of a corridor's wall at `y`: above it (1) or below (-1)."""
-        found: list[_Space] = []
-        near, far, half = y + side * _WALL_M, y + side * (_WALL_M + self.depth), self.door_width / 2
-        for left in (self.pitch * np.arange(self.number)).tolist():
-            found.append((left + _WALL_M / 2, near, left + self.pitch - _WALL_M / 2, far))
-            found.append((left + self.door - half, y, left + self.door + half, near))
-        return found
-
-    def desks(self, y: float, side: int) -> FloatArray:
-        """A desk in each room, in the same place."""
-        far = y + side * (_WALL_M + self.depth)
-        lefts = (self.pitch * np.arange(self.number)).tolist()
-        return join(*(box(left + 0.6, far - side * 0.2, left + 2.0, far - side * 0.9) for left in lefts))
-
-    def visits(self, middle: float, y: float, side: int, rng: np.random.Generator) -> list[tuple[float, list[_Point]]]:
-        """Ways into some of the rooms and out of them from a corridor's `middle`, each with its place along it."""
-        chosen = np.flatnonzero(rng.random(self.number) < 0.35)
-        inside = y + side * (_WALL_M + 0.5 * self.depth)
-        doors = (self.pitch * chosen + self.door).tolist()
-        return [(x, [(x, middle), (x, inside), (x, middle)]) for x in doors]
-
-
-def equal_rooms(rng: np.random.Generator) -> World:
-    """Draw two parallel corridors with equal rooms on both sides, joined at one end or at both.
-
-    The robot goes down one corridor, into some of the rooms, and comes back through the other, which looks the same.
-    Where they are joined at both ends it goes on into the first again, and into other rooms there.
-    """
-    rooms, width, returns = _Rooms.drawn(rng), float(rng.uniform(1.9, 2.5)), rng.random() < 0.6
-    middle, far = width / 2, width + 2 * rooms.depth + 3 * _WALL_M
-    right, top = rooms.length + width, far + width
-    spaces = [(-width, 0.0, right, width), (-width, far, right, top), (rooms.length, 0.0, right, top)]
-    spaces += [(-width, 0.0, 0.0, top)] if returns else []
-    rows = [(0.0, -1), (width, 1), (far, -1), (top, 1)]
-    walls = carve([*spaces, *(space for y, side in rows for space in rooms.spaces(y, side))])
-
-    def along(corridor: float, below: float) -> list[_Point]:
-        ways = rooms.visits(corridor, below, -1, rng) + rooms.visits(corridor, below + width, 1, rng)
-        return [point for _, way in sorted(ways) for point in way]
-
-    route = [(-middle, middle), *along(middle, 0.0), (right - middle, middle), (right - middle, top - middle)]
-    route += [*along(top - middle, far)[::-1], (-middle, top - middle)]
-    if returns:
-        route += [(-middle, middle), *along(middle, 0.0), (right - 1.5 * width, middle)]
-    desks = [rooms.desks(y, side) for y, side in rows]
-    return World.of("equal_rooms", join(walls, *desks), wander(distinct(route), rng)[0])
 
 
 def symmetric(rng: np.random.Generator) -> World:

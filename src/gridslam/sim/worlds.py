@@ -8,7 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.sim.deceptive import bare_corridors, equal_rooms, symmetric
+from gridslam.sim.deceptive import bare_corridors, symmetric
+from gridslam.sim.equal_rooms import equal_rooms
 from gridslam.sim.floor_plan import box, furniture, join, pillar, polyline, room, wall
 from gridslam.sim.large import campus, fleet
 from gridslam.sim.moved_furniture import moved_furniture

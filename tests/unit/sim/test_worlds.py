@@ -8,12 +8,13 @@ import pytest
 from gridslam.errors import ArgumentError
 from gridslam.sim import Change, World
 from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
+from gridslam.sim.equal_rooms import EQUAL_ROOMS
 from gridslam.sim.floor_plan import box, clearance, join, near
 from gridslam.sim.robot import RobotConfig, drive, follow
 from gridslam.sim.worlds import WORLDS, make_world
 
 NAMES = [*((name, 0) for name in WORLDS), *(("random", seed) for seed in range(12))]
-DECEPTIVE = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture", *SYMMETRIC, *BARE_CORRIDORS]
+DECEPTIVE = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture", *EQUAL_ROOMS, *SYMMETRIC, *BARE_CORRIDORS]
 
 
 def _length_of_drive(world, robot, period_s=0.1):
