@@ -155,6 +155,10 @@ class StepReport:
         Particles at a key scan, before resampling; log weights are normalized.
     parents : (N,) int64 or None
         For each particle after the step the index of the one it continues; None where nothing was resampled.
+    closures : tuple of (int, int)
+        Key scans just recognized to show one place, older and later one, counted from 0.
+    corrected : bool
+        The past was corrected after this step: all particles have a new trajectory and map.
     """
 
     stamp_ns: int
@@ -169,6 +173,8 @@ class StepReport:
     poses: FloatArray | None = None
     log_weights: FloatArray | None = None
     parents: IntArray | None = None
+    closures: tuple[tuple[int, int], ...] = ()
+    corrected: bool = False
 
 
 @runtime_checkable

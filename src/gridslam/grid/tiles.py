@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena
-from gridslam.grid.frame import cell_corner
+from gridslam.grid.frame import cell_corner, cells_of
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
@@ -110,12 +110,15 @@ class TileMaps:
         arena = self._arena
         return self._roots, self._first, arena.pages, arena.log_odds, arena.field
 
-    def snapshot(self) -> TileMaps:
-        """Another owner of the same maps, at the cost of their tables: tiles are copied when either side writes."""
+    def snapshot(self, rows: IntArray | None = None) -> TileMaps:
+        """Another owner of all maps or of maps `rows` (K,), at the cost of their tables.
+
+        Tiles are copied when either side writes.
+        """
         twin = object.__new__(TileMaps)
         for name in TileMaps.__slots__:
             setattr(twin, name, getattr(self, name))
-        twin._roots = self._roots.copy()
+        twin._roots = self._roots.copy() if rows is None else self._roots[rows]
         twin._arena.retain(twin._roots)
         return twin
 
@@ -182,6 +185,18 @@ class TileMaps:
         found: NDArray[np.float32] = backend.cast_rays(
             *self._view, rows, poses, origin, directions, self.resolution_m, max_m, self.threads
         )
+        return found
+
+    def known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
+        """Whether any beam has told anything about the cells of points (B, 2) of the world, in one map."""
+        cells = cells_of(points, self.resolution_m)
+        page = cells // _PAGE_CELLS - self._first
+        inside = ((page >= 0) & (page < self._roots.shape[1:])).all(axis=1)
+        tile, cell = cells // TILE % PAGE, cells % TILE
+        at = self._roots[row, page[inside, 0], page[inside, 1]]
+        tiles = self._arena.pages[at, tile[inside, 0], tile[inside, 1]]
+        found = np.zeros(len(points), bool)
+        found[inside] = self._arena.log_odds[tiles, cell[inside, 0], cell[inside, 1]] != UNKNOWN
         return found
 
     def occupancy(self, row: int) -> OccupancyGrid:

@@ -54,6 +54,11 @@ class Ancestry:
         ancestry.extend(poses)
         return ancestry
 
+    @classmethod
+    def along(cls, trajectory: FloatArray, particles: int) -> Ancestry:
+        """Begin with N particles that all share one past, poses (T, 3)."""
+        return cls(np.zeros(particles, dtype=np.int64), [], trajectory.copy())
+
     def extend(self, poses: ArrayLike) -> None:
         """Add one step: particle i, whichever its past, is now at poses[i] of (N, 3), which is copied.
 
@@ -97,6 +102,16 @@ class Ancestry:
             raise ArgumentError("particle", f"an index in [0, {len(self)})", particle)
         only: FloatArray = self._trajectories(self._leaves[particle : particle + 1])[0]
         return only
+
+    def last(self, particle: int) -> tuple[FloatArray, FloatArray]:
+        """Poses (3,) of one particle at the last two steps; twice the same where there is only one."""
+        place, found = int(self._leaves[particle]), []
+        for level in self._levels[: -3 : -1]:
+            found.append(level.poses[place])
+            place = int(level.parents[place])
+        for k in range(self._trunk_length - 1, max(self._trunk_length - 3 + len(found), -1), -1):
+            found.append(self._trunk[k])
+        return found[min(1, len(found) - 1)], found[0]
 
     def trajectories(self) -> FloatArray:
         """Poses (N, T, 3) of all particles."""

@@ -24,6 +24,7 @@ from gridslam.particles.initial import at_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
+from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.tracker import OdometryTracker, Tracker
@@ -67,6 +68,8 @@ class GridFastSlam:
         When resampling is worth its loss of diversity.
     confidence : Confidence
         How poses' covariances and the lost flag are told.
+    loop_closure : LoopClosure or None
+        Recognizes old places and corrects the past; None for the filter alone.
     range_min_m, range_max_m : float
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
@@ -85,6 +88,7 @@ class GridFastSlam:
     when_to_update: UpdatePolicy = MovedAtLeast()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     confidence: Confidence = Confidence()
+    loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
     threads: int = 1
@@ -113,6 +117,8 @@ class GridFastSlam:
         state = GridFastSlamState(
             tracker, tracker.pose, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)), maps, Ancestry.start(poses)
         )
+        if self.loop_closure is not None:
+            self.loop_closure.init(state, beams)
         return state, self.confidence.first_scan(state, scan)
 
     def step(
@@ -126,7 +132,7 @@ class GridFastSlam:
         tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
         moved = between(state.key_pose, tracked.pose)
         if reason := self._skip(moved, beams):
-            return state, self.confidence.between_key_scans(state, scan, moved, reason)
+            return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
         motion = self.motion(between(state.key_pose, tracked.predicted))  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
@@ -137,7 +143,14 @@ class GridFastSlam:
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
             report = replace(report, parents=parents, best=state.best)
-        return state, report
+        return self._close_loops(state, report, beams)
+
+    def _close_loops(
+        self, state: GridFastSlamState, report: StepReport, beams: Beams
+    ) -> tuple[GridFastSlamState, StepReport]:
+        if self.loop_closure is None or state.memory is None:
+            return state, report
+        return state, self.loop_closure(state, state.memory, report, beams, self.mapper, self.threads)
 
     def _skip(self, moved: FloatArray, beams: Beams) -> SkipReason | None:
         dx, dy, turn = moved.tolist()

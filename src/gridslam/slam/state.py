@@ -14,13 +14,14 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.weights import normalize
+from gridslam.slam.memory import Memory
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/1"
+STATE_SCHEMA = "gridslam.state/2"
 
 
 @final
@@ -48,6 +49,8 @@ class GridFastSlamState:
         All particles' trajectories over the key scans.
     lost : bool
         Whether the last key scan agreed with the best map too little.
+    memory : Memory or None
+        What loop closure remembers, where it is at work.
     """
 
     tracker: TrackerState
@@ -59,6 +62,7 @@ class GridFastSlamState:
     maps: TileMaps
     ancestry: Ancestry
     lost: bool = False
+    memory: Memory | None = None
     consumed: bool = False
 
     @property
@@ -72,7 +76,7 @@ class GridFastSlamState:
         self.consumed = True
         return GridFastSlamState(
             self.tracker, self.key_pose, self.poses, self.log_weights, self.log_ancestry, self.covariance, self.maps,
-            self.ancestry, self.lost,
+            self.ancestry, self.lost, self.memory,
         )  # fmt: skip
 
     def advance(self, proposed: Proposed, key_pose: FloatArray) -> None:
@@ -91,11 +95,22 @@ class GridFastSlamState:
         self.log_ancestry = self.log_ancestry[parents]
         self.log_weights = np.full(len(parents), -np.log(len(parents)))
 
+    def reseed(self, trajectory: FloatArray, maps: TileMaps) -> None:
+        """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
+        count = len(self.poses)
+        self.poses = np.repeat(trajectory[-1:], count, axis=0)
+        self.maps, self.ancestry = maps.snapshot(np.zeros(count, np.int64)), Ancestry.along(trajectory, count)
+        self.log_weights, self.log_ancestry = np.full(count, -np.log(count)), np.zeros(count)
+
     def snapshot(self) -> GridFastSlamState:
         """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
         self._check()
         return replace(
-            self, tracker=self.tracker.snapshot(), maps=self.maps.snapshot(), ancestry=self.ancestry.snapshot()
+            self,
+            tracker=self.tracker.snapshot(),
+            maps=self.maps.snapshot(),
+            ancestry=self.ancestry.snapshot(),
+            memory=None if self.memory is None else self.memory.snapshot(),
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -104,6 +119,8 @@ class GridFastSlamState:
         own = {name: getattr(self, name) for name in _ARRAYS}
         parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
         parts.append(("ancestry", self.ancestry.to_arrays()))
+        if self.memory is not None:
+            parts.append(("memory", self.memory.to_arrays()))
         nested = {f"{name}.{key}": array for name, arrays in parts for key, array in arrays.items()}
         return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
 
@@ -121,11 +138,13 @@ class GridFastSlamState:
 
         try:
             own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+            memory = part("memory")
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),
                 maps=mapper.restore(part("maps"), threads),
                 ancestry=Ancestry.from_arrays(part("ancestry")),
                 lost=bool(arrays["lost"]),
+                memory=Memory.from_arrays(memory, mapper, threads) if memory else None,
                 **own,
             )
         except KeyError as missing:

@@ -1,0 +1,194 @@
+"""The last word: key scans matched again to all submaps they see, the graph solved again, every scan matched again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam.full_trajectory import full_trajectory
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.key_graph import BLOCK, Source, Tie
+from gridslam.slam.memory import Memory
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["JointMatching", "LastWord"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LastWord:
+    """What the end of a log tells of all of it.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        Key scans and what was measured between them; its poses (T, 3) are the solution.
+    weights : (M,) float64
+        How much each measurement was believed.
+    poses : (N, 3) float64
+        A pose for every scan.
+    maps : TileMaps
+        One map, drawn from the key scans.
+    """
+
+    graph: PoseGraph
+    weights: FloatArray
+    poses: FloatArray
+    maps: TileMaps
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class JointMatching:
+    """Match, solve, and match again, until nothing moves; then match every scan to the map of all key scans.
+
+    Key scans are matched to the older and later submaps about them, drawn anew from the current trajectory. Matched to
+    those of its own time a scan would only repeat what the tracker and the particles have made of it.
+
+    Parameters
+    ----------
+    rounds : int
+        At most so many times are the key scans matched and the graph solved.
+    stop_m : float, m
+        A round that moves no key scan farther is the last.
+    near_m : float, m
+        A key scan is matched to submaps with a key scan this near.
+    submaps : int
+        The nearest of them.
+    gap : int
+        Submaps this recent are of the same time.
+    share : float
+        Share of the beams that must agree.
+    most_m : float, m
+        A match that moves a key scan farther is not believed.
+    beam_sigma_m : float, m
+        Standard deviation of what one beam says, beams being correlated and walls a cell thick.
+    scan_share : float
+        A scan with which fewer of its beams agree stays where the trajectory of the key scans has it.
+    scan_m : float, m
+        So does one that would move farther.
+    scan_prior : float
+        Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
+    matcher : GaussNewton
+        How scans are matched.
+    """
+
+    rounds: int = Field(default=2, ge=1)
+    stop_m: float = Field(default=0.01, gt=0)
+    near_m: float = Field(default=3.0, gt=0)
+    submaps: int = Field(default=3, ge=1)
+    gap: int = Field(default=3, ge=1)
+    share: float = Field(default=0.7, gt=0, le=1)
+    most_m: float = Field(default=0.4, gt=0)
+    beam_sigma_m: float = Field(default=0.3, gt=0)
+    scan_share: float = Field(default=0.6, gt=0, le=1)
+    scan_m: float = Field(default=0.15, gt=0)
+    scan_prior: float = Field(default=5.0, gt=0)
+    matcher: GaussNewton = GaussNewton()
+
+    def __call__(
+        self,
+        memory: Memory,
+        trajectory: FloatArray,
+        keys: IntArray,
+        key_from_base: FloatArray,
+        mapper: OccupancyGridMapping,
+        solver: GraphSlam,
+        tick: Callable[[], None] = lambda: None,
+    ) -> LastWord:
+        """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
+
+        Parameters
+        ----------
+        memory
+            Scans, and which places were recognized.
+        trajectory : (T, 3) float64
+            Of the key scans, as the filter has it.
+        keys, key_from_base : (N,) int64, (N, 3) float64
+            For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+        tick
+            Called now and then, so that progress can be shown and the work be interrupted.
+        """
+        memory.graph.follow(trajectory)
+        known = memory.graph
+        for _ in range(self.rounds):
+            before = np.array(known.poses)
+            ties = list(self._ties(memory, before, mapper, tick))
+            known.ties = [tie for tie in known.ties if tie.source is Source.RECOGNIZED] + ties
+            graph = known.graph()
+            solution = solver.solve(graph)
+            known.correct(solution.poses)
+            if np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
+                break
+        maps = drawn(mapper, memory.scans, np.arange(len(known)), solution.poses)
+        bent = full_trajectory(solution.poses, keys, key_from_base)
+        return LastWord(
+            graph.with_poses(solution.poses), solution.weights, self._matched(memory, bent, maps, tick), maps
+        )
+
+    def _ties(
+        self, memory: Memory, poses: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
+    ) -> Iterator[Tie]:
+        """Match key scans to the submaps about them."""
+        wanted = self._wanted(memory, poses)
+        loose = np.full((1, 3, 3), 1e-6) * np.eye(3)
+        for block, members in enumerate(wanted):
+            if not members:
+                continue
+            tick()
+            anchor = anchor_of(block)
+            maps = drawn(mapper, memory.scans, keys_of(block), between(poses[anchor], poses[keys_of(block)]))
+            for key in members:
+                beams = memory.scans.key(key)
+                guess = between(poses[anchor], poses[key])
+                match = self.matcher(maps, ROW, guess[None], loose, beams)
+                moved = between(guess, match.poses[0])
+                if match.score[0] >= max(self.share * len(beams), 1.0) and np.hypot(moved[0], moved[1]) < self.most_m:
+                    information = match.information[0] / self.beam_sigma_m**2
+                    yield Tie.of(anchor, key, match.poses[0], information, Source.BELIEVED)
+
+    def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
+        """For each submap the key scans to match to it."""
+        from scipy.spatial import cKDTree  # type: ignore[import-untyped]  # only who closes loops pays for its import
+
+        blocks = memory.graph.blocks
+        wanted: list[list[int]] = [[] for _ in range(blocks)]
+        tree = cKDTree(poses[:, :2])
+        for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.near_m)):
+            others = np.array([k for k in near if k < blocks * BLOCK and abs(k // BLOCK - key // BLOCK) > self.gap], np.int64)
+            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
+                wrap(poses[others, 2] - poses[key, 2])
+            )
+            nearest = dict.fromkeys((others[np.lexsort((others, away))] // BLOCK).tolist())
+            for block in list(nearest)[: self.submaps]:
+                wanted[block].append(key)
+        return wanted
+
+    def _matched(self, memory: Memory, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]) -> FloatArray:
+        """Match every scan to the map of all."""
+        matched = poses.copy()
+        prior = self.scan_prior * np.eye(3)[None]
+        for scan in range(len(poses)):
+            beams = memory.scans[scan]
+            if not len(beams):
+                continue
+            if scan % 256 == 0:
+                tick()
+            match = self.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)
+            moved = np.hypot(*(match.poses[0] - poses[scan])[:2])
+            if match.score[0] >= self.scan_share * len(beams) and moved <= self.scan_m:
+                matched[scan] = match.poses[0]
+        return matched
+

@@ -1,0 +1,314 @@
+"""The growing pose graph of a run: key scans joined by tracked motion, and ties to older key scans."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["BLOCK", "Drift", "KeyGraph", "Nearby", "Source", "Tie"]
+
+BLOCK = 10
+"""Key scans of a submap: about 5 m of driving."""
+
+_FLOOR = np.diag([1e-2, 1e-2, 1e-2])
+"""Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Drift:
+    """How uncertain a tracked increment is: a random walk, and whatever the particles' own matches contradict.
+
+    Parameters
+    ----------
+    still_m, still_rad : float
+        Standard deviation of an increment without motion.
+    m, rad : float
+        Standard deviation of the position after a metre, of the heading after a radian.
+    m_of_turn, rad_of_way : float
+        Standard deviation of the position after a radian, of the heading after a metre.
+    """
+
+    still_m: float = Field(default=0.01, gt=0)
+    still_rad: float = Field(default=0.003, gt=0)
+    m: float = Field(default=0.03, ge=0)
+    rad: float = Field(default=0.008, ge=0)
+    m_of_turn: float = Field(default=0.02, ge=0)
+    rad_of_way: float = Field(default=0.003, ge=0)
+
+    def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
+        """Variances (m^2, rad^2) of an increment of so many metres and radians."""
+        return (
+            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
+            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,
+        )
+
+
+class Source(IntEnum):
+    """How it is known which old submap a key scan sees."""
+
+    BELIEVED = 0
+    """The filter has the two at one place, which is no proof."""
+
+    KNOWN = 1
+    """The way from the one to the other is too short to be wrong."""
+
+    RECOGNIZED = 2
+    """It was searched for, and found there and nowhere else."""
+
+
+@final
+class Tie(NamedTuple):
+    """A later key scan matched to a submap about an older one: the pose `to` seen from `from_`, its information."""
+
+    from_: int
+    to: int
+    measurement: FloatArray  # (3,)
+    information: FloatArray  # (3, 3), of g2o's error
+    source: Source
+
+    @classmethod
+    def of(cls, from_: int, to: int, pose: FloatArray, information: FloatArray, source: Source) -> Tie:
+        """Tie from a match: pose (3,) and information (3, 3) in the frame of `from_`."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source)
+
+
+@final
+class Nearby(NamedTuple):
+    """A submap and how uncertain the newest key scan's pose is as seen from it, map frame."""
+
+    block: int
+    covariance: FloatArray  # (3, 3)
+
+
+@final
+class KeyGraph:
+    """Key scans 0 .. T - 1, what was measured between them, and how well one knows where another lies.
+
+    Uncertainty between two key scans is that of the best known way through the graph (the least uncertain path), an
+    upper bound of what all ways together would leave. Heading errors are kept with where they happened, so that the
+    bound has the shape of a drift: long across the way, short along it.
+
+    Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
+    """
+
+    __slots__ = ("_links", "_sums", "increments", "poses", "ties", "tracked", "variances")
+
+    def __init__(self) -> None:
+        """Begin without any key scan."""
+        self.tracked: list[FloatArray] = []  # (3,) each, in the tracker's frame
+        self.poses: list[FloatArray] = []  # (3,) each, map frame: as told at the time, or corrected since
+        self.increments: list[FloatArray] = []  # (3,) each: what leads to each key scan, as the filter has it
+        self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of tracking the increment that leads to each
+        self.ties: list[Tie] = []
+        self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
+        self._links: dict[int, dict[int, FloatArray]] = {}  # block -> block -> moments (7,) of the best tie
+
+    def __len__(self) -> int:
+        """Return the number of key scans."""
+        return len(self.poses)
+
+    @property
+    def blocks(self) -> int:
+        """Number of submaps that are complete."""
+        return len(self) // BLOCK
+
+    def extend(
+        self, tracked: FloatArray, pose: FloatArray, increment: FloatArray, variances: tuple[float, float]
+    ) -> None:
+        """Add a key scan.
+
+        Parameters
+        ----------
+        tracked, pose : (3,) float64
+            The tracker's pose, and the pose in the map.
+        increment : (3,) float64
+            The motion that leads to it, as the map has it; what the tracker says else makes it less certain.
+        variances : (float, float)
+            Of tracking that motion, m^2 and rad^2.
+        """
+        self.tracked.append(tracked)
+        self.poses.append(pose)
+        self.increments.append(increment)
+        self.variances.append(variances)
+        moments = _moments(np.array([pose]), self._spread(max(len(self) - 2, 0))[-1:])[0]
+        self._sums.append(moments + self._sums[-1] if self._sums else moments)
+
+    def add(self, tie: Tie) -> None:
+        """Add a measurement between two key scans."""
+        self.ties.append(tie)
+        if tie.source is not Source.BELIEVED:
+            self._link(tie)
+
+    def correct(self, poses: FloatArray) -> None:
+        """Let all poses be poses (T, 3); the measurements stay what they are."""
+        self.poses = list(poses)
+        self._sums = list(np.cumsum(_moments(poses, self._spread()), axis=0))
+        self._links = {}
+        for tie in self.ties:
+            if tie.source is not Source.BELIEVED:
+                self._link(tie)
+
+    def follow(self, poses: FloatArray) -> None:
+        """Let all poses be the trajectory (T, 3) of a particle, and the increments its own."""
+        self.increments[1:] = list(between(poses[:-1], poses[1:]))
+        self.correct(poses)
+
+    def local_poses(self, anchor: int, keys: IntArray) -> FloatArray:
+        """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
+        tracked = np.array([self.tracked[k] for k in keys.tolist()])
+        return compose(self.poses[anchor], between(self.tracked[anchor], tracked))
+
+    def local(self, anchor: int, key: int) -> FloatArray:
+        """Pose (3,) of a key scan seen from another: as tracked where they are near in time, else as the map has it."""
+        frame = self.tracked if abs(anchor - key) <= 3 * BLOCK else self.poses
+        return between(frame[anchor], frame[key])
+
+    def nearby(self, limit_m: float, most: int) -> list[Nearby]:
+        """Submaps in the order of their uncertainty as seen from the newest key scan, nearest first.
+
+        The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
+        """
+        newest = len(self) - 1
+        here = newest // BLOCK
+        start = self._sums[newest] - self._sums[here * BLOCK]
+        queue: list[tuple[float, int, int]] = [(0.0, 0, here)]  # the second number keeps the order of equals
+        ways, done = [start], dict[int, FloatArray]()
+        while queue and len(done) < most:
+            cost, way, block = heapq.heappop(queue)
+            if block in done:
+                continue
+            done[block] = ways[way]
+            for other, more in self._neighbours(block):
+                if other not in done:
+                    ways.append(ways[way] + more)
+                    spread = max(cost, self._position_variance(ways[-1]))
+                    if spread < limit_m**2:
+                        heapq.heappush(queue, (spread, len(ways) - 1, other))
+        return [Nearby(block, self._covariance(moments)) for block, moments in done.items()]
+
+    def graph(self) -> PoseGraph:
+        """Everything as a pose graph: the increments between key scans, which are trusted, then the ties."""
+        poses = np.array(self.poses)
+        count = len(poses)
+        steps = np.zeros((count - 1, 3, 3))
+        spread = self._spread()[1:]
+        steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
+        steps[:, 2, 2] = 1 / spread[:, 1]
+        chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
+        ties = self.ties
+        tied = np.array([t.measurement for t in ties]).reshape(-1, 3)
+        return PoseGraph(
+            poses,
+            np.concatenate([chain, np.array([(t.from_, t.to) for t in ties], np.int64).reshape(-1, 2)]),
+            np.concatenate([np.array(self.increments[1:]).reshape(-1, 3), tied]),
+            np.concatenate([steps, np.array([t.information for t in ties]).reshape(-1, 3, 3)]),
+            np.arange(count - 1 + len(ties)) < count - 1,
+        )
+
+    def snapshot(self) -> KeyGraph:
+        """Keep a copy for later; what never changes is shared."""
+        twin = KeyGraph()
+        for name in ("tracked", "poses", "increments", "variances", "ties", "_sums"):
+            setattr(twin, name, getattr(self, name).copy())
+        twin._links = {block: links.copy() for block, links in self._links.items()}
+        return twin
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` goes on as this one would."""
+        ties = self.ties
+        return {
+            "tracked": np.array(self.tracked, np.float64).reshape(-1, 3),
+            "poses": np.array(self.poses, np.float64).reshape(-1, 3),
+            "increments": np.array(self.increments, np.float64).reshape(-1, 3),
+            "variances": np.array(self.variances, np.float64).reshape(-1, 2),
+            "sums": np.array(self._sums, np.float64).reshape(-1, 7),
+            "tied": np.array([(t.from_, t.to, t.source) for t in ties], np.int64).reshape(-1, 3),
+            "measurements": np.array([t.measurement for t in ties], np.float64).reshape(-1, 3),
+            "information": np.array([t.information for t in ties], np.float64).reshape(-1, 3, 3),
+            "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
+            "links": np.array([m for links in self._links.values() for m in links.values()]).reshape(-1, 7),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> KeyGraph:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        self = cls()
+        self.tracked, self.poses, self.increments, self._sums = (
+            list(arrays[name]) for name in ("tracked", "poses", "increments", "sums")
+        )
+        self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
+        tied = zip(arrays["tied"].tolist(), arrays["measurements"], arrays["information"], strict=True)
+        self.ties = [Tie(a, b, z, omega, Source(source)) for (a, b, source), z, omega in tied]
+        for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
+            self._links.setdefault(a, {})[b] = moments
+        return self
+
+    def _spread(self, first: int = 0) -> FloatArray:
+        """Variances (T - first, 2) of the increments: of tracking, and what the map contradicts it by, squared."""
+        tracked = np.array(self.tracked[first:])
+        moved = between(tracked[:-1], tracked[1:])
+        missed = between(moved, np.array(self.increments[first + 1 :]).reshape(-1, 3)) ** 2
+        spread: FloatArray = np.array(self.variances[first:])
+        spread[1:] += np.stack([0.5 * (missed[:, 0] + missed[:, 1]), missed[:, 2]], axis=1)
+        return spread
+
+    def _position_variance(self, moments: FloatArray) -> float:
+        """Trace of the position's covariance at the newest key scan."""
+        position, s, sx, sy, sxx, _, syy = moments.tolist()
+        x, y, _ = self.poses[-1].tolist()
+        across = s * (x * x + y * y) - 2 * (sx * x + sy * y) + sxx + syy
+        return float(2 * position + max(across, 0.0))
+
+    def _covariance(self, moments: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of the newest pose: a heading error in q moves it across, by the distance from q."""
+        position, s, sx, sy, sxx, sxy, syy = moments.tolist()
+        x, y, _ = self.poses[-1].tolist()
+        xx = s * y * y - 2 * sy * y + syy + position
+        yy = s * x * x - 2 * sx * x + sxx + position
+        xy = -(s * x * y - sx * y - sy * x + sxy)
+        xt, yt = -(s * y - sy), s * x - sx
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, s]])
+
+    def _neighbours(self, block: int) -> list[tuple[int, FloatArray]]:
+        sums, last = self._sums, (len(self) - 1) // BLOCK
+        found = list(self._links.get(block, {}).items())
+        if block > 0:
+            found.append((block - 1, sums[block * BLOCK] - sums[(block - 1) * BLOCK]))
+        if block < last:
+            found.append((block + 1, sums[(block + 1) * BLOCK] - sums[block * BLOCK]))
+        return found
+
+    def _link(self, tie: Tie) -> None:
+        """Note the way that a tie opens between two submaps, if it is the best so far."""
+        a, b = tie.from_ // BLOCK, tie.to // BLOCK
+        within = sum(self._sums[k] - self._sums[k // BLOCK * BLOCK] for k in (tie.from_, tie.to))
+        xx, yy, heading = np.linalg.inv(tie.information).diagonal().tolist()
+        moments = within + _moments(self.poses[tie.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
+        known = self._links.get(a, {}).get(b)
+        if known is None or moments[0] + moments[1] < known[0] + known[1]:
+            self._links.setdefault(a, {})[b] = moments
+            self._links.setdefault(b, {})[a] = moments
+
+
+def _moments(poses: FloatArray, spread: FloatArray) -> FloatArray:
+    """Variances of position and heading of steps, and the heading's with where it happened, (K, 7)."""
+    position, heading = spread.T
+    x, y = poses[:, 0], poses[:, 1]
+    return np.stack(
+        [position, heading, heading * x, heading * y, heading * x * x, heading * x * y, heading * y * y], axis=1
+    )

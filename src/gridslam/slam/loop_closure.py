@@ -1,0 +1,133 @@
+"""Loop closure: an old place recognized corrects the trajectory, and the corrected map goes back into the filter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.key_graph import Drift, Tie
+from gridslam.slam.memory import Correction, Memory, Rejection
+from gridslam.slam.place_recognition import PlaceRecognition
+from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.submaps import ROW
+from gridslam.types import BeamEnds, FloatArray, StepReport
+
+__all__ = ["LoopClosure"]
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class LoopClosure:
+    """Remember, recognize, solve, draw, merge.
+
+    When the graph, solved with a place just recognized, puts the robot elsewhere than the filter does, the filter's
+    past is replaced: all particles are reseeded on the graph's most likely trajectory, with equal weights and the one
+    map drawn from it. This is Laplace's approximation of p(x_1:t | z_1:t, u_1:t) with the closure among the
+    measurements, collapsed to its mode: given a map drawn from the corrected past, the newest pose is certain within a
+    matcher's basin (the closure was matched), and the motion model spreads the particles again. Particles that differ
+    only in how they would have closed this loop have nothing left to be weighed by, hence equal weights.
+
+    The corrected map is drawn aside, `scans_per_step` key scans at each new one, so that no scan waits for it: it is
+    merged a number of key scans after the closure was found that depends on their count alone, never on time.
+
+    Parameters
+    ----------
+    recognition : PlaceRecognition
+        Which places are recognized.
+    solver : GraphSlam
+        How the graph is solved.
+    drift : Drift
+        How uncertain tracked motion is.
+    disagree_m, disagree_rad : float
+        Where the filter's trajectory has the recognized places within this, it closed the loop itself and is left alone.
+    scans_per_step : int
+        Key scans of the corrected map drawn at each new key scan, 50 us each.
+    """
+
+    recognition: PlaceRecognition = PlaceRecognition()
+    solver: GraphSlam = GraphSlam()
+    drift: Drift = Drift()
+    disagree_m: float = Field(default=0.5, gt=0)
+    disagree_rad: float = Field(default=0.05, gt=0)
+    scans_per_step: int = Field(default=60, ge=2)
+
+    def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
+        """Begin with the filter's first scan."""
+        state.memory = memory = Memory()
+        memory.scans.append(beams, is_key=True)
+        memory.graph.extend(state.key_pose, state.poses[state.best], np.zeros(3), self.drift.variances(0.0, 0.0))
+
+    def __call__(
+        self,
+        state: GridFastSlamState,
+        memory: Memory,
+        report: StepReport,
+        beams: BeamEnds,
+        mapper: OccupancyGridMapping,
+        threads: int,
+    ) -> StepReport:
+        """Take note of a scan that the filter has taken; may correct `state`, and says so in the report."""
+        memory.scans.append(beams, is_key=report.skipped is None)
+        if report.skipped is not None:
+            return report
+        self._remember(memory, state)
+        ties = self.recognition(memory, mapper)
+        if ties and memory.correction is None and self._disagrees(memory, ties, state):
+            self._solve(memory, ties, mapper, threads)
+        corrected = memory.correction is not None and self._draw(memory, memory.correction, state)
+        return replace(
+            report, pose=state.poses[state.best], closures=tuple((t.from_, t.to) for t in ties), corrected=corrected
+        )
+
+    def _remember(self, memory: Memory, state: GridFastSlamState) -> None:
+        """Add the newest key scan; where a particle's own matches contradict the tracker, neither is certain."""
+        before, now = state.ancestry.last(state.best)
+        moved = between(memory.graph.tracked[-1], state.key_pose)
+        spread = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
+        memory.graph.extend(state.key_pose, now, between(before, now), spread)
+
+    def _disagrees(self, memory: Memory, ties: list[Tie], state: GridFastSlamState) -> bool:
+        """Whether the filter's best trajectory contradicts what was recognized."""
+        trajectory = state.ancestry.trajectory(state.best)
+        has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
+        missed = between(has, np.array([tie.measurement for tie in ties]))
+        memory.graph.follow(trajectory)
+        far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
+        return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
+
+    def _solve(self, memory: Memory, ties: list[Tie], mapper: OccupancyGridMapping, threads: int) -> None:
+        """Solve the graph, and begin to draw the corrected past."""
+        graph = memory.graph
+        solution = self.solver.solve(graph.graph())
+        doubted = solution.weights[-len(ties) :].min() < 0.5
+        if doubted:  # what else is known speaks against the closure
+            del graph.ties[-len(ties) :]
+            graph.correct(np.array(graph.poses))
+            memory.rejected[Rejection.IMPLAUSIBLE] += 1
+            return
+        memory.correction = Correction(list(solution.poses), mapper.empty(1, threads))
+
+    def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
+        """Draw on; when all is drawn, merge. Returns whether it was merged."""
+        graph, poses = memory.graph, correction.poses
+        if len(poses) < len(graph):
+            poses.append(compose(poses[-1], between(graph.tracked[-2], graph.tracked[-1])))
+        last = min(correction.drawn + self.scans_per_step, len(poses))
+        for key in range(correction.drawn, last):
+            correction.maps.update(ROW, poses[key][None], memory.scans.key(key))
+        correction.drawn = last
+        if last < len(poses):
+            return False
+        corrected: FloatArray = np.array(poses)
+        graph.correct(corrected)
+        state.reseed(corrected, correction.maps)
+        memory.correction = None
+        return True

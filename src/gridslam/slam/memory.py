@@ -1,0 +1,129 @@
+"""What loop closure remembers of a run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.key_graph import KeyGraph
+from gridslam.slam.scan_archive import ScanArchive
+from gridslam.slam.submaps import Submaps
+from gridslam.types import FloatArray
+
+__all__ = ["Correction", "Hypothesis", "Memory", "Rejection"]
+
+
+class Rejection(Enum):
+    """Why a recognized place was not believed."""
+
+    POOR = "too few beams agree"
+    AMBIGUOUS = "another place fits as well"
+    UNDETERMINED = "a direction is left open"
+    THROUGH_WALLS = "beams would pass through walls"
+    IMPLAUSIBLE = "too far from where the robot can be"
+    INCONSISTENT = "the scans after it say otherwise"
+
+
+@final
+class Hypothesis(NamedTuple):
+    """Key scan `key` seen from the anchor of submap `block`: pose (3,), and its information (3, 3)."""
+
+    key: int
+    block: int
+    pose: FloatArray
+    information: FloatArray
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Correction:
+    """A corrected past that is being drawn: poses of the key scans, and the map of the first `drawn` of them."""
+
+    poses: list[FloatArray]
+    maps: TileMaps
+    drawn: int = 0
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Memory:
+    """What loop closure remembers of a run.
+
+    Attributes
+    ----------
+    scans : ScanArchive
+        All scans.
+    graph : KeyGraph
+        The key scans and how they hang together.
+    hypotheses : list of Hypothesis
+        Places recognized lately that wait for others to agree.
+    rejected : Counter
+        How often which reason spoke against a place.
+    correction : Correction or None
+        A corrected past on its way into the filter.
+    """
+
+    scans: ScanArchive = field(default_factory=ScanArchive)
+    graph: KeyGraph = field(default_factory=KeyGraph)
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    rejected: Counter[Rejection] = field(default_factory=Counter)
+    correction: Correction | None = None
+    submaps: Submaps = field(default_factory=Submaps)
+
+    def snapshot(self) -> Memory:
+        """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
+        pending = self.correction
+        if pending is not None:
+            pending = replace(pending, poses=pending.poses.copy(), maps=pending.maps.snapshot())
+        return Memory(
+            self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` continues to the same bytes."""
+        waiting = self.hypotheses
+        arrays: dict[str, NDArray[Any]] = {
+            "hypotheses": np.array([(h.key, h.block) for h in waiting], np.int64).reshape(-1, 2),
+            "hypotheses.poses": np.array([h.pose for h in waiting], np.float64).reshape(-1, 3),
+            "hypotheses.information": np.array([h.information for h in waiting], np.float64).reshape(-1, 3, 3),
+            "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
+        }
+        parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
+            ("scans", self.scans.to_arrays()), ("graph", self.graph.to_arrays())
+        ]  # fmt: skip
+        if self.correction is not None:
+            arrays["correction.poses"] = np.array(self.correction.poses)
+            arrays["correction.drawn"] = np.array(self.correction.drawn, np.int64)
+            parts.append(("correction.maps", self.correction.maps.to_arrays()))
+        return arrays | {f"{name}.{key}": array for name, part in parts for key, array in part.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1) -> Memory:
+        """Rebuild from `to_arrays`; raises KeyError where an array is missing."""
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
+
+        waiting = zip(
+            arrays["hypotheses"].tolist(), arrays["hypotheses.poses"], arrays["hypotheses.information"], strict=True
+        )
+        counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
+        correction = None
+        if "correction.drawn" in arrays:
+            maps = mapper.restore(part("correction.maps"), threads)
+            correction = Correction(list(arrays["correction.poses"]), maps, int(arrays["correction.drawn"]))
+        return cls(
+            ScanArchive.from_arrays(part("scans")),
+            KeyGraph.from_arrays(part("graph")),
+            [Hypothesis(key, block, pose, information) for (key, block), pose, information in waiting],
+            Counter({reason: n for reason, n in counts if n}),
+            correction,
+        )

@@ -1,0 +1,255 @@
+"""Recognizing old places by scan matching, and believing it only when nothing speaks against it."""
+
+from __future__ import annotations
+
+import math
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import BranchAndBound, Found, Pyramid, thinned
+from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby, Source, Tie
+from gridslam.slam.memory import Hypothesis, Memory, Rejection
+from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
+from gridslam.types import FloatArray
+
+__all__ = ["PlaceRecognition"]
+
+
+_MOST_SUBMAPS = 12
+"""Submaps that are searched at once."""
+
+_WALL_M = 0.3
+"""A beam that ends so much behind what the map knows has passed through it."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class PlaceRecognition:
+    """Ties key scans to older submaps: those it still knows its way to, and those it recognizes.
+
+    A place is recognized when the points of the last key scans fit the old map somewhere within what the drift allows
+    (branch and bound), nowhere else within it as well, in all directions, without looking through walls, and when the
+    next searches say the same.
+
+    Parameters
+    ----------
+    gap : int
+        Submaps this recent are no old place.
+    near_m : float, m
+        Two key scans this close see enough in common to be matched.
+    overlap : float
+        Share of the points that must lie in what the old map knows: where it knows nothing, nothing can agree.
+    share : float
+        Share of those that must agree with the old map.
+    known_m : float, m
+        Where the position relative to a submap is this certain (standard deviation), its scans are tied without search.
+    every : int
+        Key scans between two searches.
+    query : int
+        Key scans whose points are searched together.
+    other_share : float
+        A second place with this share of the best one's agreement makes it ambiguous.
+    through : float
+        Share of the beams that may pass through what the old map knows as walls: doors and furniture move.
+    confirmations : int
+        Searches in a row that must agree.
+    agree_m, agree_rad : float
+        How far they may differ.
+    beam_sigma_m : float, m
+        Standard deviation of what one beam says about a tie, beams being correlated and walls a cell thick.
+    search : BranchAndBound
+        How a place is searched for.
+    matcher : GaussNewton
+        How a match is refined.
+    """
+
+    gap: int = Field(default=3, ge=1)
+    near_m: float = Field(default=4.0, gt=0)
+    overlap: float = Field(default=0.6, gt=0, le=1)
+    share: float = Field(default=0.75, gt=0, le=1)
+    known_m: float = Field(default=0.15, gt=0)
+    every: int = Field(default=4, ge=1)
+    query: int = Field(default=10, ge=1)
+    other_share: float = Field(default=0.8, gt=0, le=1)
+    through: float = Field(default=0.2, ge=0, le=1)
+    confirmations: int = Field(default=3, ge=1)
+    agree_m: float = Field(default=0.25, gt=0)
+    agree_rad: float = Field(default=0.05, gt=0)
+    beam_sigma_m: float = Field(default=0.3, gt=0)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.0, floor=0.45)
+    matcher: GaussNewton = GaussNewton()
+
+    def __call__(self, memory: Memory, mapper: OccupancyGridMapping) -> list[Tie]:
+        """Look at the newest key scan; returns the ties of a place just recognized, which are in the graph, too."""
+        graph = memory.graph
+        newest = len(graph) - 1
+        if newest // BLOCK < self.gap or not len(memory.scans.key(newest)):
+            return []
+        if self._tie_known(memory, mapper):
+            memory.hypotheses.clear()
+            return []
+        waiting = bool(memory.hypotheses)
+        if newest % (2 if waiting else self.every):
+            return []
+        found = self._recognize(memory, mapper)
+        if isinstance(found, Rejection):
+            memory.rejected[found] += 1
+            if found is not Rejection.POOR:
+                memory.hypotheses.clear()
+        if not isinstance(found, Hypothesis):
+            return []
+        agreeing = [h for h in memory.hypotheses if newest - h.key <= 6 * self.every and self._agree(graph, h, found)]
+        if waiting and not agreeing:
+            memory.rejected[Rejection.INCONSISTENT] += 1
+        memory.hypotheses = [*agreeing, found]
+        if len(memory.hypotheses) < self.confirmations:
+            return []
+        waited = memory.hypotheses
+        ties = [Tie.of(anchor_of(h.block), h.key, h.pose, h.information, Source.RECOGNIZED) for h in waited]
+        memory.hypotheses = []
+        for tie in ties:
+            graph.add(tie)
+        return ties
+
+    def _tie_known(self, memory: Memory, mapper: OccupancyGridMapping) -> bool:
+        """Tie the newest key scan to an old submap whose place is certain; whether the robot is in known ground."""
+        graph = memory.graph
+        newest = len(graph) - 1
+        for source, guess in ((Source.KNOWN, self._known(graph)), (Source.BELIEVED, self._believed(graph))):
+            if guess is not None:
+                match = self._match(memory, mapper, *guess)
+                if not isinstance(match, Rejection):
+                    graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
+                    return source is Source.KNOWN
+        return False
+
+    def _believed(self, graph: KeyGraph) -> tuple[int, FloatArray] | None:
+        """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
+        oldest = (len(graph) - 1) // BLOCK - self.gap
+        anchors = np.array(graph.poses[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK])
+        away = np.hypot(*(anchors[:, :2] - graph.poses[-1][:2]).T)
+        block = int(away.argmin())
+        return (block, between(anchors[block], graph.poses[-1])) if away[block] < self.near_m else None
+
+    def _known(self, graph: KeyGraph) -> tuple[int, FloatArray] | None:
+        """The old submap nearby whose place relative to the robot is certain, and the robot's pose in its frame."""
+        newest = len(graph) - 1
+        oldest = newest // BLOCK - self.gap
+        last = next((tie for tie in reversed(graph.ties[-self.every :]) if tie.source is not Source.BELIEVED), None)
+        if last is not None and newest - last.to <= self.every:  # go on in the ground that the last tie was to
+            way = between(graph.tracked[last.to], graph.tracked[newest])
+            seen = compose(last.measurement, way)
+            block = last.from_ // BLOCK
+            near = [b for b in (block - 1, block, block + 1) if 0 <= b <= oldest]
+            places = [between(graph.local(anchor_of(block), anchor_of(b)), seen) for b in near]
+        else:
+            known = [n for n in graph.nearby(2 * self.known_m, 64) if n.block <= oldest]
+            near = [n.block for n in known if self._certain(n)]
+            places = [between(graph.poses[anchor_of(b)], graph.poses[newest]) for b in near]
+        away = [math.hypot(place[0], place[1]) for place in places]
+        if not away or min(away) > self.near_m:
+            return None
+        best = int(np.argmin(away))
+        return near[best], places[best]
+
+    def _certain(self, nearby: Nearby) -> bool:
+        return float(np.linalg.eigvalsh(nearby.covariance[:2, :2])[1]) < self.known_m**2
+
+    def _match(
+        self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray
+    ) -> Hypothesis | Rejection:
+        """Match the newest key scan to a submap, from a guess (3,) in its frame."""
+        newest = len(memory.graph) - 1
+        beams = memory.scans.key(newest)
+        maps = memory.submaps(block, mapper, memory.scans, memory.graph)
+        match = self.matcher(maps, ROW, guess[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
+        pose = match.poses[0]
+        moved = between(guess, pose)
+        if math.hypot(moved[0], moved[1]) > 3 * self.known_m or not self._agrees(maps, pose, beams.ends):
+            return Rejection.POOR
+        if undetermined(match.information[0], float(match.score[0])) is not None:
+            return Rejection.UNDETERMINED
+        return Hypothesis(newest, block, pose, match.information[0] / self.beam_sigma_m**2)
+
+    def _agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
+        """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
+        known = maps.known(0, transform_points(pose, points))
+        if np.mean(known) < self.overlap:
+            return False
+        away = maps.distances(ROW, pose[None], points)[0, known]
+        return float(np.mean(1 / (1 + np.square(away / self.matcher.cauchy_m)))) >= self.share
+
+    def _recognize(self, memory: Memory, mapper: OccupancyGridMapping) -> Hypothesis | Rejection | None:
+        """Search the newest key scans in the old submaps where the robot may be."""
+        graph = memory.graph
+        candidates = self._candidates(graph)
+        if not candidates:
+            return None
+        here = graph.poses[-1]
+        nearest = candidates[0]
+        blocks = sorted({n.block for n in candidates})
+        keys = np.concatenate([keys_of(b)[::2] for b in blocks])  # every other one shows as much
+        poses = np.concatenate([graph.local_poses(anchor_of(b), keys_of(b)[::2]) for b in blocks])
+        maps = drawn(mapper, memory.scans, keys, poses)
+        points = thinned(self._points(memory), self.search.points)
+        found = self.search.search(Pyramid.of(maps, 0), here, nearest.covariance, points)
+        if found is None:
+            return Rejection.POOR
+        if rejection := self._judged(found, maps, points, memory):
+            return rejection
+        anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
+        block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
+        return self._match(memory, mapper, block, between(graph.poses[anchor_of(block)], found.pose))
+
+    def _candidates(self, graph: KeyGraph) -> list[Nearby]:
+        """Old submaps that the robot may be in, the one that it would have to be moved least for first."""
+        oldest = (len(graph) - 1) // BLOCK - self.gap
+        x, y, _ = graph.poses[-1].tolist()
+        found = []
+        for nearby in graph.nearby(self.search.window_m / self.search.gate, len(graph)):
+            if nearby.block > oldest:
+                continue
+            ax, ay, _ = graph.poses[anchor_of(nearby.block)].tolist()
+            sigma = math.sqrt(float(np.linalg.eigvalsh(nearby.covariance[:2, :2])[1]))
+            away = math.hypot(ax - x, ay - y) - self.near_m
+            if away < self.search.gate * sigma:
+                found.append((max(away, 0.0) / sigma, nearby.block, nearby))
+        return [nearby for _, _, nearby in sorted(found, key=lambda f: f[:2])[:_MOST_SUBMAPS]]
+
+    def _points(self, memory: Memory) -> FloatArray:
+        """Points (B, 2) of the last key scans, seen from the newest one."""
+        graph, newest = memory.graph, len(memory.graph) - 1
+        keys = range(newest - self.query + 1, newest + 1)
+        tracked = between(graph.tracked[newest], np.array([graph.tracked[k] for k in keys]))
+        return np.concatenate(
+            [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys, tracked, strict=True)]
+        )
+
+    def _judged(self, found: Found, maps: TileMaps, points: FloatArray, memory: Memory) -> Rejection | None:
+        """What speaks against a place that was found."""
+        if not self._agrees(maps, found.pose, points):
+            return Rejection.POOR
+        if found.other_share > self.other_share * found.share:
+            return Rejection.AMBIGUOUS
+        beams = memory.scans.key(len(memory.graph) - 1)
+        ways = beams.ends - beams.origin
+        ranges = np.hypot(ways[:, 0], ways[:, 1])
+        seen = maps.cast_rays(ROW, found.pose[None], beams.origin, ways / ranges[:, None], float(ranges.max()))[0]
+        if np.mean(seen < ranges - _WALL_M) > self.through:
+            return Rejection.THROUGH_WALLS
+        return None
+
+    def _agree(self, graph: KeyGraph, earlier: Hypothesis, later: Hypothesis) -> bool:
+        """Whether the motion between two key scans leads from the one place to the other."""
+        way = between(graph.tracked[earlier.key], graph.tracked[later.key])
+        reached = compose(earlier.pose, way)
+        seen = compose(graph.local(anchor_of(earlier.block), anchor_of(later.block)), later.pose)
+        missed = between(reached, seen)
+        return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad
