@@ -17,11 +17,14 @@ import numpy as np
 
 from gridslam import StepReport, build, preset, run
 from gridslam.kernels import backend, compiled, reference
+from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Beams, FloatArray
 from report import table
 
 __all__ = ["Call", "Situation", "kernel_times", "record"]
+
+_SEARCH = "gridslam.matching.branch_and_bound.backend"
 
 
 class Call(NamedTuple):
@@ -76,7 +79,7 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
     reports: list[StepReport] = []
     for measurement in log.measurements[scans:]:
         recorder = _Recorder()
-        with patch("gridslam.grid.tiles.backend", recorder):
+        with patch("gridslam.grid.tiles.backend", recorder), patch(_SEARCH, recorder):
             observers = [lambda report, state, seconds: reports.append(report)]
             state = run([measurement], slam, rng=rng, state=state, observers=observers)
             if reports[-1].skipped is None:
@@ -84,6 +87,9 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
                 directions = measurement.scan.geometry.directions
                 state.maps.cast_rays(rows, state.poses, beams.origin, directions, slam.range_max_m)
                 state.maps.distances(rows, state.poses, beams.ends)
+                BranchAndBound(window_m=3.0, window_rad=0.3).search(
+                    Pyramid.of(state.maps, 0), state.poses[0], None, beams.ends
+                )
                 work = _work(recorder.calls, state.poses, beams, state.maps.resolution_m)
                 return Situation(recorder.calls, work, particles, len(beams))
     raise ValueError(f"no key scan after scan {scans} of {len(log)}")
@@ -97,6 +103,8 @@ def _work(
     angles = poses[:, 2:] + bearing
     cells = reach * np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles))) / resolution_m
     looked_up = len(poses) * len(beams)
+    searched = calls["correlate"].arguments
+    x0, x1, y0, y1 = searched[4]
     touched, changed = len(calls["touch_rays"].result), len(calls["update_log_odds"].result)
     return {
         "match": (looked_up, "beam"),
@@ -107,6 +115,8 @@ def _work(
         "update_log_odds": (round(float(cells.sum())), "cell on a ray"),
         "touch_cells": (changed, "changed cell"),
         "update_field": (changed, "changed cell"),
+        "max_pyramid": (calls["max_pyramid"].arguments[0].size, "cell"),
+        "correlate": ((x1 - x0) * (y1 - y0) * len(searched[3]), "pose of the lattice"),
     }
 
 
