@@ -56,6 +56,11 @@ class GraphSolution:
         """The solved poses (N, 3)."""
         return self.graph.poses
 
+    @property
+    def counted(self) -> PoseGraph:
+        """The solved graph as it was solved: information times weight, false measurements left out."""
+        return scaled(self.graph, self.weights)
+
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
