@@ -69,33 +69,34 @@ class Marginals:
             columns[:, :, k] = self._system.solve(unit)
         return columns
 
-    def relative_covariances(self, first: int, second: ArrayLike) -> FloatArray:
-        """Covariances (..., 3, 3) of poses `second` (...) seen from pose `first`, in the frame of `first`.
+    def relative_covariances(self, first: ArrayLike, second: ArrayLike) -> FloatArray:
+        """Covariances (..., 3, 3) of poses `second` (...) seen from poses `first` (...), in the frame of `first`.
+
+        Both broadcast; each different pose among `first` costs three columns of the inverse.
 
         Raises
         ------
         ArgumentError
             There is no such pose.
         """
-        others = np.asarray(second, np.int64)
-        for pose in others.ravel().tolist():
+        a, b = np.broadcast_arrays(np.asarray(first, np.int64), np.asarray(second, np.int64))
+        for pose in np.unique(b).tolist():
             self._check(pose)
-        with_first = self.covariances_with(first)
-        own, cross = self._of(others), with_first[others]
-        of_first, of_second = between_jacobians(self._poses[first], self._poses[others])
-        mixed = of_second @ cross @ np.swapaxes(of_first, -1, -2)
-        sides = of_first @ with_first[first] @ np.swapaxes(of_first, -1, -2) + of_second @ own @ of_second.swapaxes(
-            -1, -2
-        )
-        return np.asarray(sides + mixed + np.swapaxes(mixed, -1, -2))
+        cross = np.empty((*a.shape, 3, 3))
+        for pose in np.unique(a).tolist():
+            cross[a == pose] = self.covariances_with(pose)[b[a == pose]]
+        of_first, of_second = between_jacobians(self._poses[a], self._poses[b])
+        mixed = of_first @ cross.swapaxes(-1, -2) @ of_second.swapaxes(-1, -2)
+        sides = (j @ self._of(at) @ j.swapaxes(-1, -2) for j, at in ((of_first, a), (of_second, b)))
+        return np.asarray(sum(sides, mixed + mixed.swapaxes(-1, -2)))
 
     def _of(self, poses: IntArray) -> FloatArray:
-        """Covariances of some poses, by the cheaper way."""
-        if "covariances" in self.__dict__ or 3 * poses.size > _SOLUTIONS_PER_POSE * len(self._poses):
+        """Covariances (..., 3, 3) of some poses (...), by the cheaper way."""
+        some, place = np.unique(poses, return_inverse=True)
+        if "covariances" in self.__dict__ or 3 * len(some) > _SOLUTIONS_PER_POSE * len(self._poses):
             return self.covariances[poses]
-        return np.array([self.covariances_with(pose)[pose] for pose in poses.ravel().tolist()]).reshape(
-            *poses.shape, 3, 3
-        )
+        own = np.array([self.covariances_with(pose)[pose] for pose in some.tolist()])
+        return own[place.reshape(poses.shape)]
 
     def _check(self, pose: int) -> None:
         if not 0 <= pose < len(self._poses):

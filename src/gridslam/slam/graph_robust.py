@@ -13,8 +13,9 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.slam.graph_descent import Descent, descend, squared_errors
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, is_connected
+from gridslam.slam.graph_marginals import Marginals
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
 
@@ -95,7 +96,7 @@ class GraduatedNonConvexity:
                 if found.cost >= (1.0 - _SAME) * best.cost:
                     break
                 best = found
-        return search.finish(best, max_iterations, tolerance)
+        return search.finish(search.readmit(best), max_iterations, tolerance)
 
 
 @final
@@ -109,6 +110,43 @@ class _Search:
     def round(self, poses: FloatArray) -> RobustEstimate:
         """Graduate from poses (N, 3), then fit what is held for true until the cost falls no more."""
         poses, weights = self._graduate(poses)
+        return self._settle(weights, poses)
+
+    def readmit(self, best: RobustEstimate) -> RobustEstimate:
+        """Take back what was rejected but could be followed at less than c^2, all or the likeliest, if that costs less.
+
+        The least cost of following a measurement of error e is its squared innovation e' (C + information^-1)^-1 e,
+        C the covariance of what the others predict.
+        """
+        while True:
+            rejected = np.flatnonzero(best.weights == 0.0)
+            squared = self._innovations(best, rejected)
+            likely = rejected[squared < self.bound]
+            for chosen in (likely, rejected[np.argsort(squared)[:1]]) if len(likely) else ():
+                weights = best.weights.copy()
+                weights[chosen] = 1.0
+                found = self._settle(weights, best.solution.poses)
+                if found.cost < (1.0 - _SAME) * best.cost:
+                    best = found
+                    break
+            else:
+                return best
+
+    def _innovations(self, found: RobustEstimate, places: IntArray) -> FloatArray:
+        """Squared innovations (K,) of measurements at `places` (K,) that the solution does not follow."""
+        if not len(places):
+            return np.empty(0)
+        solved = scaled(self.graph, found.weights).with_poses(found.solution.poses)
+        predicted = Marginals(solved).relative_covariances(*self.graph.edges[places].T)
+        c, s = (function(self.graph.measurements[places, 2]) for function in (np.cos, np.sin))
+        turn = np.zeros((len(places), 3, 3))  # from the frame of the first pose to that in which the measurement ends
+        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, s, -s, c, 1.0
+        spread = turn @ predicted @ turn.transpose(0, 2, 1) + np.linalg.inv(self.graph.information[places])
+        errors = self.graph.errors(found.solution.poses)[places, :, None]
+        return np.asarray((errors * np.linalg.solve(spread, errors)).sum(axis=(1, 2)))
+
+    def _settle(self, weights: FloatArray, poses: FloatArray) -> RobustEstimate:
+        """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""
         best = RobustEstimate(Descent(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
             found = self._refit(weights, best)

@@ -1,0 +1,49 @@
+"""First guesses from the measurements alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_graphs import random_graph
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.slam.graph_initial import initial_guess
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.pose_graph import PoseGraph
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_without_noise_it_is_the_truth(seed):
+    known = random_graph(np.random.default_rng(seed), noise=0.0)
+    lost = np.concatenate((known.truth[:1], np.full((len(known.truth) - 1, 3), 1e3)))
+    found = initial_guess(known.graph.with_poses(lost))
+    np.testing.assert_allclose(between(known.truth, found), 0, atol=1e-9)
+    assert (found[0] == known.truth[0]).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_with_noise_it_leads_to_where_the_truth_leads(seed):
+    known = random_graph(np.random.default_rng(seed), poses=60, closures=20, noise=3.0)
+    from_truth = GraphSlam(first_guess="given").solve(known.graph.with_poses(known.truth))
+    computed = GraphSlam(first_guess="computed").solve(known.graph)
+    assert computed.chi2_after == pytest.approx(from_truth.chi2_after, rel=1e-6)
+
+
+def test_headings_beyond_any_rounding_of_whole_turns():
+    """A loop of which the headings err by more than half a turn in all, spread over it: 60 steps of 0.06 rad."""
+    headings = 2 * np.pi * np.arange(60) / 60
+    truth = np.column_stack((np.sin(headings), -np.cos(headings), headings))
+    edges = np.column_stack((np.arange(60), np.roll(np.arange(60), -1)))
+    z = between(truth[edges[:, 0]], truth[edges[:, 1]])
+    z[:-1, 2] += 0.06
+    found = initial_guess(PoseGraph.of(np.zeros((60, 3)), edges, z, np.tile(np.eye(3), (60, 1, 1))))
+    assert np.ptp(found[:, 0]) > 1
+    assert np.isfinite(found).all()
+
+
+def test_one_pose_and_poses_apart():
+    alone = PoseGraph.of([[1.0, 2.0, 3.0]], np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    assert initial_guess(alone).tolist() == [[1.0, 2.0, 3.0]]
+    with pytest.raises(ArgumentError, match="2 parts"):
+        initial_guess(PoseGraph.of(np.zeros((3, 3)), [[0, 1]], np.zeros((1, 3)), [np.eye(3)]))

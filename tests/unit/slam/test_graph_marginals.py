@@ -1,0 +1,92 @@
+"""Marginal covariances: against dense inversion, closed forms and the errors made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_graphs import random_graph
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between, between_jacobians
+from gridslam.slam.graph_linear import BlockSystem, linearize
+from gridslam.slam.graph_marginals import Marginals, marginal_covariances
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.pose_graph import PoseGraph
+
+
+def dense_covariance(graph):
+    """Joint covariance (N, N, 3, 3) of all poses, by inverting the information matrix of all but pose 0."""
+    n = len(graph.poses)
+    system = BlockSystem(graph.edges, n, 3)
+    system.factorize(system.assemble(linearize(graph, graph.poses, graph.errors()))[0])
+    upper = system._matrix.toarray()
+    joint = np.zeros((n, 3, n, 3))
+    joint[1:, :, 1:] = np.linalg.inv(np.triu(upper) + np.triu(upper, 1).T).reshape(n - 1, 3, n - 1, 3)
+    return joint.transpose(0, 2, 1, 3)
+
+
+@pytest.mark.parametrize(("poses", "closures"), [(2, 0), (3, 1), (40, 5), (120, 150)])
+def test_they_are_the_blocks_of_the_dense_inverse(poses, closures):
+    for seed in range(3):
+        graph = random_graph(np.random.default_rng(seed), poses, closures).graph
+        joint = dense_covariance(graph)
+        scale = np.abs(joint).max()
+        own = joint[np.arange(poses), np.arange(poses)]
+        np.testing.assert_allclose(marginal_covariances(graph), own, rtol=0, atol=1e-9 * scale)
+        with_last = Marginals(graph).covariances_with(poses - 1)
+        np.testing.assert_allclose(with_last, joint[:, poses - 1], rtol=0, atol=1e-9 * scale)
+
+
+def test_relative_covariances_are_those_of_the_joint_distribution():
+    graph = random_graph(np.random.default_rng(1), 40, 10).graph
+    joint, marginals = dense_covariance(graph), Marginals(graph)
+    for few in (np.array([3, 0, 39]), np.arange(40)):  # by columns, and by the selected inverse
+        found = marginals.relative_covariances(7, few)
+        for place, other in enumerate(few.tolist()):
+            j = np.concatenate(between_jacobians(graph.poses[7], graph.poses[other]), axis=1)
+            both = np.block([[joint[7, 7], joint[7, other]], [joint[other, 7], joint[other, other]]])
+            np.testing.assert_allclose(found[place], j @ both @ j.T, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(marginals.relative_covariances(7, 7), 0, atol=1e-12)
+    np.testing.assert_allclose(
+        marginals.relative_covariances(7, 3), marginals.relative_covariances(7, [3])[0], atol=1e-12
+    )
+
+
+def test_a_straight_chain_in_closed_form():
+    """After n steps of length d: x by the steps alone, y by the headings before as well, sum of ((n - i) d)^2."""
+    n, d, sx, sy, st = 20, 0.5, 0.1, 0.2, 0.03
+    poses = np.column_stack((d * np.arange(n + 1), np.zeros((n + 1, 2))))
+    edges = np.column_stack((np.arange(n), np.arange(1, n + 1)))
+    information = np.tile(np.diag([sx**-2, sy**-2, st**-2]), (n, 1, 1))
+    graph = PoseGraph.of(poses, edges, np.tile([d, 0.0, 0.0], (n, 1)), information)
+    ahead = d * np.arange(n)[::-1]
+    expected = np.diag([n * sx**2, n * sy**2 + st**2 * (ahead**2).sum(), n * st**2])
+    expected[1, 2] = expected[2, 1] = st**2 * ahead.sum()
+    np.testing.assert_allclose(marginal_covariances(graph)[-1], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_errors_are_as_great_as_they_say():
+    """Over 100 graphs e' C^-1 e of the last pose has mean 3 and variance 6: four deviations of the mean are 0.98."""
+    squares, relative = [], []
+    for seed in range(100):
+        known = random_graph(np.random.default_rng(seed), 30, 10, noise=0.3)
+        solved = GraphSlam().solve(known.graph).graph
+        marginals = Marginals(solved)
+        error = solved.poses[-1] - known.truth[-1]
+        error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+        squares.append(error @ np.linalg.solve(marginals.covariances[-1], error))
+        seen = between(solved.poses[10], solved.poses[20]) - between(known.truth[10], known.truth[20])
+        seen[2] = (seen[2] + np.pi) % (2 * np.pi) - np.pi
+        relative.append(seen @ np.linalg.solve(marginals.relative_covariances(10, 20), seen))
+    assert abs(np.mean(squares) - 3) < 0.98
+    assert abs(np.mean(relative) - 3) < 0.98
+
+
+def test_one_pose_and_wrong_places():
+    alone = PoseGraph.of([[1.0, 2.0, 3.0]], np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    assert marginal_covariances(alone).tolist() == np.zeros((1, 3, 3)).tolist()
+    marginals = Marginals(random_graph(np.random.default_rng(0), 5, 2).graph)
+    with pytest.raises(ArgumentError, match=r"pose: expected a place in \[0, 5\), got 5"):
+        marginals.covariances_with(5)
+    with pytest.raises(ArgumentError, match="got -1"):
+        marginals.relative_covariances(0, [1, -1])

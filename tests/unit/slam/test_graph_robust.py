@@ -1,0 +1,81 @@
+"""False closures are found out, true ones are kept, odometry is never doubted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_graphs import random_graph
+
+from gridslam.geometry.se2 import between
+from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.pose_graph import PoseGraph
+
+ROBUST = GraphSlam(robust=GraduatedNonConvexity(probability=0.99999))  # of 400 true closures below none is expected out
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_false_closures_are_found_out(seed):
+    known = random_graph(np.random.default_rng(seed), poses=60, closures=20, false=2 + seed % 5)
+    solution = ROBUST.solve(known.graph)
+    assert solution.weights.tolist() == (~known.false).astype(float).tolist()
+    without = GraphSlam().solve(scaled(known.graph, (~known.false).astype(float)))
+    assert solution.chi2_after == pytest.approx(without.chi2_after, rel=1e-6)
+    np.testing.assert_allclose(between(without.poses, solution.poses), 0, atol=1e-4)
+
+
+def test_without_false_ones_it_is_least_squares():
+    graph = random_graph(np.random.default_rng(0)).graph
+    assert (ROBUST.solve(graph).weights == 1).all()
+    np.testing.assert_allclose(ROBUST.solve(graph).poses, GraphSlam().solve(graph).poses, atol=1e-4)
+
+
+@pytest.mark.parametrize("first_guess", ["given", "computed"])
+def test_one_guess_alone_may_do(first_guess):
+    known = random_graph(np.random.default_rng(1), poses=60, closures=20, false=3)
+    robust = GraphSlam(first_guess=first_guess, robust=GraduatedNonConvexity(probability=0.99999))
+    assert robust.solve(known.graph).weights.tolist() == (~known.false).astype(float).tolist()
+
+
+def test_what_is_trusted_is_never_doubted():
+    """Odometry that errs grossly bends the graph, however many closures speak against it."""
+    known = random_graph(np.random.default_rng(2))
+    z = known.graph.measurements.copy()
+    z[5, 0] += 3.0
+    graph = known.graph
+    bent = PoseGraph.of(graph.poses, graph.edges, z, graph.information, graph.trusted)
+    assert (ROBUST.solve(bent).weights[graph.trusted] == 1).all()
+
+
+def test_a_pose_that_hangs_on_false_measurements_alone():
+    """Two measurements of pose 2 contradict each other: what weighs nothing leaves no singular system."""
+    information = np.tile(100 * np.eye(3), (3, 1, 1))
+    z = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
+    graph = PoseGraph.of(np.zeros((3, 3)), [[0, 1], [1, 2], [0, 2]], z, information, [True, False, False])
+    solution = ROBUST.solve(graph)
+    assert np.isfinite(solution.poses).all()
+    np.testing.assert_allclose(solution.poses[1], [1.0, 0.0, 0.0], atol=1e-3)
+    assert solution.weights[1:].sum() <= 1
+
+
+def test_the_bound_is_the_quantile_of_chi2():
+    """Tables of the distribution with three degrees of freedom."""
+    assert GraduatedNonConvexity(probability=0.95).bound == pytest.approx(7.815, abs=5e-4)
+    assert GraduatedNonConvexity(probability=0.999).bound == pytest.approx(16.266, abs=5e-4)
+
+
+def test_a_lower_probability_doubts_more():
+    graph = random_graph(np.random.default_rng(3), poses=60, closures=40).graph
+    strict, lenient = (
+        GraphSlam(robust=GraduatedNonConvexity(probability=p)).solve(graph).weights.sum() for p in (0.3, 0.999)
+    )
+    assert strict < lenient
+
+
+def test_scaling_leaves_out_what_weighs_nothing_while_all_is_joined():
+    graph = random_graph(np.random.default_rng(4)).graph
+    weights = np.where(graph.trusted, 1.0, 0.0)
+    assert len(scaled(graph, weights).edges) == graph.trusted.sum()
+    half = scaled(graph, 0.5 * np.ones(len(graph.edges)))
+    assert (half.information == 0.5 * graph.information).all()
+    assert len(scaled(graph, 1.0 - weights).edges) == len(graph.edges)
