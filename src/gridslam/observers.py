@@ -47,9 +47,9 @@ class TrajectoryRecorder:
         """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `from_key` (N, 3) float64."""
         return {
             "stamps_ns": _integers(self._stamps_ns),
-            "keys": _integers(self._keys),
+            "keys": self.keys,
             "online": _poses(self._online),
-            "from_key": _poses(self._from_key),
+            "from_key": self.from_key,
         }
 
     @classmethod
@@ -66,14 +66,23 @@ class TrajectoryRecorder:
         self._steps = self._keys[-1] + 1 if count else 0
         return self
 
+    @property
+    def keys(self) -> IntArray:
+        """For each scan the key scan at or before it, from 0: (N,) int64."""
+        return _integers(self._keys)
+
+    @property
+    def from_key(self) -> FloatArray:
+        """Tracked motion of each scan since the key scan before it: (N, 3) float64."""
+        return _poses(self._from_key)
+
     def online(self) -> Trajectory:
         """Give the online-SLAM answer: what the best particle said at the time of each scan."""
         return Trajectory(_integers(self._stamps_ns), _poses(self._online))
 
     def full(self, state: GridFastSlamState) -> Trajectory:
-        """Give the full-SLAM answer: the trajectory of the best particle of `state`, a pose for every scan."""
-        past = state.ancestry.trajectory(state.best)
-        poses = full_trajectory(past, _integers(self._keys), _poses(self._from_key))
+        """Give the past of the best particle of `state`, a pose for every scan: the filter's full-SLAM answer."""
+        poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.from_key)
         return Trajectory(_integers(self._stamps_ns), poses)
 
 
@@ -105,9 +114,9 @@ class RunStatistics:
         Scans taken, and those of them that stepped the particles.
     skipped : dict of SkipReason to int
         Scans that did not, by reason.
-    resamplings, lost, undetermined : int
+    resamplings, lost, undetermined, corrections : int
         Key scans after which the particles were resampled; scans at which the robot was lost; key scans that left a
-        direction undetermined.
+        direction undetermined, and after which the past was corrected.
     n_eff_mean, n_eff_min : float
         Effective sample size over the key scans.
     latency, key_latency : Latency
@@ -120,6 +129,7 @@ class RunStatistics:
     resamplings: int
     lost: int
     undetermined: int
+    corrections: int
     n_eff_mean: float
     n_eff_min: float
     latency: Latency
@@ -130,13 +140,13 @@ class RunStatistics:
 class StatisticsRecorder:
     """Counts and times the steps of a run; 17 bytes a scan."""
 
-    __slots__ = ("_is_key", "_lost", "_n_eff", "_resamplings", "_seconds", "_skipped", "_undetermined")
+    __slots__ = ("_corrections", "_is_key", "_lost", "_n_eff", "_resamplings", "_seconds", "_skipped", "_undetermined")
 
     def __init__(self) -> None:
         """Begin without any scan."""
         self._seconds, self._is_key, self._n_eff = array("d"), array("b"), array("d")
         self._skipped: Counter[SkipReason] = Counter()
-        self._resamplings = self._lost = self._undetermined = 0
+        self._resamplings = self._lost = self._undetermined = self._corrections = 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Take note of one scan."""
@@ -149,18 +159,21 @@ class StatisticsRecorder:
         self._n_eff.append(report.n_eff)
         self._resamplings += report.parents is not None
         self._undetermined += report.undetermined is not None
+        self._corrections += report.corrected
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays: `seconds` (N,) and `n_eff` (K,) float64, `is_key` (N,) int8, `counts` int64.
 
-        The counts are resamplings, lost and undetermined scans, and those skipped for each reason.
+        The counts are resamplings, lost and undetermined scans, corrections, and scans skipped for each reason.
         """
         skipped = [self._skipped[reason] for reason in SkipReason]
         return {
             "seconds": np.frombuffer(self._seconds.tobytes()),
             "is_key": np.frombuffer(self._is_key.tobytes(), np.int8),
             "n_eff": np.frombuffer(self._n_eff.tobytes()),
-            "counts": np.array([self._resamplings, self._lost, self._undetermined, *skipped], np.int64),
+            "counts": np.array(
+                [self._resamplings, self._lost, self._undetermined, self._corrections, *skipped], np.int64
+            ),
         }
 
     @classmethod
@@ -170,8 +183,8 @@ class StatisticsRecorder:
         _take(self._seconds, arrays, "seconds", (-1,))
         _take(self._is_key, arrays, "is_key", (len(self._seconds),))
         _take(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
-        _take(counts, arrays, "counts", (3 + len(SkipReason),))
-        self._resamplings, self._lost, self._undetermined, *skipped = counts
+        _take(counts, arrays, "counts", (4 + len(SkipReason),))
+        self._resamplings, self._lost, self._undetermined, self._corrections, *skipped = counts
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
 
@@ -186,6 +199,7 @@ class StatisticsRecorder:
             resamplings=self._resamplings,
             lost=self._lost,
             undetermined=self._undetermined,
+            corrections=self._corrections,
             n_eff_mean=float(n_eff.mean()) if len(n_eff) else 0.0,
             n_eff_min=float(n_eff.min()) if len(n_eff) else 0.0,
             latency=Latency.of(seconds),

@@ -21,6 +21,8 @@ from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedA
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.grid_fastslam import GridFastSlam
+from gridslam.slam.joint_matching import JointMatching
+from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.proposals import Gaussian, Peak, Prior
 from gridslam.slam.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
@@ -46,8 +48,8 @@ PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
     "noise_rad": ("motion.sigma_theta_rad", "... and how much they turn"),
     "tempering": ("sensor.tempering", "share of a beam's evidence that is new"),
     "resample_below": ("when_to_resample.fraction", "resample below this share of effective particles"),
-    "resampler": ("resampler", "systematic, stratified, residual, multinomial or wheel"),
     "lost_below": ("confidence.lost_below", "lost where a smaller share of the beams agrees with the map"),
+    "loop_closure": ("loop_closure", "recognize old places and correct the past; false: the filter alone"),
 }
 """The parameters that face the user: short name, dotted name and what it is."""
 
@@ -63,7 +65,7 @@ _RESAMPLERS: Final[Mapping[str, type[Resampler]]] = {
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Configuration:
-    """All parameters of grid-based FastSLAM; those of a part are explained at its class.
+    """All parameters of a run; those of a part are explained at its class.
 
     Parameters
     ----------
@@ -75,6 +77,12 @@ class Configuration:
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
     tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, confidence
         The parts of `GridFastSlam`.
+    loop_closure : bool
+        Whether old places are recognized and the past is corrected; False for the filter alone.
+    closure : LoopClosure
+        How, while the robot drives.
+    last_word : JointMatching
+        How, at the end of the log.
     """
 
     particles: int = Field(default=30, ge=1, le=100_000)
@@ -89,6 +97,9 @@ class Configuration:
     when_to_update: MovedAtLeast = MovedAtLeast()
     when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
     confidence: Confidence = Confidence()
+    loop_closure: bool = True
+    closure: LoopClosure = LoopClosure()
+    last_word: JointMatching = JointMatching()
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:
@@ -103,6 +114,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
         confidence=config.confidence,
+        loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,
         threads=threads,

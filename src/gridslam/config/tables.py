@@ -1,6 +1,7 @@
 """Trees of parameters as nested tables, and changes to them with errors that name the parameter.
 
-Works on any pydantic dataclass. Where a field allows several classes its table has the key ``kind``, the class's name.
+Works on any pydantic dataclass. Where a field allows several classes its table has the key ``kind``, the class's name;
+None, where the field allows that, is the kind "none".
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def to_table(part: object) -> Table:
     table: Table = {}
     for name, field in _fields(type(part)).items():
         value, kinds = getattr(part, name), _kinds(field)
-        kind = {"kind": type(value).__name__} if len(kinds) > 1 else {}
+        kind = {"kind": _name(type(value))} if len(kinds) > 1 else {}
         table[name] = kind | to_table(value) if kinds else value
     return table
 
@@ -76,7 +77,7 @@ def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
     for name, value in changes.items():
         if name not in fields:
             close = meant(name, names(part, where), where)
-            raise ConfigurationError(f"{where}{name}: {type(part).__name__} has no such parameter{close}")
+            raise ConfigurationError(f"{where}{name}: {_name(type(part))} has no such parameter{close}")
         field = fields[name]
         if _kinds(field):
             value = _changed_part(field, values[name], value, where + name)
@@ -98,21 +99,26 @@ def meant(name: str, known: Iterable[str], where: str = "") -> str:
 
 
 def _fields(cls: type) -> dict[str, FieldInfo]:
-    fields: dict[str, FieldInfo] = cls.__pydantic_fields__  # type: ignore[attr-defined]
+    fields: dict[str, FieldInfo] = getattr(cls, "__pydantic_fields__", {})  # None has none
     return fields
 
 
 def _kinds(field: FieldInfo) -> tuple[type, ...]:
-    """Classes that a field's part may be of; none for a plain value."""
+    """Classes that a field's part may be of, that of None among them; none for a plain value."""
     union = get_origin(field.annotation) in (Union, types.UnionType)
     options = get_args(field.annotation) if union else (field.annotation,)
-    return tuple(option for option in options if isinstance(option, type) and is_dataclass(option))
+    kinds = tuple(option for option in options if isinstance(option, type) and is_dataclass(option))
+    return (*kinds, types.NoneType) if kinds and types.NoneType in options else kinds
+
+
+def _name(kind: type) -> str:
+    return "none" if kind is types.NoneType else kind.__name__
 
 
 def _changed_part(field: FieldInfo, part: object, changes: object, where: str) -> object:
     if not isinstance(changes, Mapping):
         raise ConfigurationError(f"{where}: expected a table of parameters, got {changes!r}")
-    kinds = {kind.__name__: kind for kind in _kinds(field)}
+    kinds = {_name(kind): kind for kind in _kinds(field)}
     if len(kinds) > 1 and "kind" in changes:
         kind = changes["kind"]
         if kind not in kinds:

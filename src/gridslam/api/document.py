@@ -1,0 +1,118 @@
+"""run.json: what was read and done, how long it took, and with which parameters."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gridslam import __version__
+from gridslam.config.tables import to_table
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.kernels import compiled
+from gridslam.observers import RunStatistics
+from gridslam.slam.full_slam import Loops
+from gridslam.slam.key_graph import Source
+from gridslam.slam.memory import Rejection
+from gridslam.types import IntArray
+
+if TYPE_CHECKING:
+    from gridslam.api.result import MapResult
+
+__all__ = ["RUN_SCHEMA", "run_document"]
+
+RUN_SCHEMA = "gridslam.run/2"
+
+
+def run_document(result: MapResult) -> dict[str, Any]:
+    """What run.json says."""
+    wall, cpu = result.stopwatch.total()
+    stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in result.stopwatch.stages.items()}
+    statistics = result.statistics
+    return {
+        "schema": RUN_SCHEMA,
+        "version": __version__,
+        "seed": result.seed,
+        "threads": result.threads,
+        "kernels": "compiled" if compiled else "reference",
+        "input": _input(result.source, result.digest, result.log),
+        "scans": _scans(statistics, result.log),
+        "filter": _filter(result),
+        "loop_closure": result.loops is not None
+        and _loop_closure(result.loops, result.key_stamps_ns, statistics.corrections),
+        "time": {"wall_s": wall, "cpu_s": cpu, "stages": stages},
+        "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
+        "peak_memory_bytes": _peak_memory_bytes(),
+        "configuration": to_table(result.configuration),
+    }
+
+
+def _input(source: Path, digest: str, log: LogStatistics) -> dict[str, Any]:
+    return {
+        "path": os.fspath(source),
+        "sha256": digest,
+        "bytes": log.total_bytes,
+        "truncated": log.truncated,
+        "duration_s": log.duration_s,
+        "odometry_length_m": log.odometry_length_m,
+        "backward_stamps": log.backward_stamps,
+        "duplicate_stamps": log.duplicate_stamps,
+        "invalid_beams": log.invalid_beams,
+        "no_return_beams": log.no_return_beams,
+    }
+
+
+def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:
+    return {
+        "read": log.scan_count,
+        "used": statistics.key_scans,
+        "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
+        "lost": statistics.lost,
+        "undetermined": statistics.undetermined,
+    }
+
+
+def _filter(result: MapResult) -> dict[str, Any]:
+    statistics, state, grid = result.statistics, result.state, result.map
+    height, width = (side * grid.resolution_m for side in grid.known.shape)
+    return {
+        "particles": len(state.poses),
+        "resamplings": statistics.resamplings,
+        "n_eff_mean": statistics.n_eff_mean,
+        "n_eff_min": statistics.n_eff_min,
+        "map_width_m": width,
+        "map_height_m": height,
+        "maps_bytes": state.maps.nbytes,
+    }
+
+
+def _loop_closure(loops: Loops, key_stamps_ns: IntArray, corrections: int) -> dict[str, Any]:
+    return {
+        "closures": [
+            {"key_scans": pair, "stamps_ns": key_stamps_ns[pair].tolist()} for pair in loops.closures.tolist()
+        ],
+        "doubted": loops.doubted,
+        "rejected": {reason.value: loops.rejected[reason] for reason in Rejection if loops.rejected[reason]},
+        "corrections": corrections,
+        "ties": {source.name.lower(): loops.ties[source] for source in Source},
+        "joint_ties": loops.joint_ties,
+        "chi2": loops.chi2,
+        "moved_m": loops.moved_m,
+    }
+
+
+def _peak_memory_bytes() -> int:
+    """Greatest memory that this process has held.
+
+    What `getrusage` tells may be that of the process from which this one was started, so /proc is asked first.
+    """
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+    except (OSError, StopIteration, ValueError):
+        import resource  # where there is no /proc
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else 1024 * peak

@@ -1,0 +1,143 @@
+"""From a log to a map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gridslam.api.result import MapResult
+from gridslam.config import Configuration, build, override
+from gridslam.config import preset as preset_of
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.carmen import CarmenLog
+from gridslam.io.measurement import Measurement
+from gridslam.io.record import RecordWriter
+from gridslam.io.text_source import sha256_of
+from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.pipeline import Observer, Stopwatch, run
+from gridslam.slam.full_slam import FullSlam, full_slam
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import StepReport, Trajectory
+
+__all__ = ["map_log"]
+
+
+def map_log(
+    log: str | Path | CarmenLog,
+    particles: int | None = None,
+    seed: int = 0,
+    *,
+    preset: str = "default",
+    configuration: Configuration | None = None,
+    loop_closure: bool = True,
+    threads: int = 1,
+    keep_truncated: bool = False,
+    observers: Sequence[Observer] = (),
+    tick: Callable[[], None] = lambda: None,
+    stopwatch: Stopwatch | None = None,
+) -> MapResult:
+    """Map a CARMEN log with grid-based FastSLAM and loop closure.
+
+    Parameters
+    ----------
+    log : str, Path or CarmenLog
+        The log.
+    particles : int, optional
+        Number of particles; the preset's own if not given. Not together with `configuration`.
+    seed : int, >= 0
+        The same log, configuration and seed give the same bytes.
+    preset : str
+        "default", "fast", "accurate" or "gmapping".
+    configuration : Configuration, optional
+        Instead of a preset.
+    loop_closure : bool
+        False for the filter alone, whatever the configuration says.
+    threads : int, >= 1
+        Threads of the kernels; their number never changes a result.
+    keep_truncated : bool
+        Whether a log that is cut off is mapped as far as it goes instead of refused.
+    observers : sequence of Observer
+        Called after each scan.
+    tick : callable
+        Called now and then while the last word is found, after the last scan.
+    stopwatch : Stopwatch, optional
+        To go on with.
+
+    Raises
+    ------
+    ArgumentError
+        The seed is negative, there is no thread, or both `particles` and `configuration` are given.
+    InputError
+        The log cannot be read, or has a scan without odometry.
+    ConfigurationError
+        There is no such preset, or the number of particles is out of range.
+    """
+    _check(seed, threads, particles, configuration)
+    config = configuration or preset_of(preset, particles)
+    config = config if loop_closure else override(config, "loop_closure=false")
+    watch = stopwatch or Stopwatch()
+    source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
+    trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
+    watch.lap("start")
+    measurements, slam, rng = _with_odometry(source), build(config, threads), np.random.default_rng(seed)
+    watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
+    state = run(measurements, slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    full = full_slam(
+        state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
+    )  # fmt: skip
+    watch.lap("last word")
+    return _result(full, state, trajectory, statistics, record, source, config, seed, threads, watch)
+
+
+def _result(
+    full: FullSlam, state: GridFastSlamState, trajectory: TrajectoryRecorder, statistics: StatisticsRecorder,
+    record: RecordWriter, source: CarmenLog, config: Configuration, seed: int, threads: int, watch: Stopwatch,
+) -> MapResult:  # fmt: skip
+    """Put together what a run gives."""
+    online = trajectory.online()
+    result = MapResult(
+        trajectory=Trajectory(online.stamps_ns, full.poses),
+        covariances=full.covariances,
+        online_trajectory=online,
+        map=full.map,
+        graph=full.graph,
+        loops=full.loops,
+        key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
+        state=state,
+        statistics=statistics.summary(),
+        log=source.statistics,
+        configuration=config,
+        seed=seed,
+        threads=threads,
+        source=source.path,
+        digest=sha256_of(source.path),
+        record=record,
+        stopwatch=watch,
+    )
+    watch.lap("finish")
+    return result
+
+
+def _check(seed: int, threads: int, particles: int | None, configuration: Configuration | None) -> None:
+    if seed < 0:
+        raise ArgumentError("seed", "a number >= 0", seed)
+    if threads < 1:
+        raise ArgumentError("threads", "at least one", threads)
+    if particles is not None and configuration is not None:
+        raise ArgumentError("particles", "none where a configuration is given", particles)
+
+
+def _kept_in(record: RecordWriter) -> Observer:
+    def keep(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        record.add(report, seconds)
+
+    return keep
+
+
+def _with_odometry(log: CarmenLog) -> Iterator[Measurement]:
+    for count, measurement in enumerate(log, 1):
+        if measurement.odometry is None:
+            raise InputError(log.path, f"expected odometry with every scan, got none for scan {count}")
+        yield measurement

@@ -1,0 +1,144 @@
+"""What a run gives, and the files that tell it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+from gridslam import __version__
+from gridslam.api.document import run_document
+from gridslam.config import Configuration
+from gridslam.io.g2o import write_g2o
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.map_server import write_map
+from gridslam.io.output import OutputFolder
+from gridslam.io.record import RecordWriter
+from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.observers import RunStatistics
+from gridslam.pipeline import Stopwatch
+from gridslam.slam.full_slam import Loops
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+
+__all__ = ["MapResult"]
+
+_MOST_DRAWN = 300
+"""Closures in the picture; of more, every second, third, ... is drawn."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class MapResult:
+    """Map and trajectory of a log, and how they came about.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The full-SLAM answer: a pose for every scan, at the scan's own stamp, told from the end.
+    covariances : (N, 3, 3) float64
+        Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
+    online_trajectory : Trajectory
+        The online-SLAM answer: what the best particle said at the time.
+    map : OccupancyGrid
+        Drawn from the trajectory.
+    graph : PoseGraph
+        The key scans and what was measured between them.
+    loops : Loops or None
+        What loop closure made of the run; None for the filter alone.
+    key_stamps_ns : (T,) int64, ns
+        Stamps of the key scans, the nodes of the graph.
+    state : GridFastSlamState
+        The filter after the last scan.
+    statistics : RunStatistics
+        Counts and latencies.
+    log : LogStatistics
+        What was met in the log.
+    configuration : Configuration
+        The effective one.
+    seed, threads : int
+        As given.
+    source : Path
+        The log.
+    digest : str
+        Its SHA-256.
+    record : RecordWriter
+        The particles at each key scan.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    trajectory: Trajectory
+    covariances: FloatArray
+    online_trajectory: Trajectory
+    map: OccupancyGrid
+    graph: PoseGraph
+    loops: Loops | None
+    key_stamps_ns: IntArray
+    state: GridFastSlamState
+    statistics: RunStatistics
+    log: LogStatistics
+    configuration: Configuration
+    seed: int
+    threads: int
+    source: Path
+    digest: str
+    record: RecordWriter
+    stopwatch: Stopwatch
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write all results into a folder, all of them or none; returns what run.json says.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        with OutputFolder(folder) as out:
+            return self.write(out)
+
+    def write(self, out: OutputFolder, *, truth: Trajectory | None = None) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says.
+
+        A true trajectory in the map's frame is drawn into the picture, too.
+        """
+        self.stopwatch.resume()
+        write_map(out.file("map.yaml"), self.map)
+        write_tum(out.file("trajectory.tum"), self.trajectory)
+        write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
+        write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
+        write_g2o(out.file("graph.g2o"), self.graph)
+        self.record.write(out.file("record.npz"))
+        self.stopwatch.lap("write")
+        self._draw(out.file("map.png"), truth)
+        self.stopwatch.lap("draw")
+        document = run_document(self)
+        out.write_json("run.json", document)
+        return document
+
+    def caption(self) -> list[str]:
+        """Lines that tell what was mapped."""
+        height, width = (side * self.map.resolution_m for side in self.map.known.shape)
+        log, wall = self.log, self.stopwatch.total()[0]
+        closed = "" if self.loops is None else f", {len(self.loops.closures)} loop closures"
+        return [
+            f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven{closed}",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
+            f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
+        ]
+
+    def _draw(self, path: Path, truth: Trajectory | None) -> None:
+        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
+
+        picture = draw_map(
+            self.map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
+            closures=None if self.loops is None else self._drawn(self.loops.closures),
+        )  # fmt: skip
+        picture.save(path, optimize=False)
+
+    def _drawn(self, closures: IntArray) -> FloatArray:
+        """Lines (K, 4) of at most `_MOST_DRAWN` closures."""
+        chosen = closures[:: -(-len(closures) // _MOST_DRAWN) or 1]
+        ends: FloatArray = self.graph.poses[chosen, :2].reshape(-1, 4)
+        return ends

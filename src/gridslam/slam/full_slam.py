@@ -1,0 +1,162 @@
+"""The full-SLAM answer, told from the end: a pose and its covariance for every scan, the graph and the map."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.full_trajectory import full_trajectory
+from gridslam.slam.graph_robust import scaled
+from gridslam.slam.joint_matching import JointMatching, LastWord
+from gridslam.slam.key_graph import Drift, KeyGraph, Source
+from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
+
+__all__ = ["FullSlam", "Loops", "full_slam"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Loops:
+    """What loop closure made of a run.
+
+    Attributes
+    ----------
+    closures : (K, 2) int64
+        Key scans that were recognized to show one place, older and later one, and that the last word believes.
+    doubted : int
+        Recognized ones that it does not.
+    rejected : Counter of Rejection
+        Places that were found but not believed, by reason.
+    ties : Counter of Source
+        Key scans matched to submaps of another time while the robot drove, by how their place was known.
+    joint_ties : int
+        Key scans matched to submaps of another time in the last word, besides the recognized ones.
+    chi2 : float
+        Of the graph after the last word.
+    moved_m : float
+        How far the last word moved a key scan at most.
+    """
+
+    closures: IntArray
+    doubted: int
+    rejected: Counter[Rejection]
+    ties: Counter[Source]
+    joint_ties: int
+    chi2: float
+    moved_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FullSlam:
+    """The full-SLAM answer of N scans, T of them key scans.
+
+    Attributes
+    ----------
+    poses, covariances : (N, 3), (N, 3, 3) float64
+        Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
+    graph : PoseGraph
+        The T key scans and what was measured between them.
+    map : OccupancyGrid
+        Drawn from the key scans at these poses.
+    loops : Loops or None
+        What loop closure made of the run; None for the filter alone.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    graph: PoseGraph
+    map: OccupancyGrid
+    loops: Loops | None
+
+
+def full_slam(
+    state: GridFastSlamState,
+    keys: IntArray,
+    key_from_base: FloatArray,
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    last_word: JointMatching,
+    tick: Callable[[], None] = lambda: None,
+) -> FullSlam:
+    """Tell the answer as the scans so far have it; `state` is not changed, so that the run may go on.
+
+    With loop closure at work it is the last word's: key scans matched jointly, the graph solved, every scan matched to
+    the map of all. For the filter alone it is the past of the best particle.
+
+    Parameters
+    ----------
+    state
+        The filter after the last scan.
+    keys, key_from_base : (N,) int64, (N, 3) float64
+        For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+    mapper, closure, last_word
+        The parts of the run; of `closure` the filter alone needs the drift, for covariances.
+    tick
+        Called now and then while the last word is found.
+    """
+    trajectory = state.ancestry.trajectory(state.best)
+    if state.memory is None:
+        graph = _chain(trajectory, keys, key_from_base, closure.drift)
+        poses, key_covariances = full_trajectory(trajectory, keys, key_from_base), drift_covariances(graph)
+        maps: TileMaps = state.maps
+        row, loops = state.best, None
+    else:
+        memory = state.memory.snapshot()  # the last word writes into it
+        said = last_word(memory, trajectory, keys, key_from_base, mapper, closure.solver, tick)
+        graph, poses, maps, row = said.graph, said.poses, said.maps, 0
+        key_covariances = _marginals(scaled(graph, said.weights))
+        loops = _loops(state.memory, memory, said, trajectory)
+    covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
+    return FullSlam(poses, covariances, graph, maps.occupancy(row), loops)
+
+
+def _marginals(graph: PoseGraph) -> FloatArray:
+    """Covariances (T, 3, 3); where nothing is tied they need no algebra."""
+    if len(graph.edges) < len(graph.poses):
+        return drift_covariances(graph)
+    from gridslam.slam.graph_marginals import marginal_covariances
+
+    return marginal_covariances(graph)
+
+
+def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift) -> PoseGraph:
+    """Give the graph of the key scans (T, 3) that only increments join, as uncertain as for loop closure."""
+    graph, tracked = KeyGraph(), np.zeros(3)
+    graph.extend(tracked, trajectory[0], tracked, drift.variances(0.0, 0.0))
+    arrivals = np.flatnonzero(np.diff(keys) > 0) + 1
+    increments = between(trajectory[:-1], trajectory[1:])
+    for pose, increment, moved in zip(trajectory[1:], increments, key_from_base[arrivals], strict=True):
+        tracked = compose(tracked, moved)
+        graph.extend(tracked, pose, increment, drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2]))))
+    return graph.graph()
+
+
+def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
+    """Sum up what was remembered while the robot drove, and in the last word."""
+    ties = memory.graph.ties
+    believed = said.weights[len(said.weights) - len(ties) :] >= 0.5
+    recognized = np.array([tie.source is Source.RECOGNIZED for tie in ties], np.bool_)
+    ends = np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
+    return Loops(
+        closures=ends[recognized & believed],
+        doubted=int((recognized & ~believed).sum()),
+        rejected=memory.rejected,
+        ties=Counter(tie.source for tie in driven.graph.ties),
+        joint_ties=int((~recognized).sum()),
+        chi2=scaled(said.graph, said.weights).chi2(),
+        moved_m=float(np.hypot(*(said.graph.poses - trajectory)[:, :2].T).max()),
+    )
