@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
+from gridslam.slam.graph_marginals import Marginals
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
@@ -57,18 +58,24 @@ def random_graph(
 
 
 def with_false_closures(graph: PoseGraph, share: float, rng: np.random.Generator) -> tuple[PoseGraph, np.ndarray]:
-    """Add closures between any poses that measure anything, as many as a share of those there are; which are false."""
+    """Add closures between any poses of a solved graph that measure anything, and tell which are false.
+
+    As many as a share of those there are. One that the graph could follow by chance is no false closure, so each is
+    farther than seven standard deviations from what the graph predicts.
+    """
     closures, poses = np.flatnonzero(~graph.trusted), len(graph.poses)
     count = round(share * len(closures))
-    first = rng.integers(0, poses, count)
-    edges = np.stack((first, (first + rng.integers(2, poses - 1, count)) % poses), axis=1)
-    z = np.column_stack((rng.normal(0, 1, (count, 2)), rng.uniform(-np.pi, np.pi, count)))
-    information = graph.information[rng.choice(closures, count)]
+    spare = count + count // 4 + 5
+    first = rng.integers(0, poses, spare)
+    edges = np.stack((first, (first + rng.integers(2, poses - 1, spare)) % poses), axis=1)
+    z = np.column_stack((rng.normal(0, 1, (spare, 2)), rng.uniform(-np.pi, np.pi, spare)))
+    information = graph.information[rng.choice(closures, spare)]
+    wrong = np.flatnonzero(Marginals(graph).squared_innovations(edges, z, information) > 49)[:count]
     more = PoseGraph.of(
         graph.poses,
-        np.concatenate((graph.edges, edges)),
-        np.concatenate((graph.measurements, z)),
-        np.concatenate((graph.information, information)),
+        np.concatenate((graph.edges, edges[wrong])),
+        np.concatenate((graph.measurements, z[wrong])),
+        np.concatenate((graph.information, information[wrong])),
         np.concatenate((graph.trusted, np.zeros(count, np.bool_))),
     )
     return more, np.arange(len(more.edges)) >= len(graph.edges)

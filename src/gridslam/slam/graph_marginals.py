@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import between_jacobians
+from gridslam.geometry.se2 import between, between_jacobians
 from gridslam.slam.graph_linear import BlockSystem, linearize, require_connected
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -89,6 +89,23 @@ class Marginals:
         mixed = of_first @ cross.swapaxes(-1, -2) @ of_second.swapaxes(-1, -2)
         sides = (j @ self._of(at) @ j.swapaxes(-1, -2) for j, at in ((of_first, a), (of_second, b)))
         return np.asarray(sum(sides, mixed + mixed.swapaxes(-1, -2)))
+
+    def squared_innovations(self, edges: IntArray, measurements: FloatArray, information: FloatArray) -> FloatArray:
+        """Squared Mahalanobis distances (K,) of measurements that are not in the graph from what the graph predicts.
+
+        e' (C + information^-1)^-1 e with C the covariance of the prediction: to first order what chi2 would grow by if
+        the measurement were added and followed; for a true one distributed as chi2 with three degrees of freedom.
+
+        Parameters
+        ----------
+        edges, measurements, information : (K, 2) int64, (K, 3) and (K, 3, 3) float64
+            As in `PoseGraph`.
+        """
+        predicted = between(self._poses[edges[:, 0]], self._poses[edges[:, 1]])
+        errors = between(measurements, predicted)[:, :, None]
+        _, turn = between_jacobians(measurements, predicted)
+        spread = turn @ self.relative_covariances(*edges.T) @ turn.transpose(0, 2, 1) + np.linalg.inv(information)
+        return np.asarray((errors * np.linalg.solve(spread, errors)).sum(axis=(1, 2)))
 
     def _of(self, poses: IntArray) -> FloatArray:
         """Covariances (..., 3, 3) of some poses (...), by the cheaper way."""

@@ -113,11 +113,7 @@ class _Search:
         return self._settle(weights, poses)
 
     def readmit(self, best: RobustEstimate) -> RobustEstimate:
-        """Take back what was rejected but could be followed at less than c^2, all or the likeliest, if that costs less.
-
-        The least cost of following a measurement of error e is its squared innovation e' (C + information^-1)^-1 e,
-        C the covariance of what the others predict.
-        """
+        """Take back what was rejected but can be followed at less than c^2, all or the likeliest, if the cost falls."""
         while True:
             rejected = np.flatnonzero(best.weights == 0.0)
             squared = self._innovations(best, rejected)
@@ -136,14 +132,9 @@ class _Search:
         """Squared innovations (K,) of measurements at `places` (K,) that the solution does not follow."""
         if not len(places):
             return np.empty(0)
-        solved = scaled(self.graph, found.weights).with_poses(found.solution.poses)
-        predicted = Marginals(solved).relative_covariances(*self.graph.edges[places].T)
-        c, s = (function(self.graph.measurements[places, 2]) for function in (np.cos, np.sin))
-        turn = np.zeros((len(places), 3, 3))  # from the frame of the first pose to that in which the measurement ends
-        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, s, -s, c, 1.0
-        spread = turn @ predicted @ turn.transpose(0, 2, 1) + np.linalg.inv(self.graph.information[places])
-        errors = self.graph.errors(found.solution.poses)[places, :, None]
-        return np.asarray((errors * np.linalg.solve(spread, errors)).sum(axis=(1, 2)))
+        marginals = Marginals(scaled(self.graph, found.weights).with_poses(found.solution.poses))
+        graph = self.graph
+        return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
     def _settle(self, weights: FloatArray, poses: FloatArray) -> RobustEstimate:
         """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""

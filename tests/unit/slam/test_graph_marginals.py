@@ -27,14 +27,15 @@ def dense_covariance(graph):
 
 @pytest.mark.parametrize(("poses", "closures"), [(2, 0), (3, 1), (40, 5), (120, 150)])
 def test_they_are_the_blocks_of_the_dense_inverse(poses, closures):
+    """To rounding: information spans 1 to 1e7, so either inverse keeps nine digits or so."""
     for seed in range(3):
         graph = random_graph(np.random.default_rng(seed), poses, closures).graph
         joint = dense_covariance(graph)
         scale = np.abs(joint).max()
         own = joint[np.arange(poses), np.arange(poses)]
-        np.testing.assert_allclose(marginal_covariances(graph), own, rtol=0, atol=1e-9 * scale)
+        np.testing.assert_allclose(marginal_covariances(graph), own, rtol=0, atol=1e-7 * scale)
         with_last = Marginals(graph).covariances_with(poses - 1)
-        np.testing.assert_allclose(with_last, joint[:, poses - 1], rtol=0, atol=1e-9 * scale)
+        np.testing.assert_allclose(with_last, joint[:, poses - 1], rtol=0, atol=1e-7 * scale)
 
 
 def test_relative_covariances_are_those_of_the_joint_distribution():
@@ -80,6 +81,23 @@ def test_errors_are_as_great_as_they_say():
         relative.append(seen @ np.linalg.solve(marginals.relative_covariances(10, 20), seen))
     assert abs(np.mean(squares) - 3) < 0.98
     assert abs(np.mean(relative) - 3) < 0.98
+
+
+def test_innovations_are_what_chi2_grows_by():
+    """A measurement near what is predicted is followed at the cost told, to the curvature of the errors."""
+    rng = np.random.default_rng(0)
+    solved = GraphSlam(tolerance=1e-12).solve(random_graph(rng, 40, 10).graph).graph
+    edges = np.array([[3, 17], [30, 5], [0, 39]])
+    z = between(solved.poses[edges[:, 0]], solved.poses[edges[:, 1]]) + rng.normal(0, 0.01, (3, 3))
+    information = np.tile(np.diag([1e4, 4e4, 9e4]), (3, 1, 1))
+    told = Marginals(solved).squared_innovations(edges, z, information)
+    for k in range(3):
+        parts = (solved.edges, edges[k : k + 1]), (solved.measurements, z[k : k + 1])
+        more = PoseGraph.of(
+            solved.poses, *map(np.concatenate, parts), np.concatenate((solved.information, information[k : k + 1]))
+        )
+        grown = GraphSlam(first_guess="given", tolerance=1e-12).solve(more).chi2_after - solved.chi2()
+        assert told[k] == pytest.approx(grown, rel=0.02)
 
 
 def test_one_pose_and_wrong_places():
