@@ -138,6 +138,7 @@ struct MatchSettings {
   int max_passes;
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
   double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as determined
+  double sparse_cells;     // ends on a straight wall farther apart than this say nothing along it
 };
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score);

@@ -11,7 +11,43 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 
-GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const MatchSettings& s) {
+// Normals of the straight walls on which ends lie sparsely, in the frame of the ends; a wall seen so says nothing along itself: its far
+// ends are mapped as dots, and dots would match dots. (0, 0) with `on` 0 for all other ends, which say what the field says.
+struct Walls {
+  std::vector<float> x, y, on;
+  Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), on(x) {
+    if (!(sparse > 0)) return;
+    constexpr int kFirst[3] = {-1, -2, 0};  // the end itself is the middle of three, or the last, or the first
+    const float least = static_cast<float>(sparse);
+    for (int i = 0; i < ends.n; ++i) {
+      const float apart = std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
+      if (apart < least) continue;
+      const int stride = std::max(1, static_cast<int>(std::ceil(kBase / apart)));
+      for (const int first : kFirst) {
+        const int a = i + first * stride, b = a + 2 * stride;
+        if (a >= 0 && b < ends.n && straight(ends, a, a + stride, b, i)) break;
+      }
+    }
+  }
+
+ private:
+  static constexpr float kBase = 6.0f;  // cells between the three ends that must lie on a line
+  static float between(const Ends& e, int i, int j) {
+    const float dx = e.x[j] - e.x[i], dy = e.y[j] - e.y[i];
+    return std::sqrt(dx * dx + dy * dy);
+  }
+  bool straight(const Ends& e, int a, int m, int b, int i) {
+    constexpr float kAside = 1.0f;  // a cell: what noise and mapping leave of a wall's thickness
+    const float ux = e.x[m] - e.x[a], uy = e.y[m] - e.y[a], vx = e.x[b] - e.x[m], vy = e.y[b] - e.y[m];
+    const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
+    if (ux * vx + uy * vy <= 0 || std::abs(ux * cy - uy * cx) > kAside * length) return false;
+    x[i] = -cy / length, y[i] = cx / length, on[i] = 1.0f;
+    return true;
+  }
+};
+
+GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const Walls& walls,
+                                   const MatchSettings& s) {
   const CellPose pose(x, y, theta);
   const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
@@ -23,7 +59,11 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
     for (int l = 0; l < kLanes; ++l) {
       const float d = reach - to_cells * f.value[l];
       const float w = (l < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
-      const float ju = -to_cells * f.du[l], jv = -to_cells * f.dv[l], jt = jv * f.rx[l] - ju * f.ry[l];
+      const float gu = -to_cells * f.du[l], gv = -to_cells * f.dv[l];
+      const int j = block * kLanes + l;
+      const float nx = pose.c * walls.x[j] - pose.s * walls.y[j], ny = pose.s * walls.x[j] + pose.c * walls.y[j];
+      const float across = gu * nx + gv * ny, off = 1.0f - walls.on[j];
+      const float ju = off * gu + across * nx, jv = off * gv + across * ny, jt = jv * f.rx[l] - ju * f.ry[l];
       const float wu = w * ju, wv = w * jv, wt = w * jt;
       sums[kH00][l] += wu * ju, sums[kH01][l] += wu * jv, sums[kH02][l] += wu * jt;
       sums[kH11][l] += wv * jv, sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
@@ -70,7 +110,7 @@ bool solve(const double h[6], const double g[3], double step[3]) {
 
 double wrapped(double a) { return a - 2 * M_PI * std::floor((a + M_PI) / (2 * M_PI)); }
 
-void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, double resolution,
+void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, const Walls& walls, double resolution,
                const MatchSettings& s, double* pose, double* information, double* score) {
   const double scale = 1.0 / resolution;
   // The prior weighs against residuals in metres, and both are divided by the squared resolution here.
@@ -81,7 +121,7 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
   Normal n;
   bool current = false;
   for (int pass = 0; pass < s.max_passes; ++pass) {
-    n = linearize(m, root, x, y, theta, ends, s);
+    n = linearize(m, root, x, y, theta, ends, walls, s);
     current = true;
     double h[6] = {p[0], p[1], p[2], p[3], p[4], p[5]};
     hold_undetermined(n, s, h);
@@ -97,7 +137,7 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
     current = false;
     if (length < s.stop_cells && std::abs(step[2]) < s.stop_rad) break;
   }
-  if (!current) n = linearize(m, root, x, y, theta, ends, s);
+  if (!current) n = linearize(m, root, x, y, theta, ends, walls, s);
   pose[0] = x * resolution, pose[1] = y * resolution, pose[2] = wrapped(theta);
   *score = n.score;
   const double squared = resolution * resolution;  // of residuals in m: a metre across a wall is a metre of distance
@@ -112,8 +152,9 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score) {
   const Ends in_cells(ends, b, 1.0 / resolution);
+  const Walls walls(in_cells, s.sparse_cells);
   parallel_for(k, threads, [&](int i) {
-    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, resolution, s, poses + 3 * i, information + 9 * i, score + i);
+    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i, information + 9 * i, score + i);
   });
 }
 

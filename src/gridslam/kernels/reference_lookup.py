@@ -95,14 +95,16 @@ def match(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
     rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, resolution: float,
     max_passes: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
-    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, threads: int,
+    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, sparse_cells: float,
+    threads: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
 
     Minimizes sum_b w_b d_b^2 + e^T P e with d_b the distance in cells, w_b = 1 / (1 + (d_b / `cauchy_cells`)^2), e the
     way from the guess and P its information, in m and rad. A step is clipped to `max_step_cells` and `max_step_rad`;
     one below both `stop_cells` and `stop_rad` is the last. Along a direction with less information than
-    `min_information` per agreeing beam the guess is held.
+    `min_information` per agreeing beam the guess is held. Ends on a straight wall farther apart than `sparse_cells`
+    say nothing along it (0: all say what the field says).
 
     Returns
     -------
@@ -118,7 +120,7 @@ def match(
     prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
     pose, going = guess.copy(), np.arange(len(guesses))
-    settings = ends / resolution, cauchy_cells, reach_cells
+    settings = ends / resolution, _walls(ends / resolution, sparse_cells), cauchy_cells, reach_cells
     for _ in range(max_passes):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, pose[going], *settings)
@@ -138,18 +140,41 @@ def match(
 
 
 def _linearize(
-    lookup: _Field, poses: FloatArray, ends: FloatArray, cauchy_cells: float, reach_cells: float
+    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: FloatArray, cauchy_cells: float, reach_cells: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
     u, v = placed(poses, ends)
     value, du, dv = lookup.sample(u, v)
     to_cells = reach_cells / 255.0
     d = reach_cells - to_cells * value.astype(np.float64)
-    ju, jv = -to_cells * du.astype(np.float64), -to_cells * dv.astype(np.float64)
+    gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    across = (gradient * normals).sum(axis=-1, keepdims=True) * normals
+    ju, jv = np.moveaxis(np.where(walls.any(axis=1)[:, None], across, gradient), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
     weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
     return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
+
+
+def _walls(ends: FloatArray, sparse: float) -> FloatArray:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie sparsely, in cells; 0 for all other ends."""
+    normals, found = np.zeros_like(ends), np.zeros(len(ends), bool)
+    if not sparse > 0 or len(ends) < 3:
+        return normals
+    u, v = np.diff(ends[:-1], axis=0), np.diff(ends[1:], axis=0)
+    chord = u + v
+    length = np.hypot(chord[:, 0], chord[:, 1])
+    least = np.minimum(np.square(u).sum(axis=1), np.square(v).sum(axis=1))
+    straight = (least >= sparse**2) & ((u * v).sum(axis=1) > 0)
+    straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= length
+    triples = np.flatnonzero(straight)
+    across = np.stack([-chord[triples, 1], chord[triples, 0]], axis=1) / length[triples, None]
+    for member in (1, 2, 0):  # that in which an end is the middle one comes first
+        new = ~found[triples + member]
+        normals[triples[new] + member], found[triples[new] + member] = across[new], True
+    return normals
 
 
 def _hold(h: FloatArray, least: FloatArray) -> FloatArray:

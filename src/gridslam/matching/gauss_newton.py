@@ -40,6 +40,9 @@ class GaussNewton:
     min_information : float
         Least eigenvalue of the position's information, per agreeing beam, that counts as determined; along a
         direction with less (the axis of a bare corridor) the guess is kept.
+    sparse_m : float, m
+        Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
+        and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. 0: off.
 
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
@@ -51,6 +54,7 @@ class GaussNewton:
     stop_m: float = Field(default=0.001, gt=0)
     stop_rad: float = Field(default=2e-4, gt=0)
     min_information: float = Field(default=LEAST_INFORMATION, ge=0)
+    sparse_m: float = Field(default=0.06, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
@@ -60,6 +64,7 @@ class GaussNewton:
         found = maps.match(
             rows, guesses, priors, beams.ends, self.max_passes, self.cauchy_m / cell, self.max_step_m / cell,
             self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
+            self.sparse_m / cell,
         )  # fmt: skip
         return Match(*found)
 

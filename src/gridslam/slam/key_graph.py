@@ -94,6 +94,12 @@ class Nearby(NamedTuple):
     block: int
     covariance: FloatArray  # (3, 3)
 
+    @property
+    def sigma_m(self) -> float:
+        """Greatest standard deviation of the position."""
+        (xx, xy, _), (_, yy, _), _ = self.covariance.tolist()
+        return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
+
 
 @final
 class KeyGraph:

@@ -47,7 +47,7 @@ class LoopClosure:
     drift : Drift
         How uncertain tracked motion is.
     disagree_m, disagree_rad : float
-        Where the filter's trajectory has the recognized places within this, it closed the loop itself and is left alone.
+        Where the filter has the recognized places within this it closed the loop itself, and is left alone.
     scans_per_step : int
         Key scans of the corrected map drawn at each new key scan, 50 us each.
     """
@@ -100,6 +100,8 @@ class LoopClosure:
         has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
         missed = between(has, np.array([tie.measurement for tie in ties]))
         memory.graph.follow(trajectory)
+        memory.area = ()
+        memory.submaps.forget()
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
@@ -128,6 +130,8 @@ class LoopClosure:
             return False
         corrected: FloatArray = np.array(poses)
         graph.correct(corrected)
+        memory.area = ()
+        memory.submaps.forget()
         state.reseed(corrected, correction.maps)
         memory.correction = None
         return True

@@ -67,6 +67,10 @@ class Memory:
         Places recognized lately that wait for others to agree.
     rejected : Counter
         How often which reason spoke against a place.
+    failures, next_search : int
+        Searches in a row that found nothing, and the key scan at which to search next.
+    area : tuple of int
+        Submaps in which was searched last; while they are the ones to search in, their map is drawn once.
     correction : Correction or None
         A corrected past on its way into the filter.
     """
@@ -76,6 +80,9 @@ class Memory:
     hypotheses: list[Hypothesis] = field(default_factory=list)
     rejected: Counter[Rejection] = field(default_factory=Counter)
     correction: Correction | None = None
+    failures: int = 0
+    next_search: int = 0
+    area: tuple[int, ...] = ()
     submaps: Submaps = field(default_factory=Submaps)
 
     def snapshot(self) -> Memory:
@@ -84,8 +91,9 @@ class Memory:
         if pending is not None:
             pending = replace(pending, poses=pending.poses.copy(), maps=pending.maps.snapshot())
         return Memory(
-            self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending
-        )
+            self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending,
+            self.failures, self.next_search, self.area,
+        )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
@@ -94,6 +102,7 @@ class Memory:
             "hypotheses": np.array([(h.key, h.block) for h in waiting], np.int64).reshape(-1, 2),
             "hypotheses.poses": np.array([h.pose for h in waiting], np.float64).reshape(-1, 3),
             "hypotheses.information": np.array([h.information for h in waiting], np.float64).reshape(-1, 3, 3),
+            "search": np.array([self.failures, self.next_search, *self.area], np.int64),
             "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
@@ -116,6 +125,7 @@ class Memory:
             arrays["hypotheses"].tolist(), arrays["hypotheses.poses"], arrays["hypotheses.information"], strict=True
         )
         counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
+        failures, next_search, *area = arrays["search"].tolist()
         correction = None
         if "correction.drawn" in arrays:
             maps = mapper.restore(part("correction.maps"), threads)
@@ -126,4 +136,7 @@ class Memory:
             [Hypothesis(key, block, pose, information) for (key, block), pose, information in waiting],
             Counter({reason: n for reason, n in counts if n}),
             correction,
+            failures,
+            next_search,
+            tuple(area),
         )

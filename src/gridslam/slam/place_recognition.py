@@ -12,17 +12,17 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Found, Pyramid, thinned
+from gridslam.matching.branch_and_bound import BranchAndBound, Found, thinned
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby, Source, Tie
 from gridslam.slam.memory import Hypothesis, Memory, Rejection
-from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
+from gridslam.slam.submaps import ROW, anchor_of
 from gridslam.types import FloatArray
 
 __all__ = ["PlaceRecognition"]
 
 
-_MOST_SUBMAPS = 12
+_MOST_SUBMAPS = 24
 """Submaps that are searched at once."""
 
 _WALL_M = 0.3
@@ -95,20 +95,19 @@ class PlaceRecognition:
         if self._tie_known(memory, mapper):
             memory.hypotheses.clear()
             return []
-        waiting = bool(memory.hypotheses)
-        if newest % (2 if waiting else self.every):
+        if newest < memory.next_search:
             return []
         found = self._recognize(memory, mapper)
+        if found is None:
+            return []
         if isinstance(found, Rejection):
-            memory.rejected[found] += 1
-            if found is not Rejection.POOR:
-                memory.hypotheses.clear()
-        if not isinstance(found, Hypothesis):
+            self._reject(memory, found)
             return []
         agreeing = [h for h in memory.hypotheses if newest - h.key <= 6 * self.every and self._agree(graph, h, found)]
-        if waiting and not agreeing:
+        if memory.hypotheses and not agreeing:
             memory.rejected[Rejection.INCONSISTENT] += 1
         memory.hypotheses = [*agreeing, found]
+        memory.failures, memory.next_search = 0, newest + self.every // 2
         if len(memory.hypotheses) < self.confirmations:
             return []
         waited = memory.hypotheses
@@ -118,49 +117,56 @@ class PlaceRecognition:
             graph.add(tie)
         return ties
 
-    def _tie_known(self, memory: Memory, mapper: OccupancyGridMapping) -> bool:
-        """Tie the newest key scan to an old submap whose place is certain; whether the robot is in known ground."""
-        graph = memory.graph
-        newest = len(graph) - 1
-        for source, guess in ((Source.KNOWN, self._known(graph)), (Source.BELIEVED, self._believed(graph))):
-            if guess is not None:
-                match = self._match(memory, mapper, *guess)
-                if not isinstance(match, Rejection):
-                    graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
-                    return source is Source.KNOWN
-        return False
+    def _reject(self, memory: Memory, reason: Rejection) -> None:
+        """Count a place that was not believed; what fits nowhere is searched for less and less often."""
+        memory.rejected[reason] += 1
+        if reason is Rejection.POOR:
+            memory.failures += 1
+        else:
+            memory.hypotheses.clear()
+        memory.next_search = len(memory.graph) - 1 + self.every * max(1, min(memory.failures, 4))
 
-    def _believed(self, graph: KeyGraph) -> tuple[int, FloatArray] | None:
+    def _tie_known(self, memory: Memory, mapper: OccupancyGridMapping) -> bool:
+        """Tie the newest key scan to an old submap where it is certain, or believed, to be; whether it is certain."""
+        graph = memory.graph
+        newest, oldest = len(graph) - 1, (len(graph) - 1) // BLOCK - self.gap
+        followed = self._followed(graph, oldest)
+        guess = followed or self._believed(graph, oldest)
+        if guess is None:
+            return False
+        match = self._match(memory, mapper, *guess)
+        if isinstance(match, Rejection):
+            return False
+        certain = followed is not None or self._certain(graph, match.block)
+        source = Source.KNOWN if certain else Source.BELIEVED
+        graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
+        return certain
+
+    def _followed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
+        """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
+        newest = len(graph) - 1
+        last = next((tie for tie in reversed(graph.ties[-self.every :]) if tie.source is not Source.BELIEVED), None)
+        if last is None or newest - last.to > self.every:
+            return None
+        seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
+        block = last.from_ // BLOCK
+        near = [b for b in (block - 1, block, block + 1) if 0 <= b <= oldest]
+        places = [between(graph.local(anchor_of(block), anchor_of(b)), seen) for b in near]
+        away = [math.hypot(place[0], place[1]) for place in places]
+        best = int(np.argmin(away))
+        return (near[best], places[best]) if away[best] < self.near_m else None
+
+    def _believed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
         """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
-        oldest = (len(graph) - 1) // BLOCK - self.gap
         anchors = np.array(graph.poses[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK])
         away = np.hypot(*(anchors[:, :2] - graph.poses[-1][:2]).T)
         block = int(away.argmin())
         return (block, between(anchors[block], graph.poses[-1])) if away[block] < self.near_m else None
 
-    def _known(self, graph: KeyGraph) -> tuple[int, FloatArray] | None:
-        """The old submap nearby whose place relative to the robot is certain, and the robot's pose in its frame."""
-        newest = len(graph) - 1
-        oldest = newest // BLOCK - self.gap
-        last = next((tie for tie in reversed(graph.ties[-self.every :]) if tie.source is not Source.BELIEVED), None)
-        if last is not None and newest - last.to <= self.every:  # go on in the ground that the last tie was to
-            way = between(graph.tracked[last.to], graph.tracked[newest])
-            seen = compose(last.measurement, way)
-            block = last.from_ // BLOCK
-            near = [b for b in (block - 1, block, block + 1) if 0 <= b <= oldest]
-            places = [between(graph.local(anchor_of(block), anchor_of(b)), seen) for b in near]
-        else:
-            known = [n for n in graph.nearby(2 * self.known_m, 64) if n.block <= oldest]
-            near = [n.block for n in known if self._certain(n)]
-            places = [between(graph.poses[anchor_of(b)], graph.poses[newest]) for b in near]
-        away = [math.hypot(place[0], place[1]) for place in places]
-        if not away or min(away) > self.near_m:
-            return None
-        best = int(np.argmin(away))
-        return near[best], places[best]
-
-    def _certain(self, nearby: Nearby) -> bool:
-        return float(np.linalg.eigvalsh(nearby.covariance[:2, :2])[1]) < self.known_m**2
+    def _certain(self, graph: KeyGraph, block: int) -> bool:
+        """Whether the way to a submap is too short to be wrong."""
+        known = [n for n in graph.nearby(2 * self.known_m, 64) if n.block == block]
+        return any(n.sigma_m < self.known_m for n in known)
 
     def _match(
         self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray
@@ -192,14 +198,12 @@ class PlaceRecognition:
         candidates = self._candidates(graph)
         if not candidates:
             return None
-        here = graph.poses[-1]
-        nearest = candidates[0]
-        blocks = sorted({n.block for n in candidates})
-        keys = np.concatenate([keys_of(b)[::2] for b in blocks])  # every other one shows as much
-        poses = np.concatenate([graph.local_poses(anchor_of(b), keys_of(b)[::2]) for b in blocks])
-        maps = drawn(mapper, memory.scans, keys, poses)
+        if not {n.block for n in candidates[:6]} <= set(memory.area):
+            memory.area = tuple(sorted(n.block for n in candidates))
+        blocks = memory.area
+        maps, pyramid = memory.submaps.joint(blocks, mapper, memory.scans, graph)
         points = thinned(self._points(memory), self.search.points)
-        found = self.search.search(Pyramid.of(maps, 0), here, nearest.covariance, points)
+        found = self.search.search(pyramid, graph.poses[-1], candidates[0].covariance, points)
         if found is None:
             return Rejection.POOR
         if rejection := self._judged(found, maps, points, memory):
@@ -217,10 +221,9 @@ class PlaceRecognition:
             if nearby.block > oldest:
                 continue
             ax, ay, _ = graph.poses[anchor_of(nearby.block)].tolist()
-            sigma = math.sqrt(float(np.linalg.eigvalsh(nearby.covariance[:2, :2])[1]))
-            away = math.hypot(ax - x, ay - y) - self.near_m
-            if away < self.search.gate * sigma:
-                found.append((max(away, 0.0) / sigma, nearby.block, nearby))
+            away = max(math.hypot(ax - x, ay - y) - self.near_m, 0.0)
+            if away < self.search.gate * nearby.sigma_m:
+                found.append((away / nearby.sigma_m, nearby.block, nearby))
         return [nearby for _, _, nearby in sorted(found, key=lambda f: f[:2])[:_MOST_SUBMAPS]]
 
     def _points(self, memory: Memory) -> FloatArray:

@@ -10,6 +10,7 @@ from gridslam.geometry.se2 import between
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.slam.key_graph import BLOCK, KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
@@ -18,6 +19,9 @@ __all__ = ["ROW", "Submaps", "anchor_of", "drawn", "keys_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
+
+_FEW = 12
+"""Of so many submaps every other scan is drawn into one map, of more one in four."""
 
 
 def keys_of(block: int) -> IntArray:
@@ -45,11 +49,12 @@ class Submaps:
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
     """
 
-    __slots__ = ("_kept", "_most")
+    __slots__ = ("_joint", "_kept", "_most")
 
     def __init__(self, most: int = 32) -> None:
         """Keep `most` submaps at a time: about 1 MB each."""
         self._kept: dict[int, TileMaps] = {}
+        self._joint: tuple[tuple[int, ...], TileMaps, Pyramid] | None = None
         self._most = most
 
     def __call__(self, block: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
@@ -63,3 +68,19 @@ class Submaps:
                 del self._kept[next(iter(self._kept))]
         self._kept[block] = maps  # the last used one comes last
         return maps
+
+    def joint(
+        self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+    ) -> tuple[TileMaps, Pyramid]:
+        """Give one map of several blocks, each where the graph has its anchor, and its pyramid; see `forget`."""
+        if self._joint is None or self._joint[0] != blocks:
+            stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
+            keys = [keys_of(block)[::stride] for block in blocks]
+            poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
+            maps = drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
+            self._joint = blocks, maps, Pyramid.of(maps, 0)
+        return self._joint[1:]
+
+    def forget(self) -> None:
+        """Draw the next joint map anew: the poses have changed."""
+        self._joint = None

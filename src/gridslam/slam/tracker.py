@@ -178,7 +178,9 @@ class Tracker:
         pose = match.poses[0] if jumped else self._believed(state, match, predicted, sigma_m, beams)
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
-        self._insert(state, beams)
+        doubtful = match.score[0] < self.poor_share * len(beams) and turned > self.insert_rad
+        if not doubtful:
+            self._insert(state, beams)
         return Tracked(pose, predicted)
 
     def _jumped(self, state: TrackerState, pose: FloatArray, stamp_ns: int) -> bool:
