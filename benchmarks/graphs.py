@@ -44,7 +44,10 @@ def graphs(data: Path, report: Report, repeats: int = 7) -> None:
             continue
         graph = read_g2o(path).graph
         best = {solver.name: (1e3 * seconds, chi2) for solver, seconds, chi2 in _timed(graph, repeats)}
-        rows += [[name, len(graph.poses), solver, chi2, milliseconds] for solver, (milliseconds, chi2) in best.items()]
+        rows += [
+            [name, len(graph.poses), solver, f"{chi2:.6f}", milliseconds]
+            for solver, (milliseconds, chi2) in best.items()
+        ]
         rows.append([name, len(graph.poses), "gridslam, all covariances", "", 1e3 * _covariances_s(graph)])
         ours, chi2 = best["gridslam"]
         report.targets.append(Target(f"{name}: chi2", chi2, least * (1 + 1e-6)))

@@ -46,7 +46,8 @@ def initial_guess(graph: PoseGraph) -> FloatArray:
 def _headings(graph: PoseGraph, system: BlockSystem) -> FloatArray:
     """Headings (N,) by chordal relaxation."""
     first, second = graph.edges.T
-    weight = 1.0 / np.linalg.inv(graph.information)[:, 2, 2]
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = graph.information.transpose(1, 2, 0)
+    weight = tt - (xx * yt * yt - 2 * xy * xt * yt + yy * xt * xt) / (xx * yy - xy * xy)  # 1 / variance of the heading
     c, s = weight * np.cos(graph.measurements[:, 2]), weight * np.sin(graph.measurements[:, 2])
     own = weight[:, None, None] * np.eye(2)
     cross = -np.stack((c, s, -s, c), axis=1).reshape(-1, 2, 2)  # -weight R(z)'

@@ -37,9 +37,10 @@ def test_headings_beyond_any_rounding_of_whole_turns():
     edges = np.column_stack((np.arange(60), np.roll(np.arange(60), -1)))
     z = between(truth[edges[:, 0]], truth[edges[:, 1]])
     z[:-1, 2] += 0.06
-    found = initial_guess(PoseGraph.of(np.zeros((60, 3)), edges, z, np.tile(np.eye(3), (60, 1, 1))))
-    assert np.ptp(found[:, 0]) > 1
-    assert np.isfinite(found).all()
+    graph = PoseGraph.of(np.zeros((60, 3)), edges, z, np.tile(np.eye(3), (60, 1, 1)))
+    from_truth = GraphSlam(first_guess="given").solve(graph.with_poses(between(truth[0], truth)))
+    computed = GraphSlam(first_guess="computed").solve(graph)
+    assert computed.chi2_after <= from_truth.chi2_after * (1 + 1e-6)
 
 
 def test_one_pose_and_poses_apart():
