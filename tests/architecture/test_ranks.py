@@ -18,6 +18,8 @@ ONLY_IN = {
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
     "numpy": set(RANKS),
+    "scipy": {"slam"},
+    "qdldl": {"slam"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

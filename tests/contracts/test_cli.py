@@ -24,7 +24,10 @@ from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_tum, write_tum
 from gridslam.types import Trajectory
 
-FILES = {"map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory_online.tum", "record.npz", "run.json"}
+FILES = {
+    "map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o",
+    "record.npz", "run.json",
+}  # fmt: skip
 FEW = "--particles", "3"
 
 
@@ -62,7 +65,7 @@ def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
 
 def test_run_json_tells_all_of_the_run(mapped, log):
     run = json.loads((mapped / "run.json").read_text())
-    assert run["schema"] == "gridslam.run/1"
+    assert run["schema"] == "gridslam.run/2"
     assert (run["version"], run["seed"], run["threads"]) == (__version__, 5, 1)
     assert run["kernels"] in ("compiled", "reference")
     assert run["input"]["sha256"] == sha256_of(log)
@@ -114,7 +117,8 @@ def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_
     monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
     _, _, err = call("map", log, "-o", tmp_path / "out", *FEW)
     lines = err.splitlines()
-    assert len(lines) == 24  # after the first of 120 seconds, one for each scan, and every five
+    assert len(lines) == 25  # after the first of 120 seconds, one for each scan, and every five; then the last word
+    assert re.fullmatch(r"100%  120 scans; the last word, for 0 s", lines.pop())
     for line in lines:
         assert re.fullmatch(
             r" *\d+%  \d+ scans, 1/s, 0 x real time, N_eff \d\.\d of 3, map \d+ x \d+ m, \d+ MB, \d+ s left", line
@@ -259,7 +263,7 @@ def test_a_run_that_fails_leaves_nothing_and_returns_1(call, log, tmp_path, monk
     def full_disk(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("gridslam.api.write_tum", full_disk)
+    monkeypatch.setattr("gridslam.api.result.write_tum", full_disk)
     err = refused(call, tmp_path, "map", log, "-o", tmp_path / "out", *FEW, status=1)
     assert "No space left on device" in err
 

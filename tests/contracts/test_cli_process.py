@@ -34,7 +34,7 @@ def test_help_needs_neither_numpy_nor_pydantic(arguments):
 
 def test_help_of_map_names_the_parameters():
     done = subprocess.run([*GRIDSLAM, "map", "--help"], capture_output=True, text=True, check=True)
-    for name in ("resolution_m", "range_max_m", "key_scan_m", "key_scan_rad", "tempering", "resampler"):
+    for name in ("resolution_m", "range_max_m", "key_scan_m", "key_scan_rad", "tempering", "loop_closure"):
         assert name in done.stdout
 
 

@@ -12,6 +12,10 @@ from gridslam.errors import ConfigurationError
 from gridslam.models import EndPoint, GMappingMotion, OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam, OdometryTracker
+from gridslam.slam.graph_robust import GraduatedNonConvexity
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.place_recognition import PlaceRecognition
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -34,8 +38,31 @@ def test_every_number_survives_toml_exactly(metres, share, count, resampler):
     assert loads(dumps(config)) == config
 
 
-def test_the_default_configuration_builds_the_default_filter():
-    assert build(Configuration()) == GridFastSlam()
+def test_the_default_configuration_builds_the_default_filter_with_loop_closure():
+    assert build(Configuration()) == GridFastSlam(loop_closure=LoopClosure())
+
+
+def test_without_loop_closure_the_filter_is_alone():
+    assert build(override(Configuration(), "loop_closure=false")) == GridFastSlam()
+    assert build(preset("gmapping")).loop_closure is None
+    assert all(preset(name).loop_closure for name in PRESETS if name != "gmapping")
+
+
+def test_loop_closure_is_built_as_configured():
+    config = override(Configuration(), "closure.recognition.gap=5", "closure.scans_per_step=7")
+    assert build(config).loop_closure == LoopClosure(PlaceRecognition(gap=5), scans_per_step=7)
+
+
+def test_a_part_may_be_none():
+    config = override(Configuration(), "closure.solver.robust.kind=GraduatedNonConvexity")
+    assert config.closure.solver == GraphSlam(robust=GraduatedNonConvexity())
+    assert loads(dumps(config)) == config
+    without = override(config, "closure.solver.robust.kind=none")
+    assert without.closure.solver.robust is None
+    assert to_table(without)["closure"]["solver"]["robust"] == {"kind": "none"}
+    assert loads(dumps(without), config) == without
+    with pytest.raises(ConfigurationError, match=r"closure.solver.robust.growth: none has no such parameter"):
+        override(without, "closure.solver.robust.growth=2")
 
 
 def test_build_passes_every_part_on():
@@ -67,10 +94,10 @@ def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_short_name_means_the_dotted_one(name):
     path = PARAMETERS[name][0]
-    value = {"resampler": "wheel", "particles": 7}.get(name, 0.125)
-    config = override(Configuration(), f"{name}={value}")
+    value = {"loop_closure": False, "particles": 7}.get(name, 0.125)
+    config = override(Configuration(), f"{name}={str(value).lower()}")
     assert value_of(config, path) == value
-    assert config == override(Configuration(), f"{path} = {value}")
+    assert config == override(Configuration(), f"{path} = {str(value).lower()}")
 
 
 def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():

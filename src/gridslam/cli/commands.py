@@ -55,14 +55,15 @@ class _MapCommand(click.Command):
 @click.option("--preset", default="default", show_default=True, help="default, fast, accurate or gmapping.")
 @click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's.")
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
-@click.option("--no-loop-closure", is_flag=True, help="For scripts that must not change: there is none yet.")
+@click.option("--no-loop-closure", is_flag=True, help="The filter alone.")
 @click.option("--keep-truncated", is_flag=True, help="Map a log that is cut off as far as it goes.")
 @_json
-def map_command(no_loop_closure: bool, **options: Any) -> None:  # noqa: ANN401
-    """Map LOG, a CARMEN log (plain, .gz or .bz2), with grid-based FastSLAM.
+def map_command(**options: Any) -> None:  # noqa: ANN401
+    """Map LOG, a CARMEN log (plain, .gz or .bz2), with grid-based FastSLAM and loop closure.
 
-    OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan), trajectory_online.tum (what was said
-    at the time), record.npz (the particles at each key scan) and run.json (counts, times, parameters).
+    OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan, told from the end), trajectory.csv
+    (with covariances), trajectory_online.tum (what was said at the time), graph.g2o (the key scans and what ties them),
+    record.npz (the particles at each key scan) and run.json (counts, times, parameters).
     """
     from gridslam.cli.map import map_to_folder
 
@@ -120,7 +121,7 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("simulate")
 @click.argument("world")
 @click.option("-o", "--out", type=_PATH, required=True, help="The log; compressed if named .gz or .bz2.")
-@click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the noise, and of the world `random`.")
+@click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the noise, and of a world that is drawn.")
 @click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams of a scan.")
 @click.option("--fov", "fov_deg", type=float, default=180.0, show_default=True, help="Field of view, degrees.")
 @click.option("--range-max", "range_max_m", type=float, default=30.0, show_default=True, help="No return beyond, m.")
@@ -129,7 +130,14 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--duration", "duration_s", type=float, help="End the log after so many seconds.")
 @_json
 def simulate_command(**options: Any) -> None:  # noqa: ANN401
-    """Simulate a robot in WORLD (demo, loop, rooms, hall, corridor or random) and write its log.
+    """Simulate a robot in WORLD and write its log.
+
+    \b
+    WORLD is
+      always the same: demo, loop, rooms, hall or corridor
+      drawn from the seed: random
+        made to deceive loop closure: equal_rooms, symmetric, bare_corridors, moved_furniture
+        large: campus (2 km), fleet (10 km)
 
     Beside LOG.clf goes LOG.truth.tum, the true trajectory.
     """

@@ -6,11 +6,6 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gridslam.slam.state import GridFastSlamState
-    from gridslam.types import StepReport
 
 __all__ = ["handled_signals", "stop_if_interrupted"]
 
@@ -37,7 +32,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
-def stop_if_interrupted(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-    """Observer that repeats an interrupt which came while a destructor ran: Python swallows it there."""
+def stop_if_interrupted() -> None:
+    """Repeat an interrupt which came while a destructor ran: Python swallows it there."""
     if _pending:
         raise KeyboardInterrupt

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -17,6 +17,8 @@ from gridslam.config import Configuration, load, override, preset
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.pipeline import Stopwatch
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import StepReport
 
 __all__ = ["map_shown", "map_to_folder", "summary"]
 
@@ -33,12 +35,13 @@ def map_to_folder(
     preset: str,
     config: Path | None,
     assignments: Sequence[str],
+    no_loop_closure: bool,
     keep_truncated: bool,
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = _configuration(preset, particles, config, assignments)
+    configuration = _configuration(preset, particles, config, assignments, no_loop_closure)
     source = CarmenLog(log, keep_truncated=keep_truncated)
     with opened(out) as folder:
         result = map_shown(source, configuration, seed, threads, not as_json, watch)
@@ -55,10 +58,19 @@ def map_shown(
     source: CarmenLog, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch
 ) -> MapResult:
     """Map a log while progress is shown."""
-    with progress(lambda: source.statistics, shown=shown) as observers:
+    with progress(lambda: source.statistics, shown=shown) as show:
+
+        def observe(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+            stop_if_interrupted()
+            show(report, state, seconds)
+
+        def tick() -> None:
+            stop_if_interrupted()
+            show.last_word()
+
         return map_log(
-            source, configuration=configuration, seed=seed, threads=threads,
-            observers=[stop_if_interrupted, *observers], stopwatch=watch,
+            source, configuration=configuration, seed=seed, threads=threads, observers=[observe], tick=tick,
+            stopwatch=watch,
         )  # fmt: skip
 
 
@@ -75,21 +87,36 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
         f"resampled {filter_['resamplings']} times{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
+        *_loops(document["loop_closure"]),
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
 
 
 def _configuration(
-    name: str, particles: int | None, path: Path | None, assignments: Sequence[str]
+    name: str, particles: int | None, path: Path | None, assignments: Sequence[str], no_loop_closure: bool
 ) -> Configuration:
-    """The preset, then the file, then single parameters; --particles has the last word on their number."""
+    """The preset, then the file, then single parameters; --particles and --no-loop-closure hold whatever these say."""
     config = preset(name, particles)
     if path is not None:
         config = load(path, config)
     if particles is not None:
         config = override(config, f"particles={particles}")
-    return override(config, *assignments)
+    config = override(config, *assignments)
+    return override(config, "loop_closure=false") if no_loop_closure else config
+
+
+def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
+    """What loop closure did, where it was at work."""
+    if not loops:
+        return
+    rejected = loops["rejected"]
+    reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
+    corrections = f"{loops['corrections']} correction{'s' * (loops['corrections'] != 1)} on the way"
+    moved = f"{loops['moved_m']:.2f} m"
+    yield f"{len(loops['closures'])} loop closures, {corrections}; the last word moved a key scan by up to {moved}"
+    if rejected:
+        yield f"{sum(rejected.values())} places not believed: {reasons}"
 
 
 def _warnings(log: LogStatistics) -> Iterator[str]:

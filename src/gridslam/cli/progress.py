@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import final
 
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.pipeline import Observer
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
 
-__all__ = ["progress"]
+__all__ = ["Progress", "progress"]
 
 _BAR_EVERY_S, _LINE_EVERY_S = 0.25, 5.0
 
 
 @contextmanager
-def progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[list[Observer]]:
-    """Give the observers that show how far the reading of a log has come; none where nothing is to be shown."""
+def progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
+    """Give what shows how far the reading of a log has come; nothing is printed where nothing is to be shown."""
     if not shown:
-        yield []
+        yield Progress(statistics, lambda share, text: None, math.inf)
     elif sys.stderr.isatty():
         with _bar() as show:
-            yield [_Progress(statistics, show, _BAR_EVERY_S)]
+            yield Progress(statistics, show, _BAR_EVERY_S)
     else:
-        yield [_Progress(statistics, _print_line, _LINE_EVERY_S)]
+        yield Progress(statistics, _print_line, _LINE_EVERY_S)
 
 
 def _print_line(share: float, text: str) -> None:
@@ -47,18 +48,24 @@ def _bar() -> Iterator[Callable[[float, str], None]]:
         yield lambda share, text: live.update(shown(share, text), refresh=True)
 
 
-class _Progress:
-    """Observer that tells rate, effective sample size, size of the map and time left, now and then."""
+@final
+class Progress:
+    """Observer that tells rate, effective sample size, size of the map and time left, now and then.
+
+    After the last scan `last_word` tells that the work goes on.
+    """
 
     def __init__(
         self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float
     ) -> None:
+        """Show a share of 1 and a text by `show`, every so many seconds."""
         self._statistics, self._show, self._every_s = statistics, show, every_s
-        self._began = time.perf_counter()
+        self._began, self._ended = time.perf_counter(), math.inf
         self._due = self._began + min(every_s, 1.0)
         self._scans, self._n_eff, self._first_ns = 0, 0.0, 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Take note of one scan."""
         self._first_ns = self._first_ns if self._scans else report.stamp_ns
         self._scans += 1
         if report.skipped is None:
@@ -66,6 +73,14 @@ class _Progress:
         if (now := time.perf_counter()) >= self._due:
             self._due = now + self._every_s
             self._tell(now - self._began, report, state)
+
+    def last_word(self) -> None:
+        """Tell for how long the last word has been looked for, now and then."""
+        now = time.perf_counter()
+        self._ended = min(self._ended, now)
+        if now >= self._due:
+            self._due = now + self._every_s
+            self._show(1.0, f"{self._scans} scans; the last word, for {now - self._ended:.0f} s")
 
     def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()
