@@ -55,7 +55,9 @@ def descend(graph: PoseGraph, poses: FloatArray, system: BlockSystem, max_iterat
         matrix, gradient = system.assemble(linearize(graph, poses, errors))
         system.factorize(matrix, damping)
         step = system.solve(-gradient)
-        promised = -float(gradient @ step[1:].ravel())
+        promised = -float(
+            (gradient * step[1:].ravel()).sum()
+        )  # not by BLAS: waking its threads takes longer than all the rest
         least = not rises and damping < _HEAVY and promised <= tolerance * (best.chi2 + _NEGLIGIBLE * len(errors))
         poses = poses + step
         errors = graph.errors(poses)

@@ -109,7 +109,7 @@ class GraphSlam:
             found, weights = estimate.solution, estimate.weights
         poses = found.poses.copy()
         poses[:, 2] = wrap(poses[:, 2])
-        before = float(weights @ squared_errors(graph, graph.errors()))
+        before = float((weights * squared_errors(graph, graph.errors())).sum())
         return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
 
     def _least_squares(self, graph: PoseGraph) -> Descent:
