@@ -1,0 +1,95 @@
+"""A run that closes a loop, cut anywhere: also between a closure and the correction that is drawn for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build, override
+from gridslam.io.state import SavedRun, read_state, write_state
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.full_slam import full_slam
+
+CONFIG = override(
+    Configuration(), "particles=3", "closure.disagree_m=0.001", "closure.disagree_rad=0.001", "closure.scans_per_step=5"
+)
+"""Whatever is recognized is corrected, and drawn slowly."""
+
+SLAM = build(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def loop():
+    rng = np.random.default_rng(1)
+    lidar, odometry = LidarConfig(beams=60, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
+    return simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+
+
+@pytest.fixture(scope="module")
+def whole(loop, play):
+    return play(SLAM, loop.measurements, particles=3, seed=7)
+
+
+@pytest.fixture(scope="module")
+def cuts(loop, whole):
+    """Scans after which to cut: before the closure, at it, while the correction is drawn, at the merge, and after."""
+    reports = whole[1]
+    closed = next(k for k, report in enumerate(reports) if report.closures)
+    merged = next(k for k, report in enumerate(reports) if report.corrected)
+    assert 100 < closed < merged - 20 < len(loop.measurements) - 40  # else it would prove little
+    return [closed - 5, closed, closed + 1, (closed + merged) // 2, merged, merged + 1, len(reports) - 1]
+
+
+def told(reports):
+    return [(r.pose.tobytes(), r.covariance.tobytes(), r.closures, r.corrected, r.best, r.skipped) for r in reports]
+
+
+def test_a_snapshot_goes_on_to_the_same_bytes(loop, play, contents, whole, cuts):
+    for cut in cuts:
+        rng = np.random.default_rng(7)
+        state, before = play(SLAM, loop.measurements[:cut], particles=3, rng=rng)
+        kept, draws = state.snapshot(), rng.bit_generator.state
+        here = contents(kept)
+        play(SLAM, loop.measurements[cut:], state=state, rng=rng)
+        assert contents(kept) == here  # what the other branch did has not reached it
+        rng.bit_generator.state = draws
+        end, after = play(SLAM, loop.measurements[cut:], state=kept, rng=rng)
+        assert contents(end) == contents(whole[0])
+        assert told([*before, *after]) == told(whole[1])
+
+
+def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents, whole, cuts, tmp_path):
+    saved = SavedRun(CONFIG, None, np.random.default_rng(7))
+    pending = []
+    for first, last in zip([0, *cuts], [*cuts, len(loop.measurements)], strict=True):
+        slam = build(saved.configuration, threads=1 + len(pending) % 2)
+        observers = [saved.trajectory, saved.statistics]
+        measurements = loop.measurements[first:last]
+        state = run(measurements, slam, particles=3, rng=saved.rng, observers=observers, state=saved.state)
+        pending.append(state.memory.correction is not None)
+        write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, saved.rng, saved.trajectory, saved.statistics))
+        saved = read_state(tmp_path / "run.npz", threads=2)
+        assert contents(saved.state) == contents(state)
+    assert pending[:6] == [False, False, True, True, True, False]
+    assert contents(saved.state) == contents(whole[0])
+    assert saved.statistics.summary().corrections == sum(report.corrected for report in whole[1])
+    assert saved.state.memory.rejected == whole[0].memory.rejected
+
+
+def test_the_last_word_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
+    first = SavedRun(CONFIG, None, np.random.default_rng(7))
+    state = run(loop.measurements, SLAM, particles=3, rng=first.rng, observers=[first.trajectory])
+    before = contents(state)
+    write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, first.rng, first.trajectory))
+    read = read_state(tmp_path / "run.npz")
+    words = [
+        full_slam(s, first.trajectory.keys, first.trajectory.from_key, CONFIG.mapper, CONFIG.closure, CONFIG.last_word)
+        for s in (state, state, read.state)
+    ]
+    assert contents(state) == before
+    for word in words[1:]:
+        for name in ("poses", "covariances"):
+            assert getattr(word, name).tobytes() == getattr(words[0], name).tobytes()
+        assert word.graph.poses.tobytes() == words[0].graph.poses.tobytes()
+        assert word.map.log_odds.tobytes() == words[0].map.log_odds.tobytes()

@@ -1,0 +1,96 @@
+"""The full answer: the last word's with loop closure, the best particle's past without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build, override
+from gridslam.evaluation import absolute_errors, false_closures
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam.full_slam import full_slam
+from gridslam.slam.key_graph import Source
+from gridslam.slam.memory import Rejection
+from gridslam.types import Trajectory
+
+ON = override(Configuration(), "particles=4")
+OFF = override(ON, "loop_closure=false")
+
+
+@pytest.fixture(scope="module")
+def loop():
+    rng = np.random.default_rng(1)
+    lidar, odometry = LidarConfig(beams=90, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
+    return simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+
+
+def answered(config, measurements, tick=lambda: None):
+    recorder = TrajectoryRecorder()
+    rng = np.random.default_rng(0)
+    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    keys, from_key = recorder.keys, recorder.from_key
+    answer = full_slam(state, keys, from_key, config.mapper, config.closure, config.last_word, tick)
+    return state, recorder, answer
+
+
+@pytest.fixture(scope="module")
+def closed(loop):
+    return answered(ON, loop.measurements)
+
+
+def test_the_filter_alone_is_the_best_particles_past(loop):
+    state, recorder, answer = answered(OFF, loop.measurements)
+    assert answer.loops is None
+    assert answer.poses.tobytes() == recorder.full(state).poses.tobytes()
+    assert answer.map.log_odds.tobytes() == state.maps.occupancy(state.best).log_odds.tobytes()
+    assert np.array_equal(answer.graph.poses, state.ancestry.trajectory(state.best))
+    assert answer.graph.trusted.all()
+    assert answer.graph.chi2() < 1e-12  # nothing contradicts the increments
+    # as it only drifts, it knows less and less
+    headings = answer.covariances[:, 2, 2]
+    assert headings[0] == 0 < headings[len(headings) // 2] < headings[-1]
+
+
+def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
+    _, _, answer = closed
+    _, _, alone = answered(OFF, loop.measurements)
+    assert answer.covariances.shape == alone.covariances.shape == (len(loop.measurements), 3, 3)
+    assert (np.linalg.eigvalsh(answer.covariances)[1:] > 0).all()
+    assert answer.covariances[-1].trace() < 0.2 * alone.covariances[-1].trace()
+
+
+def test_closures_are_recognized_ties_and_true(loop, closed):
+    _, recorder, answer = closed
+    loops = answer.loops
+    assert len(loops.closures) == loops.ties[Source.RECOGNIZED] > 0
+    assert loops.doubted == 0
+    assert loops.joint_ties == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
+    assert set(loops.rejected) <= set(Rejection)
+    key_scans = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
+    tied = {tuple(edge): z for edge, z in zip(answer.graph.edges.tolist(), answer.graph.measurements, strict=True)}
+    measured = [tied[tuple(pair)] for pair in loops.closures.tolist()]
+    assert not false_closures(loop.truth.poses[key_scans], loops.closures, measured).any()
+
+
+def test_the_trajectory_is_near_the_truth(loop, closed):
+    _, recorder, answer = closed
+    estimate = Trajectory(recorder.online().stamps_ns, answer.poses)
+    assert absolute_errors(estimate, loop.truth).trans_rmse_m < 0.06  # about a cell, after 80 m
+
+
+def test_the_last_word_ticks_and_can_be_interrupted(loop):
+    def stop():
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        answered(ON, loop.measurements[:150], stop)
+
+
+def test_a_single_scan_has_an_answer(loop):
+    for config in (ON, OFF):
+        _, _, answer = answered(config, loop.measurements[:1])
+        assert answer.poses.shape == (1, 3)
+        assert not answer.covariances.any()
+        assert len(answer.graph.edges) == 0

@@ -1,0 +1,69 @@
+"""Covariances of all poses: the closed form of drift against the graph's marginals, and what lies between key scans."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import compose
+from gridslam.slam.full_trajectory import full_trajectory, shares_of_way
+from gridslam.slam.graph_marginals import marginal_covariances
+from gridslam.slam.key_graph import Drift
+from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
+from gridslam.slam.pose_graph import PoseGraph
+
+
+def chain(steps, seed=0):
+    """Poses far from the origin, joined by exact increments of given or drawn uncertainty."""
+    rng = np.random.default_rng(seed)
+    increments = np.column_stack([rng.uniform(0.2, 1.0, steps), rng.normal(0, 0.1, (steps, 2)) * [1, 3]])
+    poses = [np.array([300.0, -200.0, 2.0])]
+    for increment in increments:
+        poses.append(compose(poses[-1], increment))
+    position, heading = rng.uniform(1e2, 1e5, (2, steps))
+    information = np.stack([np.diag([p, p, h]) for p, h in zip(position, heading, strict=True)])
+    edges = np.stack([np.arange(steps), np.arange(1, steps + 1)], axis=1)
+    return PoseGraph.of(np.array(poses), edges, increments, information)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 200])
+def test_drift_is_what_the_graph_of_increments_leaves(steps):
+    graph = chain(steps)
+    expected = marginal_covariances(graph)
+    # the moments are about the origin, 400 m away: their differences lose 6 of 16 digits
+    assert np.allclose(drift_covariances(graph), expected, rtol=1e-8, atol=1e-9)
+
+
+def test_one_pose_is_exact():
+    single = PoseGraph.of(np.zeros((1, 3)), np.empty((0, 2)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    assert not drift_covariances(single).any()
+
+
+def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
+    graph = chain(3)
+    of_keys = drift_covariances(graph)
+    keys = np.array([0, 0, 0, 1, 1, 2, 2, 3, 3])
+    steps = graph.measurements
+    at = np.array([0.0, 0.3, 0.6, 1.0, 0.5, 1.0, 0.25, 1.0, 0.0])  # share of the way since the key scan before
+    before = np.array([0, 0, 0, 0, 1, 1, 2, 2, 0])
+    from_key = steps[before] * at[:, None]
+    from_key[0], from_key[-1] = 0.0, (0.4, 0.0, 0.1)
+    assert shares_of_way(keys, from_key)[[0, 3, 5, 7]].tolist() == [0, 0, 0, 0]
+    found = scan_covariances(graph, of_keys, keys, from_key, Drift())
+    assert np.array_equal(found[[0, 3, 5, 7]], of_keys)
+    for scan in (1, 2, 4, 6):
+        k, share = keys[scan], shares_of_way(keys, from_key)[scan]
+        drifted = (1 - share) * of_keys[k] + share * of_keys[k + 1]  # of a random walk, exactly
+        assert np.linalg.eigvalsh(found[scan] - drifted).min() >= -1e-12
+        assert np.linalg.eigvalsh(found[scan]).min() > 0
+    position, heading = Drift().variances(0.4, 0.1)
+    assert np.allclose(found[8], of_keys[3] + np.diag([position, position, heading]))
+
+
+def test_shares_are_those_of_the_full_trajectory():
+    keys = np.array([0, 0, 0, 1, 1, 1])
+    from_key = np.array([[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0.5], [0.5, 0, 1.5], [0.5, 0, 0], [1.0, 0, 0]])
+    # metres and radians together: 0, 0.25, 1.0 of 2; after the last key scan what was driven
+    assert shares_of_way(keys, from_key) == pytest.approx([0, 0.125, 0.5, 0, 0.5, 1.0])
+    exact = np.array([[0, 0, 0], [0.5, 0, 1.5]])
+    assert np.allclose(full_trajectory(exact, keys, from_key)[:3], from_key[:3])
