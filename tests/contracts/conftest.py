@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridslam.config import Configuration, override
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
@@ -29,3 +30,20 @@ def log(simulated: SimulatedLog, tmp_path_factory: pytest.TempPathFactory) -> Pa
     truth = Trajectory(simulated.truth.stamps_ns[:SCANS], simulated.truth.poses[:SCANS])
     write_tum(path.with_name("truth.tum"), truth)
     return path
+
+
+@pytest.fixture(scope="session")
+def loop_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 80 m around a block, 399 scans, that comes back to where it was."""
+    rng = np.random.default_rng(1)
+    lidar, odometry = LidarConfig(beams=60, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
+    log = simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+    path = tmp_path_factory.mktemp("loop") / "loop.clf.gz"
+    write_carmen(path, log.measurements)
+    return path
+
+
+@pytest.fixture(scope="session")
+def closing() -> Configuration:
+    """Few particles, and whatever is recognized is corrected."""
+    return override(Configuration(), "particles=4", "closure.disagree_m=0.001", "closure.disagree_rad=0.001")

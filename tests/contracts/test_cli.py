@@ -7,6 +7,8 @@ import itertools
 import json
 import os
 import re
+import signal
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,11 +19,18 @@ from gridslam import __version__
 from gridslam.cli import map as map_module
 from gridslam.cli import progress as progress_module
 from gridslam.cli.main import main
+from gridslam.config import build, dumps, preset
+from gridslam.geometry.se2 import between
 from gridslam.io.carmen import CarmenLog
-from gridslam.io.map_server import read_map
+from gridslam.io.g2o import read_g2o
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.map_server import read_map, write_map
 from gridslam.io.record import read_record
 from gridslam.io.text_source import sha256_of
-from gridslam.io.trajectory import read_tum, write_tum
+from gridslam.io.trajectory import read_trajectory_csv, read_tum, write_tum
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.slam.memory import Rejection
 from gridslam.types import Trajectory
 
 FILES = {
@@ -97,9 +106,102 @@ def test_the_configuration_of_a_run_can_be_given_back(mapped, log, tmp_path, cal
         assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes()
 
 
+@pytest.fixture(scope="module")
+def closed(loop_log, closing, tmp_path_factory):
+    """A run with closures and a correction: its folder, and what it printed."""
+    folder = tmp_path_factory.mktemp("closed")
+    file = folder / "closing.toml"
+    file.write_text(dumps(closing))
+    assert main(["map", str(loop_log), "-o", str(folder / "out"), "--config", str(file)]) == 0
+    return folder / "out"
+
+
+def test_run_json_tells_of_loop_closure(closed, mapped):
+    run = json.loads((closed / "run.json").read_text())
+    loops = run["loop_closure"]
+    stamps = read_record(closed / "record.npz").stamps_ns.tolist()
+    assert loops["closures"]
+    for closure in loops["closures"]:
+        earlier, later = closure["key_scans"]
+        assert earlier < later
+        assert closure["stamps_ns"] == [stamps[earlier], stamps[later]]
+    assert loops["corrections"] == 1
+    assert loops["ties"]["recognized"] == len(loops["closures"]) + loops["doubted"]
+    assert set(loops["rejected"]) <= {reason.value for reason in Rejection}
+    assert loops["moved_m"] > 0
+    assert run["time"]["stages"]["last word"]["wall_s"] > 0
+    assert json.loads((mapped / "run.json").read_text())["loop_closure"] is False
+
+
+def test_trajectory_csv_has_a_covariance_for_every_pose(closed, mapped):
+    for folder in (closed, mapped):
+        trajectory, covariances = read_trajectory_csv(folder / "trajectory.csv")
+        other = read_tum(folder / "trajectory.tum")
+        assert trajectory.stamps_ns.tolist() == other.stamps_ns.tolist()
+        assert np.abs(between(trajectory.poses, other.poses)).max() < 1e-8
+        assert (np.linalg.eigvalsh(covariances) > -1e-9).all()
+        assert covariances[-1].trace() > 0
+
+
+def test_graph_holds_the_key_scans_and_solves_to_itself(closed, mapped, call, tmp_path):
+    for folder, ties in ((closed, True), (mapped, False)):
+        run = json.loads((folder / "run.json").read_text())
+        graph = read_g2o(folder / "graph.g2o").graph
+        assert len(graph.poses) == run["scans"]["used"]
+        assert (len(graph.edges) > len(graph.poses)) == ties
+        status, out, _ = call("graph", folder / "graph.g2o", "-o", tmp_path / "graph", "--json")
+        assert status == 0
+        solved = json.loads(out)
+        assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
+
+
+def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, closed):
+    options = *FEW, "--no-loop-closure", "--set", "loop_closure=true"
+    assert call("map", loop_log, "-o", tmp_path / "alone", *options)[0] == 0
+    recorder, config = TrajectoryRecorder(), preset("default", 3)
+    slam, rng = replace(build(config), loop_closure=None), np.random.default_rng(0)
+    state = run(CarmenLog(loop_log), slam, particles=3, rng=rng, observers=[recorder])
+    write_tum(tmp_path / "full.tum", recorder.full(state))
+    write_map(tmp_path / "map.yaml", state.maps.occupancy(state.best))
+    alone = tmp_path / "alone"
+    assert (alone / "trajectory.tum").read_bytes() == (tmp_path / "full.tum").read_bytes()
+    assert (alone / "map.pgm").read_bytes() == (tmp_path / "map.pgm").read_bytes()
+    assert read_tum(closed / "trajectory.tum").poses.tolist() != read_tum(alone / "trajectory.tum").poses.tolist()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_during_the_last_word_leaves_nothing(call, log, tmp_path, monkeypatch, number):
+    monkeypatch.setattr(progress_module.Progress, "last_word", lambda _: os.kill(os.getpid(), number))
+    status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
+    assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_summary_tells_of_loop_closure(loop_log, closing, tmp_path, call):
+    (tmp_path / "closing.toml").write_text(dumps(closing))
+    options = "--config", tmp_path / "closing.toml"
+    _, out, _ = call("map", loop_log, "-o", tmp_path / "out", *options)
+    assert re.search(r"^\d+ loop closures, 1 correction on the way; the last word moved a key scan by up to ", out, re.M)
+    assert re.search(r"^\d+ places not believed: .*too few beams agree \d+", out, re.M)
+    assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
+
+
+def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
+    seconds = iter([0.0, 1.0, 3.0, 6.0, 7.0, 11.5])
+    monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
+    with progress_module.progress(LogStatistics) as show:
+        for _ in range(5):
+            show.last_word()
+    assert capsys.readouterr().err == (
+        "100%  0 scans; the last word, for 0 s\n100%  0 scans; the last word, for 5 s\n"
+        "100%  0 scans; the last word, for 10 s\n"
+    )
+
+
 def test_map_says_what_came_of_it(log, tmp_path, call):
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert status == 0
+    assert "0 loop closures, 0 corrections on the way" in out
     assert out.startswith("rooms.clf.bz2: 120 scans, 24 s, ")
     assert str(tmp_path / "out" / "map.png") in out
     assert err == ""

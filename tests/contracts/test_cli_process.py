@@ -32,6 +32,24 @@ def test_help_needs_neither_numpy_nor_pydantic(arguments):
     assert (f"gridslam {__version__}" if "--version" in arguments else "simulate") in done.stdout
 
 
+def test_the_first_scan_of_map_has_not_waited_for_scipy(log, tmp_path):
+    code = (
+        "import sys, os, gridslam.cli.map; from gridslam import map_log; "
+        "stop = lambda report, state, seconds: os._exit('scipy' in sys.modules or 'qdldl' in sys.modules); "
+        "map_log(sys.argv[1], observers=[stop])"
+    )
+    assert subprocess.run([sys.executable, "-c", code, log]).returncode == 0
+
+
+def test_the_filter_alone_never_needs_scipy(log, tmp_path):
+    code = (
+        "import sys; from gridslam.cli.main import main; status = main(sys.argv[1:]); "
+        "sys.exit('scipy' in sys.modules or 'qdldl' in sys.modules or status)"
+    )
+    arguments = "map", log, "-o", tmp_path / "out", "--particles", "2", "--no-loop-closure"
+    assert subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True).returncode == 0
+
+
 def test_help_of_map_names_the_parameters():
     done = subprocess.run([*GRIDSLAM, "map", "--help"], capture_output=True, text=True, check=True)
     for name in ("resolution_m", "range_max_m", "key_scan_m", "key_scan_rad", "tempering", "loop_closure"):

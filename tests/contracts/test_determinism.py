@@ -10,12 +10,18 @@ import pytest
 
 from gridslam import map_log
 
-FILES = "trajectory.tum", "trajectory_online.tum", "map.pgm", "map.yaml"  # map.png tells the time it took
+FILES = (
+    "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o", "map.pgm", "map.yaml",
+)  # fmt: skip  # map.png tells the time it took
+
+
+def read(folder):
+    return {name: (folder / name).read_bytes() for name in FILES}
 
 
 def saved(log, folder, **options):
-    map_log(log, particles=12, **options).save(folder)
-    return {name: (folder / name).read_bytes() for name in FILES}
+    map_log(log, **({"particles": 12} if "configuration" not in options else {}), **options).save(folder)
+    return read(folder)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +40,19 @@ def test_same_bytes_for_any_number_of_blas_threads(log, tmp_path, alone, blas_th
     environment = os.environ | dict.fromkeys(names, blas_threads)
     command = [sys.executable, "-m", "gridslam.cli.main", "map", log, "-o", tmp_path, "--particles=12", "--seed=3"]
     subprocess.run(command, check=True, env=environment, capture_output=True)
-    assert {name: (tmp_path / name).read_bytes() for name in alone} == alone
+    assert read(tmp_path) == alone
+
+
+def test_same_bytes_for_any_number_of_threads_where_a_loop_is_closed_and_the_past_corrected(
+    loop_log, tmp_path, closing
+):
+    first = map_log(loop_log, configuration=closing, seed=3)
+    assert len(first.loops.closures)
+    assert first.statistics.corrections
+    first.save(tmp_path / "first")
+    for threads in (1, 2, 5):
+        again = saved(loop_log, tmp_path / f"{threads}", configuration=closing, seed=3, threads=threads)
+        assert again == read(tmp_path / "first")
 
 
 def test_another_seed_gives_another_trajectory(log, tmp_path, alone):
