@@ -17,5 +17,10 @@ def test_relations(data_dir, tmp_path, band):
     assert np.mean([e.rot_mean_deg for e in errors]) <= band.mean_deg
 
 
+@pytest.mark.parametrize("band", [INTEL, ACES], ids=lambda band: band.log)
+def test_relations_of_the_filter_alone(data_dir, tmp_path, band):
+    check_seed(errors_of(data_dir, band, 0, tmp_path, loop_closure=False), band)
+
+
 def test_csail(data_dir):
     check_csail(*csail_end_error(data_dir, seed=0))

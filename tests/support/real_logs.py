@@ -39,11 +39,12 @@ in which 321 of its 354 beams agree, from wherever in the room the search begins
 """
 
 
-def errors_of(data: Path, band: Band, seed: int, out: Path) -> RelationErrors:
+def errors_of(data: Path, band: Band, seed: int, out: Path, *, loop_closure: bool = True) -> RelationErrors:
     """Map a log as a user does, look at what was written, and score the trajectory that was."""
-    folder = out / f"{band.log}-{seed}"
-    run = gridslam.map_log(data / band.log, particles=30, seed=seed).save(folder)
+    folder = out / f"{band.log}-{seed}-{loop_closure}"
+    run = gridslam.map_log(data / band.log, particles=30, seed=seed, loop_closure=loop_closure).save(folder)
     assert run["scans"]["read"] == band.scans
+    assert bool(run["loop_closure"]) == loop_closure
     trajectory = read_tum(folder / "trajectory.tum")
     assert len(trajectory) == band.scans  # a pose for every scan
     return relation_errors(trajectory, read_relations(data / band.relations))

@@ -20,7 +20,7 @@ from gridslam.slam.state import GridFastSlamState
 
 __all__ = ["SavedRun", "read_state", "write_state"]
 
-_SCHEMA = "gridslam.saved_run/1"
+_SCHEMA = "gridslam.saved_run/2"
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 
