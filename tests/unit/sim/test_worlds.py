@@ -44,7 +44,7 @@ def test_robot_passes_every_wall(name, seed):
     assert _length_of_drive(make_world(name, np.random.default_rng(seed)), RobotConfig()) > 30
 
 
-@pytest.mark.parametrize("maker", DECEPTIVE, ids=str)
+@pytest.mark.parametrize("maker", DECEPTIVE, ids=lambda maker: getattr(maker, "__name__", maker))
 @pytest.mark.parametrize("seed", range(5))
 def test_drives_that_deceive_are_100_to_400_m_long(maker, seed):
     rng = np.random.default_rng(seed)
