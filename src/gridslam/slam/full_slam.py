@@ -10,13 +10,13 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_robust import scaled
 from gridslam.slam.joint_matching import JointMatching, LastWord
-from gridslam.slam.key_graph import Drift, KeyGraph, Source
+from gridslam.slam.key_graph import Drift, Source
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
@@ -134,15 +134,13 @@ def _marginals(graph: PoseGraph) -> FloatArray:
 
 
 def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift) -> PoseGraph:
-    """Give the graph of the key scans (T, 3) that only increments join, as uncertain as for loop closure."""
-    graph, tracked = KeyGraph(), np.zeros(3)
-    graph.extend(tracked, trajectory[0], tracked, drift.variances(0.0, 0.0))
-    arrivals = np.flatnonzero(np.diff(keys) > 0) + 1
-    increments = between(trajectory[:-1], trajectory[1:])
-    for pose, increment, moved in zip(trajectory[1:], increments, key_from_base[arrivals], strict=True):
-        tracked = compose(tracked, moved)
-        graph.extend(tracked, pose, increment, drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2]))))
-    return graph.graph()
+    """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
+    tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
+    spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
+    information = np.zeros((len(tracked), 3, 3))
+    information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.array(spread).reshape(-1, 2)[:, [0, 0, 1]]
+    edges = np.stack([np.arange(len(tracked)), np.arange(1, len(trajectory))], axis=1)
+    return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 
 
 def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
