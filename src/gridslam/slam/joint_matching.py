@@ -54,7 +54,7 @@ class LastWord:
 class JointMatching:
     """Match, solve, and match again, until nothing moves; then match every scan to the map of all key scans.
 
-    Key scans are matched to the older and later submaps about them, drawn anew from the current trajectory. Matched to
+    Key scans are matched to the older and later submaps about them to which theirs are tied, drawn anew from the current trajectory. Matched to
     those of its own time a scan would only repeat what the tracker and the particles have made of it.
 
     Parameters
@@ -67,8 +67,6 @@ class JointMatching:
         A key scan is matched to submaps with a key scan this near.
     submaps : int
         The nearest of them.
-    gap : int
-        Submaps this recent are of the same time.
     share : float
         Share of the beams that must agree.
     most_m : float, m
@@ -89,7 +87,6 @@ class JointMatching:
     stop_m: float = Field(default=0.01, gt=0)
     near_m: float = Field(default=3.0, gt=0)
     submaps: int = Field(default=3, ge=1)
-    gap: int = Field(default=3, ge=1)
     share: float = Field(default=0.7, gt=0, le=1)
     most_m: float = Field(default=0.4, gt=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
@@ -121,12 +118,14 @@ class JointMatching:
         tick
             Called now and then, so that progress can be shown and the work be interrupted.
         """
-        memory.graph.follow(trajectory)
         known = memory.graph
+        known.correct(trajectory)
+        known.correct(solver.solve(known.graph()).poses)
+        kept = known.ties
         for _ in range(self.rounds):
             before = np.array(known.poses)
             ties = list(self._ties(memory, before, mapper, tick))
-            known.ties = [tie for tie in known.ties if tie.source is Source.RECOGNIZED] + ties
+            known.ties = [tie for tie in kept if tie.source is Source.RECOGNIZED] + ties
             graph = known.graph()
             solution = solver.solve(graph)
             known.correct(solution.poses)
@@ -163,11 +162,11 @@ class JointMatching:
         """For each submap the key scans to match to it."""
         from scipy.spatial import cKDTree  # type: ignore[import-untyped]  # only who closes loops pays for its import
 
-        blocks = memory.graph.blocks
+        allowed, blocks = _connected(memory), memory.graph.blocks
         wanted: list[list[int]] = [[] for _ in range(blocks)]
         tree = cKDTree(poses[:, :2])
         for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.near_m)):
-            others = np.array([k for k in near if k < blocks * BLOCK and abs(k // BLOCK - key // BLOCK) > self.gap], np.int64)
+            others = np.array([k for k in near if k // BLOCK in allowed[key // BLOCK]], np.int64)
             away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
                 wrap(poses[others, 2] - poses[key, 2])
             )
@@ -192,3 +191,15 @@ class JointMatching:
                 matched[scan] = match.poses[0]
         return matched
 
+
+def _connected(memory: Memory) -> list[set[int]]:
+    """For each submap those that ties lead to in one step or two, and their neighbours; none of its own time."""
+    count, blocks = -(-len(memory.graph) // BLOCK), memory.graph.blocks
+    near = [set(range(max(0, b - 3), min(blocks, b + 4))) for b in range(count)]
+    tied: list[set[int]] = [set() for _ in range(count)]
+    for tie in memory.graph.ties:
+        a, b = tie.from_ // BLOCK, tie.to // BLOCK
+        for one, other in ((a, b), (b, a)):
+            for k in range(max(0, one - 1), min(count, one + 2)):
+                tied[k] |= near[other]
+    return [members.union(*(tied[other] for other in members)) - near[k] for k, members in enumerate(tied)]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -29,7 +29,7 @@ _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Drift:
-    """How uncertain a tracked increment is: a random walk, and whatever the particles' own matches contradict.
+    """How uncertain a tracked increment is: a random walk, and a leap wherever the tracker did not believe its match.
 
     Parameters
     ----------
@@ -39,20 +39,26 @@ class Drift:
         Standard deviation of the position after a metre, of the heading after a radian.
     m_of_turn, rad_of_way : float
         Standard deviation of the position after a radian, of the heading after a metre.
+    doubt_m, doubt_rad : float
+        What each match that the tracker did not believe adds: a scan smeared by a turn, a wheel that slipped, a reading
+        that came late.
     """
 
-    still_m: float = Field(default=0.01, gt=0)
-    still_rad: float = Field(default=0.003, gt=0)
-    m: float = Field(default=0.03, ge=0)
-    rad: float = Field(default=0.008, ge=0)
+    still_m: float = Field(default=0.002, gt=0)
+    still_rad: float = Field(default=0.0005, gt=0)
+    m: float = Field(default=0.025, ge=0)
+    rad: float = Field(default=0.004, ge=0)
     m_of_turn: float = Field(default=0.02, ge=0)
-    rad_of_way: float = Field(default=0.003, ge=0)
+    rad_of_way: float = Field(default=0.002, ge=0)
 
-    def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
-        """Variances (m^2, rad^2) of an increment of so many metres and radians."""
+    doubt_m: float = Field(default=0.05, ge=0)
+    doubt_rad: float = Field(default=0.02, ge=0)
+
+    def variances(self, moved_m: float, turned_rad: float, doubts: int = 0) -> tuple[float, float]:
+        """Variances (m^2, rad^2) of an increment of so many metres and radians, with so many matches not believed."""
         return (
-            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
-            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,
+            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad + self.doubt_m**2 * doubts,
+            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m + self.doubt_rad**2 * doubts,
         )
 
 
@@ -89,10 +95,11 @@ class Tie(NamedTuple):
 
 @final
 class Nearby(NamedTuple):
-    """A submap and how uncertain the newest key scan's pose is as seen from it, map frame."""
+    """A submap, and where the newest key scan is as seen from its first one, by the most certain way there."""
 
     block: int
-    covariance: FloatArray  # (3, 3)
+    pose: FloatArray  # (3,)
+    covariance: FloatArray  # (3, 3), map frame
 
     @property
     def sigma_m(self) -> float:
@@ -112,17 +119,17 @@ class KeyGraph:
     Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
-    __slots__ = ("_links", "_sums", "increments", "poses", "ties", "tracked", "variances")
+    __slots__ = ("_links", "_sums", "poses", "ties", "tracked", "variances")
 
     def __init__(self) -> None:
         """Begin without any key scan."""
         self.tracked: list[FloatArray] = []  # (3,) each, in the tracker's frame
-        self.poses: list[FloatArray] = []  # (3,) each, map frame: as told at the time, or corrected since
-        self.increments: list[FloatArray] = []  # (3,) each: what leads to each key scan, as the filter has it
-        self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of tracking the increment that leads to each
+        self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
+        self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
         self.ties: list[Tie] = []
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
-        self._links: dict[int, dict[int, FloatArray]] = {}  # block -> block -> moments (7,) of the best tie
+        # block -> block -> the first seen from the second (3,), and the moments (7,), of the best tie
+        self._links: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
 
     def __len__(self) -> int:
         """Return the number of key scans."""
@@ -133,46 +140,26 @@ class KeyGraph:
         """Number of submaps that are complete."""
         return len(self) // BLOCK
 
-    def extend(
-        self, tracked: FloatArray, pose: FloatArray, increment: FloatArray, variances: tuple[float, float]
-    ) -> None:
-        """Add a key scan.
-
-        Parameters
-        ----------
-        tracked, pose : (3,) float64
-            The tracker's pose, and the pose in the map.
-        increment : (3,) float64
-            The motion that leads to it, as the map has it; what the tracker says else makes it less certain.
-        variances : (float, float)
-            Of tracking that motion, m^2 and rad^2.
-        """
+    def extend(self, tracked: FloatArray, pose: FloatArray, variances: tuple[float, float]) -> None:
+        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment."""
         self.tracked.append(tracked)
         self.poses.append(pose)
-        self.increments.append(increment)
         self.variances.append(variances)
-        moments = _moments(np.array([pose]), self._spread(max(len(self) - 2, 0))[-1:])[0]
+        moments = _moments(np.array([pose]), np.array([variances]))[0]
         self._sums.append(moments + self._sums[-1] if self._sums else moments)
 
     def add(self, tie: Tie) -> None:
         """Add a measurement between two key scans."""
         self.ties.append(tie)
-        if tie.source is not Source.BELIEVED:
-            self._link(tie)
+        self._link(tie)
 
     def correct(self, poses: FloatArray) -> None:
-        """Let all poses be poses (T, 3); the measurements stay what they are."""
+        """Let all poses be poses (T, 3)."""
         self.poses = list(poses)
-        self._sums = list(np.cumsum(_moments(poses, self._spread()), axis=0))
+        self._sums = list(np.cumsum(_moments(poses, np.array(self.variances)), axis=0))
         self._links = {}
         for tie in self.ties:
-            if tie.source is not Source.BELIEVED:
-                self._link(tie)
-
-    def follow(self, poses: FloatArray) -> None:
-        """Let all poses be the trajectory (T, 3) of a particle, and the increments its own."""
-        self.increments[1:] = list(between(poses[:-1], poses[1:]))
-        self.correct(poses)
+            self._link(tie)
 
     def local_poses(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
@@ -193,26 +180,28 @@ class KeyGraph:
         here = newest // BLOCK
         start = self._sums[newest] - self._sums[here * BLOCK]
         queue: list[tuple[float, int, int]] = [(0.0, 0, here)]  # the second number keeps the order of equals
-        ways, done = [start], dict[int, FloatArray]()
+        ways = [(between(self.tracked[here * BLOCK], self.tracked[newest]), start)]
+        done = dict[int, tuple[FloatArray, FloatArray]]()
         while queue and len(done) < most:
             cost, way, block = heapq.heappop(queue)
             if block in done:
                 continue
-            done[block] = ways[way]
-            for other, more in self._neighbours(block):
+            done[block] = pose, moments = ways[way]
+            for other, there, more in self._neighbours(block):
                 if other not in done:
-                    ways.append(ways[way] + more)
-                    spread = max(cost, self._position_variance(ways[-1]))
+                    total = moments + more
+                    spread = max(cost, self._position_variance(total))
                     if spread < limit_m**2:
+                        ways.append((compose(there, pose), total))
                         heapq.heappush(queue, (spread, len(ways) - 1, other))
-        return [Nearby(block, self._covariance(moments)) for block, moments in done.items()]
+        return [Nearby(block, pose, self._covariance(moments)) for block, (pose, moments) in done.items()]
 
     def graph(self) -> PoseGraph:
         """Everything as a pose graph: the increments between key scans, which are trusted, then the ties."""
-        poses = np.array(self.poses)
+        poses, tracked = np.array(self.poses), np.array(self.tracked)
         count = len(poses)
         steps = np.zeros((count - 1, 3, 3))
-        spread = self._spread()[1:]
+        spread = np.array(self.variances[1:]).reshape(-1, 2)
         steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
         steps[:, 2, 2] = 1 / spread[:, 1]
         chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
@@ -221,7 +210,7 @@ class KeyGraph:
         return PoseGraph(
             poses,
             np.concatenate([chain, np.array([(t.from_, t.to) for t in ties], np.int64).reshape(-1, 2)]),
-            np.concatenate([np.array(self.increments[1:]).reshape(-1, 3), tied]),
+            np.concatenate([between(tracked[:-1], tracked[1:]), tied]),
             np.concatenate([steps, np.array([t.information for t in ties]).reshape(-1, 3, 3)]),
             np.arange(count - 1 + len(ties)) < count - 1,
         )
@@ -229,7 +218,7 @@ class KeyGraph:
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
-        for name in ("tracked", "poses", "increments", "variances", "ties", "_sums"):
+        for name in ("tracked", "poses", "variances", "ties", "_sums"):
             setattr(twin, name, getattr(self, name).copy())
         twin._links = {block: links.copy() for block, links in self._links.items()}
         return twin
@@ -240,38 +229,26 @@ class KeyGraph:
         return {
             "tracked": np.array(self.tracked, np.float64).reshape(-1, 3),
             "poses": np.array(self.poses, np.float64).reshape(-1, 3),
-            "increments": np.array(self.increments, np.float64).reshape(-1, 3),
             "variances": np.array(self.variances, np.float64).reshape(-1, 2),
             "sums": np.array(self._sums, np.float64).reshape(-1, 7),
             "tied": np.array([(t.from_, t.to, t.source) for t in ties], np.int64).reshape(-1, 3),
             "measurements": np.array([t.measurement for t in ties], np.float64).reshape(-1, 3),
             "information": np.array([t.information for t in ties], np.float64).reshape(-1, 3, 3),
             "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
-            "links": np.array([m for links in self._links.values() for m in links.values()]).reshape(-1, 7),
+            "links": np.array([[*p, *m] for ls in self._links.values() for p, m in ls.values()]).reshape(-1, 10),
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> KeyGraph:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         self = cls()
-        self.tracked, self.poses, self.increments, self._sums = (
-            list(arrays[name]) for name in ("tracked", "poses", "increments", "sums")
-        )
+        self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
         self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
         tied = zip(arrays["tied"].tolist(), arrays["measurements"], arrays["information"], strict=True)
         self.ties = [Tie(a, b, z, omega, Source(source)) for (a, b, source), z, omega in tied]
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
-            self._links.setdefault(a, {})[b] = moments
+            self._links.setdefault(a, {})[b] = moments[:3], moments[3:]
         return self
-
-    def _spread(self, first: int = 0) -> FloatArray:
-        """Variances (T - first, 2) of the increments: of tracking, and what the map contradicts it by, squared."""
-        tracked = np.array(self.tracked[first:])
-        moved = between(tracked[:-1], tracked[1:])
-        missed = between(moved, np.array(self.increments[first + 1 :]).reshape(-1, 3)) ** 2
-        spread: FloatArray = np.array(self.variances[first:])
-        spread[1:] += np.stack([0.5 * (missed[:, 0] + missed[:, 1]), missed[:, 2]], axis=1)
-        return spread
 
     def _position_variance(self, moments: FloatArray) -> float:
         """Trace of the position's covariance at the newest key scan."""
@@ -290,13 +267,13 @@ class KeyGraph:
         xt, yt = -(s * y - sy), s * x - sx
         return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, s]])
 
-    def _neighbours(self, block: int) -> list[tuple[int, FloatArray]]:
-        sums, last = self._sums, (len(self) - 1) // BLOCK
-        found = list(self._links.get(block, {}).items())
-        if block > 0:
-            found.append((block - 1, sums[block * BLOCK] - sums[(block - 1) * BLOCK]))
-        if block < last:
-            found.append((block + 1, sums[(block + 1) * BLOCK] - sums[block * BLOCK]))
+    def _neighbours(self, block: int) -> list[tuple[int, FloatArray, FloatArray]]:
+        """Submaps one step away: this one's first key scan seen from theirs, and the moments of the way."""
+        sums, tracked, first = self._sums, self.tracked, block * BLOCK
+        found = [(other, *link) for other, link in self._links.get(block, {}).items()]
+        for other in (first - BLOCK, first + BLOCK):
+            if 0 <= other < len(self):
+                found.append((other // BLOCK, between(tracked[other], tracked[first]), abs(sums[first] - sums[other])))
         return found
 
     def _link(self, tie: Tie) -> None:
@@ -306,9 +283,12 @@ class KeyGraph:
         xx, yy, heading = np.linalg.inv(tie.information).diagonal().tolist()
         moments = within + _moments(self.poses[tie.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
         known = self._links.get(a, {}).get(b)
-        if known is None or moments[0] + moments[1] < known[0] + known[1]:
-            self._links.setdefault(a, {})[b] = moments
-            self._links.setdefault(b, {})[a] = moments
+        if known is None or moments[0] + moments[1] < known[1][0] + known[1][1]:
+            to_anchor = between(self.tracked[a * BLOCK], self.tracked[tie.from_])
+            from_key = between(self.tracked[tie.to], self.tracked[b * BLOCK])
+            there = compose(to_anchor, compose(tie.measurement, from_key))
+            self._links.setdefault(a, {})[b] = inverse(there), moments
+            self._links.setdefault(b, {})[a] = there, moments
 
 
 def _moments(poses: FloatArray, spread: FloatArray) -> FloatArray:

@@ -63,7 +63,8 @@ class LoopClosure:
         """Begin with the filter's first scan."""
         state.memory = memory = Memory()
         memory.scans.append(beams, is_key=True)
-        memory.graph.extend(state.key_pose, state.poses[state.best], np.zeros(3), self.drift.variances(0.0, 0.0))
+        memory.said.append(state.poses[state.best])
+        memory.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
 
     def __call__(
         self,
@@ -88,20 +89,19 @@ class LoopClosure:
         )
 
     def _remember(self, memory: Memory, state: GridFastSlamState) -> None:
-        """Add the newest key scan; where a particle's own matches contradict the tracker, neither is certain."""
-        before, now = state.ancestry.last(state.best)
-        moved = between(memory.graph.tracked[-1], state.key_pose)
-        spread = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
-        memory.graph.extend(state.key_pose, now, between(before, now), spread)
+        """Add the newest key scan, where it was tracked to."""
+        graph = memory.graph
+        moved = between(graph.tracked[-1], state.key_pose)
+        doubts, memory.doubts = state.tracker.doubts - memory.doubts, state.tracker.doubts
+        spread = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])), doubts)
+        graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
+        memory.said.append(state.poses[state.best])
 
     def _disagrees(self, memory: Memory, ties: list[Tie], state: GridFastSlamState) -> bool:
         """Whether the filter's best trajectory contradicts what was recognized."""
         trajectory = state.ancestry.trajectory(state.best)
         has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
         missed = between(has, np.array([tie.measurement for tie in ties]))
-        memory.graph.follow(trajectory)
-        memory.area = ()
-        memory.submaps.forget()
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
@@ -109,6 +109,9 @@ class LoopClosure:
         """Solve the graph, and begin to draw the corrected past."""
         graph = memory.graph
         solution = self.solver.solve(graph.graph())
+        graph.correct(solution.poses)
+        memory.area = ()
+        memory.submaps.forget()
         doubted = solution.weights[-len(ties) :].min() < 0.5
         if doubted:  # what else is known speaks against the closure
             del graph.ties[-len(ties) :]
@@ -130,6 +133,7 @@ class LoopClosure:
             return False
         corrected: FloatArray = np.array(poses)
         graph.correct(corrected)
+        memory.said = list(corrected)
         memory.area = ()
         memory.submaps.forget()
         state.reseed(corrected, correction.maps)

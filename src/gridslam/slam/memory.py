@@ -67,6 +67,10 @@ class Memory:
         Places recognized lately that wait for others to agree.
     rejected : Counter
         How often which reason spoke against a place.
+    said : list of (3,) float64
+        The best particle's pose at each key scan, as told at the time or corrected since.
+    doubts : int
+        Matches that the tracker did not believe, up to the newest key scan.
     failures, next_search : int
         Searches in a row that found nothing, and the key scan at which to search next.
     area : tuple of int
@@ -80,6 +84,8 @@ class Memory:
     hypotheses: list[Hypothesis] = field(default_factory=list)
     rejected: Counter[Rejection] = field(default_factory=Counter)
     correction: Correction | None = None
+    said: list[FloatArray] = field(default_factory=list)
+    doubts: int = 0
     failures: int = 0
     next_search: int = 0
     area: tuple[int, ...] = ()
@@ -92,7 +98,7 @@ class Memory:
             pending = replace(pending, poses=pending.poses.copy(), maps=pending.maps.snapshot())
         return Memory(
             self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending,
-            self.failures, self.next_search, self.area,
+            self.said.copy(), self.doubts, self.failures, self.next_search, self.area,
         )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -102,7 +108,8 @@ class Memory:
             "hypotheses": np.array([(h.key, h.block) for h in waiting], np.int64).reshape(-1, 2),
             "hypotheses.poses": np.array([h.pose for h in waiting], np.float64).reshape(-1, 3),
             "hypotheses.information": np.array([h.information for h in waiting], np.float64).reshape(-1, 3, 3),
-            "search": np.array([self.failures, self.next_search, *self.area], np.int64),
+            "said": np.array(self.said, np.float64).reshape(-1, 3),
+            "search": np.array([self.doubts, self.failures, self.next_search, *self.area], np.int64),
             "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
@@ -125,7 +132,7 @@ class Memory:
             arrays["hypotheses"].tolist(), arrays["hypotheses.poses"], arrays["hypotheses.information"], strict=True
         )
         counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
-        failures, next_search, *area = arrays["search"].tolist()
+        doubts, failures, next_search, *area = arrays["search"].tolist()
         correction = None
         if "correction.drawn" in arrays:
             maps = mapper.restore(part("correction.maps"), threads)
@@ -136,6 +143,8 @@ class Memory:
             [Hypothesis(key, block, pose, information) for (key, block), pose, information in waiting],
             Counter({reason: n for reason, n in counts if n}),
             correction,
+            list(arrays["said"]),
+            doubts,
             failures,
             next_search,
             tuple(area),

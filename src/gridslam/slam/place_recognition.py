@@ -25,6 +25,9 @@ __all__ = ["PlaceRecognition"]
 _MOST_SUBMAPS = 24
 """Submaps that are searched at once."""
 
+_MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
+"""Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
+
 _WALL_M = 0.3
 """A beam that ends so much behind what the map knows has passed through it."""
 
@@ -62,6 +65,9 @@ class PlaceRecognition:
         Searches in a row that must agree.
     agree_m, agree_rad : float
         How far they may differ.
+    least_information : float
+        Least eigenvalue of the position's information, per agreeing beam: along a corridor whose doors are shut nothing
+        is recognized.
     beam_sigma_m : float, m
         Standard deviation of what one beam says about a tie, beams being correlated and walls a cell thick.
     search : BranchAndBound
@@ -82,8 +88,9 @@ class PlaceRecognition:
     confirmations: int = Field(default=3, ge=1)
     agree_m: float = Field(default=0.25, gt=0)
     agree_rad: float = Field(default=0.05, gt=0)
+    least_information: float = Field(default=0.06, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.0, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.5, floor=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(self, memory: Memory, mapper: OccupancyGridMapping) -> list[Tie]:
@@ -131,16 +138,31 @@ class PlaceRecognition:
         graph = memory.graph
         newest, oldest = len(graph) - 1, (len(graph) - 1) // BLOCK - self.gap
         followed = self._followed(graph, oldest)
-        guess = followed or self._believed(graph, oldest)
+        guess = followed or self._believed(memory, oldest)
         if guess is None:
             return False
         match = self._match(memory, mapper, *guess)
         if isinstance(match, Rejection):
             return False
-        certain = followed is not None or self._certain(graph, match.block)
+        certain = followed is not None
+        if not certain:
+            way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == match.block), None)
+            if way is None or not self._plausible(graph, way, match):
+                return False
+            certain = way.sigma_m < self.known_m
         source = Source.KNOWN if certain else Source.BELIEVED
         graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
         return certain
+
+    def _plausible(self, graph: KeyGraph, way: Nearby, match: Hypothesis) -> bool:
+        """Whether the drift explains what a match differs by from the way to its submap."""
+        expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
+        missed = between(expected, match.pose)
+        turn = graph.poses[-1][2] - expected[2]  # from the anchor's frame to the map's, in which the covariance is
+        c, s = math.cos(turn), math.sin(turn)
+        x, y = (match.pose - expected)[:2].tolist()
+        away = np.array([c * x - s * y, s * x + c * y, missed[2]])
+        return float(away @ np.linalg.solve(way.covariance + _MATCHING, away)) < self.search.gate**2
 
     def _followed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
         """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
@@ -156,17 +178,12 @@ class PlaceRecognition:
         best = int(np.argmin(away))
         return (near[best], places[best]) if away[best] < self.near_m else None
 
-    def _believed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
+    def _believed(self, memory: Memory, oldest: int) -> tuple[int, FloatArray] | None:
         """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
-        anchors = np.array(graph.poses[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK])
-        away = np.hypot(*(anchors[:, :2] - graph.poses[-1][:2]).T)
+        anchors, here = np.array(memory.said[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK]), memory.said[-1]
+        away = np.hypot(*(anchors[:, :2] - here[:2]).T)
         block = int(away.argmin())
-        return (block, between(anchors[block], graph.poses[-1])) if away[block] < self.near_m else None
-
-    def _certain(self, graph: KeyGraph, block: int) -> bool:
-        """Whether the way to a submap is too short to be wrong."""
-        known = [n for n in graph.nearby(2 * self.known_m, 64) if n.block == block]
-        return any(n.sigma_m < self.known_m for n in known)
+        return (block, between(anchors[block], here)) if away[block] < self.near_m else None
 
     def _match(
         self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray
@@ -180,7 +197,7 @@ class PlaceRecognition:
         moved = between(guess, pose)
         if math.hypot(moved[0], moved[1]) > 3 * self.known_m or not self._agrees(maps, pose, beams.ends):
             return Rejection.POOR
-        if undetermined(match.information[0], float(match.score[0])) is not None:
+        if undetermined(match.information[0], float(match.score[0]), self.least_information) is not None:
             return Rejection.UNDETERMINED
         return Hypothesis(newest, block, pose, match.information[0] / self.beam_sigma_m**2)
 
@@ -203,7 +220,9 @@ class PlaceRecognition:
         blocks = memory.area
         maps, pyramid = memory.submaps.joint(blocks, mapper, memory.scans, graph)
         points = thinned(self._points(memory), self.search.points)
-        found = self.search.search(pyramid, graph.poses[-1], candidates[0].covariance, points)
+        way = candidates[0]
+        guess = compose(graph.poses[way.block * BLOCK], way.pose)
+        found = self.search.search(pyramid, guess, way.covariance, points)
         if found is None:
             return Rejection.POOR
         if rejection := self._judged(found, maps, points, memory):
@@ -215,13 +234,11 @@ class PlaceRecognition:
     def _candidates(self, graph: KeyGraph) -> list[Nearby]:
         """Old submaps that the robot may be in, the one that it would have to be moved least for first."""
         oldest = (len(graph) - 1) // BLOCK - self.gap
-        x, y, _ = graph.poses[-1].tolist()
         found = []
         for nearby in graph.nearby(self.search.window_m / self.search.gate, len(graph)):
             if nearby.block > oldest:
                 continue
-            ax, ay, _ = graph.poses[anchor_of(nearby.block)].tolist()
-            away = max(math.hypot(ax - x, ay - y) - self.near_m, 0.0)
+            away = max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.near_m, 0.0)
             if away < self.search.gate * nearby.sigma_m:
                 found.append((away / nearby.sigma_m, nearby.block, nearby))
         return [nearby for _, _, nearby in sorted(found, key=lambda f: f[:2])[:_MOST_SUBMAPS]]

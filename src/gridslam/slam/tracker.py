@@ -52,6 +52,8 @@ class TrackerState:
         Which local map is matched against.
     scans : (int, int)
         Scans that each local map holds.
+    doubts : int
+        How many matches were not believed so far.
     """
 
     maps: TileMaps
@@ -63,6 +65,7 @@ class TrackerState:
     inserted_pose: FloatArray
     active: int = 0
     scans: tuple[int, int] = (1, 0)
+    doubts: int = 0
 
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
@@ -71,16 +74,16 @@ class TrackerState:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
-        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans], np.int64)
+        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans, self.doubts], np.int64)
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
-        stamp_ns, active, first, second = (int(v) for v in arrays["counters"])
+        stamp_ns, active, first, second, doubts = (int(v) for v in arrays["counters"])
         poses = {name: np.array(arrays[name], np.float64) for name in _POSES}
-        return cls(maps, stamp_ns=stamp_ns, active=active, scans=(first, second), **poses)
+        return cls(maps, stamp_ns=stamp_ns, active=active, scans=(first, second), doubts=doubts, **poses)
 
 
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "inserted_pose")
@@ -178,8 +181,9 @@ class Tracker:
         pose = match.poses[0] if jumped else self._believed(state, match, predicted, sigma_m, beams)
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
-        doubtful = match.score[0] < self.poor_share * len(beams) and turned > self.insert_rad
-        if not doubtful:
+        poor = bool(match.score[0] < self.poor_share * len(beams))
+        state.doubts += poor or jumped
+        if not (poor and turned > self.insert_rad):  # smeared by the turn, or seen at another time than the stamp's
             self._insert(state, beams)
         return Tracked(pose, predicted)
 
