@@ -59,6 +59,8 @@ class PlaceRecognition:
         Key scans whose points are searched together.
     other_share : float
         A second place with this share of the best one's agreement makes it ambiguous.
+    unlike_m, unlike_rad : float
+        Not only within the drift: where the map repeats itself this near, the next room may be one never seen.
     through : float
         Share of the beams that may pass through what the old map knows as walls: doors and furniture move.
     confirmations : int
@@ -84,6 +86,8 @@ class PlaceRecognition:
     every: int = Field(default=4, ge=1)
     query: int = Field(default=10, ge=1)
     other_share: float = Field(default=0.8, gt=0, le=1)
+    unlike_m: float = Field(default=10.0, ge=0)
+    unlike_rad: float = Field(default=0.2, ge=0)
     through: float = Field(default=0.2, ge=0, le=1)
     confirmations: int = Field(default=3, ge=1)
     agree_m: float = Field(default=0.25, gt=0)
@@ -147,22 +151,20 @@ class PlaceRecognition:
         certain = followed is not None
         if not certain:
             way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == match.block), None)
-            if way is None or not self._plausible(graph, way, match):
+            if way is None or not self._plausible(way.covariance, _missed(graph, way, match)):
                 return False
             certain = way.sigma_m < self.known_m
         source = Source.KNOWN if certain else Source.BELIEVED
         graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
         return certain
 
-    def _plausible(self, graph: KeyGraph, way: Nearby, match: Hypothesis) -> bool:
-        """Whether the drift explains what a match differs by from the way to its submap."""
-        expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
-        missed = between(expected, match.pose)
-        turn = graph.poses[-1][2] - expected[2]  # from the anchor's frame to the map's, in which the covariance is
-        c, s = math.cos(turn), math.sin(turn)
-        x, y = (match.pose - expected)[:2].tolist()
-        away = np.array([c * x - s * y, s * x + c * y, missed[2]])
-        return float(away @ np.linalg.solve(way.covariance + _MATCHING, away)) < self.search.gate**2
+    def _plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
+        """Whether the drift explains what a match differs by from where the robot should be, map frame."""
+        return float(missed @ np.linalg.solve(covariance + _MATCHING, missed)) < self.search.gate**2
+
+    def _beyond(self) -> FloatArray:
+        """What widens the search to all places that must be unlike the one found."""
+        return np.square(np.diag([self.unlike_m, self.unlike_m, self.unlike_rad]) / self.search.gate)
 
     def _followed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
         """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
@@ -222,9 +224,11 @@ class PlaceRecognition:
         points = thinned(self._points(memory), self.search.points)
         way = candidates[0]
         guess = compose(graph.poses[way.block * BLOCK], way.pose)
-        found = self.search.search(pyramid, guess, way.covariance, points)
+        found = self.search.search(pyramid, guess, way.covariance + self._beyond(), points)
         if found is None:
             return Rejection.POOR
+        if not self._plausible(way.covariance, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
+            return Rejection.IMPLAUSIBLE
         if rejection := self._judged(found, maps, points, memory):
             return rejection
         anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
@@ -239,9 +243,11 @@ class PlaceRecognition:
             if nearby.block > oldest:
                 continue
             away = max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.near_m, 0.0)
-            if away < self.search.gate * nearby.sigma_m:
+            if away < self.search.gate * nearby.sigma_m + self.unlike_m:
                 found.append((away / nearby.sigma_m, nearby.block, nearby))
-        return [nearby for _, _, nearby in sorted(found, key=lambda f: f[:2])[:_MOST_SUBMAPS]]
+        found.sort(key=lambda f: f[:2])
+        near = found and found[0][0] < self.search.gate
+        return [nearby for _, _, nearby in found[:_MOST_SUBMAPS]] if near else []
 
     def _points(self, memory: Memory) -> FloatArray:
         """Points (B, 2) of the last key scans, seen from the newest one."""
@@ -273,3 +279,12 @@ class PlaceRecognition:
         seen = compose(graph.local(anchor_of(earlier.block), anchor_of(later.block)), later.pose)
         missed = between(reached, seen)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad
+
+
+def _missed(graph: KeyGraph, way: Nearby, match: Hypothesis) -> FloatArray:
+    """What a match (3,) differs by from the way to its submap, turned to the map frame."""
+    expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
+    turn = graph.poses[-1][2] - expected[2]
+    c, s = math.cos(turn), math.sin(turn)
+    x, y = (match.pose - expected)[:2].tolist()
+    return np.array([c * x - s * y, s * x + c * y, between(expected, match.pose)[2]])
