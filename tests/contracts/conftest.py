@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from loops import loop_drive
 
-from gridslam.config import Configuration, override
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
@@ -34,16 +34,7 @@ def log(simulated: SimulatedLog, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @pytest.fixture(scope="session")
 def loop_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive of 80 m around a block, 399 scans, that comes back to where it was."""
-    rng = np.random.default_rng(1)
-    lidar, odometry = LidarConfig(beams=60, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
-    log = simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+    """A drive that comes back to where it was."""
     path = tmp_path_factory.mktemp("loop") / "loop.clf.gz"
-    write_carmen(path, log.measurements)
+    write_carmen(path, loop_drive().measurements)
     return path
-
-
-@pytest.fixture(scope="session")
-def closing() -> Configuration:
-    """Few particles, and whatever is recognized is corrected."""
-    return override(Configuration(), "particles=4", "closure.disagree_m=0.001", "closure.disagree_rad=0.001")

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loops import PROVOKED, loop_drive
 
-from gridslam.config import Configuration, build, override
+from gridslam.config import build, override
 from gridslam.io.state import SavedRun, read_state, write_state
 from gridslam.pipeline import run
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.full_slam import full_slam
 
-CONFIG = override(
-    Configuration(), "particles=3", "closure.disagree_m=0.001", "closure.disagree_rad=0.001", "closure.scans_per_step=5"
-)
-"""Whatever is recognized is corrected, and drawn slowly."""
+CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5")
+"""The correction is drawn slowly."""
 
 SLAM = build(CONFIG)
 
 
 @pytest.fixture(scope="module")
 def loop():
-    rng = np.random.default_rng(1)
-    lidar, odometry = LidarConfig(beams=60, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
-    return simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+    return loop_drive()
 
 
 @pytest.fixture(scope="module")

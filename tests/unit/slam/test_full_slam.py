@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loops import PROVOKED, loop_drive
 
-from gridslam.config import Configuration, build, override
+from gridslam.config import build, override
 from gridslam.evaluation import absolute_errors, false_closures
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam.full_slam import full_slam
 from gridslam.slam.key_graph import Source
 from gridslam.slam.memory import Rejection
 from gridslam.types import Trajectory
 
-ON = override(Configuration(), "particles=4")
-OFF = override(ON, "loop_closure=false")
+OFF = override(PROVOKED, "loop_closure=false")
 
 
 @pytest.fixture(scope="module")
 def loop():
-    rng = np.random.default_rng(1)
-    lidar, odometry = LidarConfig(beams=90, rate_hz=3.0), OdometryNoise(bias_rad_per_m=0.01)
-    return simulate(make_world("loop", rng), RobotConfig(v_max_m_s=1.0), odometry, lidar, rng)
+    return loop_drive()
 
 
 def answered(config, measurements, tick=lambda: None):
@@ -37,7 +34,7 @@ def answered(config, measurements, tick=lambda: None):
 
 @pytest.fixture(scope="module")
 def closed(loop):
-    return answered(ON, loop.measurements)
+    return answered(PROVOKED, loop.measurements)
 
 
 def test_the_filter_alone_is_the_best_particles_past(loop):
@@ -85,11 +82,11 @@ def test_the_last_word_ticks_and_can_be_interrupted(loop):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        answered(ON, loop.measurements[:150], stop)
+        answered(PROVOKED, loop.measurements[:150], stop)
 
 
 def test_a_single_scan_has_an_answer(loop):
-    for config in (ON, OFF):
+    for config in (PROVOKED, OFF):
         _, _, answer = answered(config, loop.measurements[:1])
         assert answer.poses.shape == (1, 3)
         assert not answer.covariances.any()
