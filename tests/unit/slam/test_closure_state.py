@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from loops import PROVOKED, loop_drive
@@ -89,3 +91,11 @@ def test_the_last_word_changes_nothing_and_is_the_same_after_reading(loop, conte
             assert getattr(word, name).tobytes() == getattr(words[0], name).tobytes()
         assert word.graph.poses.tobytes() == words[0].graph.poses.tobytes()
         assert word.map.log_odds.tobytes() == words[0].map.log_odds.tobytes()
+
+
+def test_the_page_on_the_state_names_every_array(loop, play, cuts):
+    page = (Path(__file__).parents[3] / "docs" / "state.md").read_text(encoding="utf-8")
+    state, _ = play(SLAM, loop.measurements[: cuts[3]], particles=3, seed=7)
+    for name in state.to_arrays():
+        own = name.removeprefix("memory.")
+        assert f"`{own.rpartition('maps.')[2]}`" in page, name
