@@ -1,4 +1,4 @@
-"""gridslam: 2D lidar SLAM with grid-based FastSLAM (GMapping) and its family.
+"""gridslam: 2D lidar SLAM with grid-based FastSLAM (GMapping), loop closure and GraphSLAM.
 
 Names are imported when they are first used, so that ``import gridslam`` itself is quick.
 """
@@ -14,14 +14,18 @@ if TYPE_CHECKING:
     from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError, OutputError
     from gridslam.io.carmen import CarmenLog
     from gridslam.pipeline import run
+    from gridslam.slam.graph_slam import GraphSlam
     from gridslam.slam.grid_fastslam import GridFastSlam
+    from gridslam.slam.loop_closure import LoopClosure
+    from gridslam.slam.pose_graph import PoseGraph
     from gridslam.slam.state import GridFastSlamState
     from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, StepReport, Trajectory
 
 __all__ = [
-    "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GridFastSlam", "GridFastSlamState",
-    "GridslamError", "InputError", "LaserScan", "MapResult", "OccupancyGrid", "Odometry", "OutputError", "ScanGeometry",
-    "StepReport", "Trajectory", "__version__", "build", "map_log", "preset", "run",
+    "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GraphSlam", "GridFastSlam",
+    "GridFastSlamState", "GridslamError", "InputError", "LaserScan", "LoopClosure", "MapResult", "OccupancyGrid",
+    "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory", "__version__", "build",
+    "map_log", "preset", "run",
 ]  # fmt: skip
 
 __version__ = "0.1.0"
@@ -32,7 +36,10 @@ _HOMES = {
     "errors": ("ArgumentError", "ConfigurationError", "GridslamError", "InputError", "OutputError"),
     "io.carmen": ("CarmenLog",),
     "pipeline": ("run",),
+    "slam.graph_slam": ("GraphSlam",),
     "slam.grid_fastslam": ("GridFastSlam",),
+    "slam.loop_closure": ("LoopClosure",),
+    "slam.pose_graph": ("PoseGraph",),
     "slam.state": ("GridFastSlamState",),
     "types": ("LaserScan", "OccupancyGrid", "Odometry", "ScanGeometry", "StepReport", "Trajectory"),
 }

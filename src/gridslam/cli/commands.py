@@ -36,7 +36,9 @@ class _MapCommand(click.Command):
         from gridslam.config.tables import value_of
 
         defaults = Configuration()
-        rows = [(name, f"{what} [{value_of(defaults, path)}]") for name, (path, what) in PARAMETERS.items()]
+        rows = [
+            (name, f"{what} [{str(value_of(defaults, path)).lower()}]") for name, (path, what) in PARAMETERS.items()
+        ]
         with formatter.section("Parameters for --set (m, rad) [default]"):
             formatter.write_dl(rows)
         formatter.write_paragraph()
