@@ -14,7 +14,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_graph import BLOCK, Source, Tie
@@ -69,6 +69,8 @@ class JointMatching:
         The nearest of them.
     share : float
         Share of the beams that must agree.
+    least_information : float
+        Least eigenvalue of the position's information, per agreeing beam.
     most_m : float, m
         A match that moves a key scan farther is not believed.
     beam_sigma_m : float, m
@@ -88,6 +90,7 @@ class JointMatching:
     near_m: float = Field(default=3.0, gt=0)
     submaps: int = Field(default=3, ge=1)
     share: float = Field(default=0.7, gt=0, le=1)
+    least_information: float = Field(default=0.06, ge=0)
     most_m: float = Field(default=0.4, gt=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
     scan_share: float = Field(default=0.6, gt=0, le=1)
@@ -154,7 +157,10 @@ class JointMatching:
                 guess = between(poses[anchor], poses[key])
                 match = self.matcher(maps, ROW, guess[None], loose, beams)
                 moved = between(guess, match.poses[0])
-                if match.score[0] >= max(self.share * len(beams), 1.0) and np.hypot(moved[0], moved[1]) < self.most_m:
+                score = float(match.score[0])
+                if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
+                    continue
+                if undetermined(match.information[0], score, self.least_information) is None:
                     information = match.information[0] / self.beam_sigma_m**2
                     yield Tie.of(anchor, key, match.poses[0], information, Source.BELIEVED)
 

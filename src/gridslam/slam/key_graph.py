@@ -39,9 +39,9 @@ class Drift:
         Standard deviation of the position after a metre, of the heading after a radian.
     m_of_turn, rad_of_way : float
         Standard deviation of the position after a radian, of the heading after a metre.
-    doubt_m, doubt_rad : float
-        What each match that the tracker did not believe adds: a scan smeared by a turn, a wheel that slipped, a reading
-        that came late.
+    doubt : float
+        Where the tracker did not believe its match it took the odometry; there so many of the odometry's standard
+        deviations are added: the wheels may have slipped, or a reading have come late.
     """
 
     still_m: float = Field(default=0.002, gt=0)
@@ -51,14 +51,13 @@ class Drift:
     m_of_turn: float = Field(default=0.02, ge=0)
     rad_of_way: float = Field(default=0.002, ge=0)
 
-    doubt_m: float = Field(default=0.05, ge=0)
-    doubt_rad: float = Field(default=0.02, ge=0)
+    doubt: float = Field(default=1.5, ge=0)
 
-    def variances(self, moved_m: float, turned_rad: float, doubts: int = 0) -> tuple[float, float]:
-        """Variances (m^2, rad^2) of an increment of so many metres and radians, with so many matches not believed."""
+    def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
+        """Variances (m^2, rad^2) of an increment of so many metres and radians."""
         return (
-            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad + self.doubt_m**2 * doubts,
-            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m + self.doubt_rad**2 * doubts,
+            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
+            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,
         )
 
 

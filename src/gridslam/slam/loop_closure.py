@@ -92,8 +92,11 @@ class LoopClosure:
         """Add the newest key scan, where it was tracked to."""
         graph = memory.graph
         moved = between(graph.tracked[-1], state.key_pose)
-        doubts, memory.doubts = state.tracker.doubts - memory.doubts, state.tracker.doubts
-        spread = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])), doubts)
+        position, heading = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
+        doubts, before = (state.tracker.doubt_m2, state.tracker.doubt_rad2), memory.doubts
+        memory.doubts = doubts
+        times = self.drift.doubt**2
+        spread = position + times * (doubts[0] - before[0]), heading + times * (doubts[1] - before[1])
         graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
         memory.said.append(state.poses[state.best])
 

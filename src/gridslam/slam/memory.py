@@ -69,8 +69,8 @@ class Memory:
         How often which reason spoke against a place.
     said : list of (3,) float64
         The best particle's pose at each key scan, as told at the time or corrected since.
-    doubts : int
-        Matches that the tracker did not believe, up to the newest key scan.
+    doubts : (float, float), m^2, rad^2
+        Variances of the odometry that the tracker took instead of a match, up to the newest key scan.
     failures, next_search : int
         Searches in a row that found nothing, and the key scan at which to search next.
     area : tuple of int
@@ -85,7 +85,7 @@ class Memory:
     rejected: Counter[Rejection] = field(default_factory=Counter)
     correction: Correction | None = None
     said: list[FloatArray] = field(default_factory=list)
-    doubts: int = 0
+    doubts: tuple[float, float] = (0.0, 0.0)
     failures: int = 0
     next_search: int = 0
     area: tuple[int, ...] = ()
@@ -109,7 +109,8 @@ class Memory:
             "hypotheses.poses": np.array([h.pose for h in waiting], np.float64).reshape(-1, 3),
             "hypotheses.information": np.array([h.information for h in waiting], np.float64).reshape(-1, 3, 3),
             "said": np.array(self.said, np.float64).reshape(-1, 3),
-            "search": np.array([self.doubts, self.failures, self.next_search, *self.area], np.int64),
+            "doubts": np.array(self.doubts),
+            "search": np.array([self.failures, self.next_search, *self.area], np.int64),
             "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
@@ -132,7 +133,7 @@ class Memory:
             arrays["hypotheses"].tolist(), arrays["hypotheses.poses"], arrays["hypotheses.information"], strict=True
         )
         counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
-        doubts, failures, next_search, *area = arrays["search"].tolist()
+        failures, next_search, *area = arrays["search"].tolist()
         correction = None
         if "correction.drawn" in arrays:
             maps = mapper.restore(part("correction.maps"), threads)
@@ -144,7 +145,7 @@ class Memory:
             Counter({reason: n for reason, n in counts if n}),
             correction,
             list(arrays["said"]),
-            doubts,
+            (float(arrays["doubts"][0]), float(arrays["doubts"][1])),
             failures,
             next_search,
             tuple(area),

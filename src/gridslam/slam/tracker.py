@@ -52,8 +52,8 @@ class TrackerState:
         Which local map is matched against.
     scans : (int, int)
         Scans that each local map holds.
-    doubts : int
-        How many matches were not believed so far.
+    doubt_m2, doubt_rad2 : float
+        Variances of all odometry so far that was taken instead of a match that was not believed.
     """
 
     maps: TileMaps
@@ -65,7 +65,8 @@ class TrackerState:
     inserted_pose: FloatArray
     active: int = 0
     scans: tuple[int, int] = (1, 0)
-    doubts: int = 0
+    doubt_m2: float = 0.0
+    doubt_rad2: float = 0.0
 
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
@@ -74,16 +75,21 @@ class TrackerState:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
-        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans, self.doubts], np.int64)
+        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans], np.int64)
+        arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
-        stamp_ns, active, first, second, doubts = (int(v) for v in arrays["counters"])
+        stamp_ns, active, first, second = (int(v) for v in arrays["counters"])
+        doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         poses = {name: np.array(arrays[name], np.float64) for name in _POSES}
-        return cls(maps, stamp_ns=stamp_ns, active=active, scans=(first, second), doubts=doubts, **poses)
+        return cls(
+            maps, stamp_ns=stamp_ns, active=active, scans=(first, second), doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
+            **poses,
+        )  # fmt: skip
 
 
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "inserted_pose")
@@ -182,7 +188,9 @@ class Tracker:
         state.pose = state.matched_pose = pose
         state.matched_odometry = odometry.pose
         poor = bool(match.score[0] < self.poor_share * len(beams))
-        state.doubts += poor or jumped
+        if poor or jumped:
+            state.doubt_m2 += sigma_m**2
+            state.doubt_rad2 += sigma_rad**2
         if not (poor and turned > self.insert_rad):  # smeared by the turn, or seen at another time than the stamp's
             self._insert(state, beams)
         return Tracked(pose, predicted)
