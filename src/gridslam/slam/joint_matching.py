@@ -90,7 +90,7 @@ class JointMatching:
     near_m: float = Field(default=3.0, gt=0)
     submaps: int = Field(default=3, ge=1)
     share: float = Field(default=0.7, gt=0, le=1)
-    least_information: float = Field(default=0.06, ge=0)
+    least_information: float = Field(default=0.1, ge=0)
     most_m: float = Field(default=0.4, gt=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
     scan_share: float = Field(default=0.6, gt=0, le=1)

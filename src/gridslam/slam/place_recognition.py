@@ -92,7 +92,7 @@ class PlaceRecognition:
     confirmations: int = Field(default=3, ge=1)
     agree_m: float = Field(default=0.25, gt=0)
     agree_rad: float = Field(default=0.05, gt=0)
-    least_information: float = Field(default=0.06, ge=0)
+    least_information: float = Field(default=0.1, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
     search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.5, floor=0.45)
     matcher: GaussNewton = GaussNewton()
