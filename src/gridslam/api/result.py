@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
 
+import numpy as np
+
 from gridslam import __version__
 from gridslam.api.document import run_document
 from gridslam.config import Configuration
@@ -24,8 +26,8 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
 __all__ = ["MapResult"]
 
-_MOST_DRAWN = 300
-"""Closures in the picture; of more, every second, third, ... is drawn."""
+_MOST_DRAWN, _APART = 300, 20
+"""Recognized closures in the picture, of more every second, third, ... is drawn; key scans between two known ones."""
 
 
 @final
@@ -121,7 +123,8 @@ class MapResult:
         """Lines that tell what was mapped."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
         log, wall = self.log, self.stopwatch.total()[0]
-        closed = "" if self.loops is None else f", {len(self.loops.closures)} loop closures"
+        loops = 0 if self.loops is None else len(self.loops.closures) + len(self.loops.revisits)
+        closed = f", {loops} loop closures" if loops else ""
         return [
             f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven{closed}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
@@ -133,12 +136,13 @@ class MapResult:
 
         picture = draw_map(
             self.map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
-            closures=None if self.loops is None else self._drawn(self.loops.closures),
+            closures=None if self.loops is None else self._drawn(self.loops),
         )  # fmt: skip
         picture.save(path, optimize=False)
 
-    def _drawn(self, closures: IntArray) -> FloatArray:
-        """Lines (K, 4) of at most `_MOST_DRAWN` closures."""
-        chosen = closures[:: -(-len(closures) // _MOST_DRAWN) or 1]
-        ends: FloatArray = self.graph.poses[chosen, :2].reshape(-1, 4)
+    def _drawn(self, loops: Loops) -> FloatArray:
+        """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""
+        recognized = loops.closures[:: -(-len(loops.closures) // _MOST_DRAWN) or 1]
+        known = loops.revisits[np.flatnonzero(np.diff(loops.revisits[:, 1] // _APART, prepend=-1))]
+        ends: FloatArray = self.graph.poses[np.concatenate([known, recognized]), :2].reshape(-1, 4)
         return ends

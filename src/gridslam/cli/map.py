@@ -114,7 +114,8 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
     corrections = f"{loops['corrections']} correction{'s' * (loops['corrections'] != 1)} on the way"
     moved = f"{loops['moved_m']:.2f} m"
-    yield f"{len(loops['closures'])} loop closures, {corrections}; the last word moved a key scan by up to {moved}"
+    tied = f"{loops['ties']['known']} key scans tied to known places"
+    yield f"{len(loops['closures'])} places recognized, {tied}, {corrections}; the last word moved by up to {moved}"
     if rejected:
         yield f"{sum(rejected.values())} places not believed: {reasons}"
 

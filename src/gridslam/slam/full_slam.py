@@ -16,7 +16,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_robust import scaled
 from gridslam.slam.joint_matching import JointMatching, LastWord
-from gridslam.slam.key_graph import Drift, Source
+from gridslam.slam.key_graph import Drift, Source, Tie
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
@@ -36,6 +36,8 @@ class Loops:
     ----------
     closures : (K, 2) int64
         Key scans that were recognized to show one place, older and later one, and that the last word believes.
+    revisits : (R, 2) int64
+        Key scans that were matched to an older place without search, the way to it being certain; older one first.
     doubted : int
         Recognized ones that it does not.
     rejected : Counter of Rejection
@@ -51,6 +53,7 @@ class Loops:
     """
 
     closures: IntArray
+    revisits: IntArray
     doubted: int
     rejected: Counter[Rejection]
     ties: Counter[Source]
@@ -148,9 +151,9 @@ def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArra
     ties = memory.graph.ties
     believed = said.weights[len(said.weights) - len(ties) :] >= 0.5
     recognized = np.array([tie.source is Source.RECOGNIZED for tie in ties], np.bool_)
-    ends = np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
     return Loops(
-        closures=ends[recognized & believed],
+        closures=_ends(ties)[recognized & believed],
+        revisits=_ends([tie for tie in driven.graph.ties if tie.source is Source.KNOWN]),
         doubted=int((recognized & ~believed).sum()),
         rejected=memory.rejected,
         ties=Counter(tie.source for tie in driven.graph.ties),
@@ -158,3 +161,8 @@ def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArra
         chi2=scaled(said.graph, said.weights).chi2(),
         moved_m=float(np.hypot(*(said.graph.poses - trajectory)[:, :2].T).max()),
     )
+
+
+def _ends(ties: list[Tie]) -> IntArray:
+    """Key scans (K, 2) that ties join."""
+    return np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
