@@ -12,6 +12,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
+from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_descent import Descent, descend, squared_errors
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, require_connected
@@ -74,8 +75,8 @@ class GraphSlam:
         iterations, one if `max_iterations` is 1), at `initial_guess` (for poses that mean nothing), or where chi2 is
         less, and again from the other where the first answer is doubtful: it turned some pose by more than a right
         angle from the computed guess, or its chi2 is greater than the measurements' noise explains.
-    robust : GraduatedNonConvexity or None
-        Estimates which of the measurements that are not trusted are false; None believes all.
+    robust : GraduatedNonConvexity, Cauchy or None
+        Estimates which of the measurements that are not trusted are false, or how good each is; None believes all.
     max_iterations : int
         Linear systems solved at most from one guess.
     tolerance : float
@@ -86,7 +87,7 @@ class GraphSlam:
     """
 
     first_guess: Literal["given", "computed", "either"] = "either"
-    robust: GraduatedNonConvexity | None = None
+    robust: GraduatedNonConvexity | Cauchy | None = None
     max_iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-6, gt=0, lt=1)
 
