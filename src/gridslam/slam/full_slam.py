@@ -119,7 +119,7 @@ def full_slam(
         row, loops = state.best, None
     else:
         memory = state.memory.snapshot()  # the last word writes into it
-        said = last_word(memory, trajectory, keys, key_from_base, mapper, closure.solver, tick)
+        said = last_word(memory, trajectory, keys, key_from_base, mapper, tick)
         graph, poses, maps, row = said.graph, said.poses, said.maps, 0
         key_covariances = _marginals(scaled(graph, said.weights))
         loops = _loops(state.memory, memory, said, trajectory)

@@ -16,6 +16,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.slam.full_trajectory import full_trajectory
+from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_graph import BLOCK, Source, Tie
 from gridslam.slam.memory import Memory
@@ -54,8 +55,8 @@ class LastWord:
 class JointMatching:
     """Match, solve, and match again, until nothing moves; then match every scan to the map of all key scans.
 
-    Key scans are matched to the older and later submaps about them to which theirs are tied, drawn anew from the current trajectory. Matched to
-    those of its own time a scan would only repeat what the tracker and the particles have made of it.
+    Key scans are matched to the older and later submaps about them to which theirs are tied, drawn anew from the
+    current trajectory. Matched to those of its own time a scan would only repeat what the tracker has made of it.
 
     Parameters
     ----------
@@ -83,10 +84,12 @@ class JointMatching:
         Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
     matcher : GaussNewton
         How scans are matched.
+    solver : GraphSlam
+        How the graph is solved.
     """
 
-    rounds: int = Field(default=2, ge=1)
-    stop_m: float = Field(default=0.01, gt=0)
+    rounds: int = Field(default=3, ge=1)
+    stop_m: float = Field(default=0.1, gt=0)
     near_m: float = Field(default=3.0, gt=0)
     submaps: int = Field(default=3, ge=1)
     share: float = Field(default=0.7, gt=0, le=1)
@@ -97,6 +100,7 @@ class JointMatching:
     scan_m: float = Field(default=0.15, gt=0)
     scan_prior: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
+    solver: GraphSlam = GraphSlam(first_guess="given", robust=Cauchy())
 
     def __call__(
         self,
@@ -105,7 +109,6 @@ class JointMatching:
         keys: IntArray,
         key_from_base: FloatArray,
         mapper: OccupancyGridMapping,
-        solver: GraphSlam,
         tick: Callable[[], None] = lambda: None,
     ) -> LastWord:
         """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
@@ -123,14 +126,14 @@ class JointMatching:
         """
         known = memory.graph
         known.correct(trajectory)
-        known.correct(solver.solve(known.graph()).poses)
+        known.correct(self.solver.solve(known.graph()).poses)
         kept = known.ties
         for _ in range(self.rounds):
             before = np.array(known.poses)
             ties = list(self._ties(memory, before, mapper, tick))
             known.ties = [tie for tie in kept if tie.source is Source.RECOGNIZED] + ties
             graph = known.graph()
-            solution = solver.solve(graph)
+            solution = self.solver.solve(graph)
             known.correct(solution.poses)
             if np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
                 break
@@ -166,7 +169,7 @@ class JointMatching:
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""
-        from scipy.spatial import cKDTree  # type: ignore[import-untyped]  # only who closes loops pays for its import
+        from scipy.spatial import cKDTree  # only who closes loops pays for its import
 
         allowed, blocks = _connected(memory), memory.graph.blocks
         wanted: list[list[int]] = [[] for _ in range(blocks)]

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_graph import Drift, Tie
 from gridslam.slam.memory import Correction, Memory, Rejection
@@ -54,7 +54,7 @@ class LoopClosure:
     """
 
     recognition: PlaceRecognition = PlaceRecognition()
-    solver: GraphSlam = GraphSlam(first_guess="given", robust=Cauchy())
+    solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: Drift = Drift()
     disagree_m: float = Field(default=0.5, gt=0)
     disagree_rad: float = Field(default=0.05, gt=0)

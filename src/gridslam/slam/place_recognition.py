@@ -16,14 +16,14 @@ from gridslam.matching.branch_and_bound import BranchAndBound, Found, thinned
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby, Source, Tie
 from gridslam.slam.memory import Hypothesis, Memory, Rejection
-from gridslam.slam.submaps import ROW, anchor_of
+from gridslam.slam.submaps import ROW, anchor_of, joint_map
 from gridslam.types import FloatArray
 
 __all__ = ["PlaceRecognition"]
 
 
-_MOST_SUBMAPS = 24
-"""Submaps that are searched at once."""
+_FEW, _MOST_SUBMAPS = 12, 24
+"""Submaps in which a place is searched for, and those from which it must be told."""
 
 _MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
@@ -83,7 +83,7 @@ class PlaceRecognition:
     overlap: float = Field(default=0.6, gt=0, le=1)
     share: float = Field(default=0.75, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
-    every: int = Field(default=4, ge=1)
+    every: int = Field(default=6, ge=1)
     query: int = Field(default=10, ge=1)
     other_share: float = Field(default=0.8, gt=0, le=1)
     unlike_m: float = Field(default=10.0, ge=0)
@@ -217,13 +217,17 @@ class PlaceRecognition:
         candidates = self._candidates(graph)
         if not candidates:
             return None
-        if not {n.block for n in candidates[:6]} <= set(memory.area):
-            memory.area = tuple(sorted(n.block for n in candidates))
-        blocks = memory.area
-        maps, pyramid = memory.submaps.joint(blocks, mapper, memory.scans, graph)
-        points = thinned(self._points(memory), self.search.points)
-        way = candidates[0]
+        way, points = candidates[0], thinned(self._points(memory), self.search.points)
         guess = compose(graph.poses[way.block * BLOCK], way.pose)
+        near = [n for n in candidates if self._away(n) < self.search.gate][:_FEW]
+        if not {n.block for n in near[:6]} <= set(memory.area):
+            memory.area = tuple(sorted(n.block for n in near))
+        maps, pyramid = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
+        found = self.search.search(pyramid, guess, way.covariance, points)
+        if found is None or not self._agrees(maps, found.pose, points):
+            return Rejection.POOR
+        blocks = tuple(sorted(n.block for n in candidates))
+        maps, pyramid = joint_map(blocks, mapper, memory.scans, graph)
         found = self.search.search(pyramid, guess, way.covariance + self._beyond(), points)
         if found is None:
             return Rejection.POOR
@@ -242,12 +246,16 @@ class PlaceRecognition:
         for nearby in graph.nearby(self.search.window_m / self.search.gate, len(graph)):
             if nearby.block > oldest:
                 continue
-            away = max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.near_m, 0.0)
-            if away < self.search.gate * nearby.sigma_m + self.unlike_m:
-                found.append((away / nearby.sigma_m, nearby.block, nearby))
+            away = self._away(nearby)
+            if away * nearby.sigma_m < self.search.gate * nearby.sigma_m + self.unlike_m:
+                found.append((away, nearby.block, nearby))
         found.sort(key=lambda f: f[:2])
         near = found and found[0][0] < self.search.gate
         return [nearby for _, _, nearby in found[:_MOST_SUBMAPS]] if near else []
+
+    def _away(self, nearby: Nearby) -> float:
+        """By how many standard deviations the robot would have to be elsewhere to be in a submap."""
+        return max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.near_m, 0.0) / nearby.sigma_m
 
     def _points(self, memory: Memory) -> FloatArray:
         """Points (B, 2) of the last key scans, seen from the newest one."""

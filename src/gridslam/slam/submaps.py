@@ -15,7 +15,7 @@ from gridslam.slam.key_graph import BLOCK, KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "Submaps", "anchor_of", "drawn", "keys_of"]
+__all__ = ["ROW", "Submaps", "anchor_of", "drawn", "joint_map", "keys_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -40,6 +40,17 @@ def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, pose
     for key, pose in zip(keys.tolist(), poses, strict=True):
         maps.update(ROW, pose[None], scans.key(key))
     return maps
+
+
+def joint_map(
+    blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+) -> tuple[TileMaps, Pyramid]:
+    """Draw one map of several blocks, each where the graph has its anchor, and make its pyramid."""
+    stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
+    keys = [keys_of(block)[::stride] for block in blocks]
+    poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
+    maps = drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
+    return maps, Pyramid.of(maps, 0)
 
 
 @final
@@ -72,13 +83,9 @@ class Submaps:
     def joint(
         self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
     ) -> tuple[TileMaps, Pyramid]:
-        """Give one map of several blocks, each where the graph has its anchor, and its pyramid; see `forget`."""
+        """Give `joint_map`, drawn once as long as the blocks are the same; see `forget`."""
         if self._joint is None or self._joint[0] != blocks:
-            stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
-            keys = [keys_of(block)[::stride] for block in blocks]
-            poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
-            maps = drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
-            self._joint = blocks, maps, Pyramid.of(maps, 0)
+            self._joint = blocks, *joint_map(blocks, mapper, scans, graph)
         return self._joint[1:]
 
     def forget(self) -> None:
