@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
+from gridslam.types import IntArray
 
-__all__ = ["TileArena"]
+__all__ = ["TileArena", "renumbered"]
 
 Int32Array = NDArray[np.int32]
 
@@ -125,6 +126,15 @@ class TileArena:
         self.tile_refs -= tiles.astype(np.int32)
         dead_tiles = np.flatnonzero((tiles > 0) & (self.tile_refs == 0))
         self._free_tiles = np.concatenate([self._free_tiles, dead_tiles.astype(np.int32)])
+
+
+def renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:
+    """The table `ids` with its ids counted from 1 in order of appearance, 0 kept; and the old id of each new one."""
+    old, first, index = np.unique(np.append(np.int32(0), ids), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    new = np.empty(len(old), np.int32)
+    new[order] = np.arange(len(old), dtype=np.int32)
+    return new[index.ravel()[1:]].reshape(ids.shape), old[order].astype(np.int64)
 
 
 def _check(name: str, array: NDArray[Any], dtype: type, block: tuple[int, ...]) -> None:

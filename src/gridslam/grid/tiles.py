@@ -10,38 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.grid.arena import Int32Array, TileArena
+from gridslam.grid.arena import Int32Array, TileArena, renumbered
+from gridslam.grid.evidence import LOG_ODDS_UNIT, Evidence
 from gridslam.grid.frame import cell_corner, cells_of
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
-__all__ = ["LOG_ODDS_UNIT", "Evidence", "TileMaps"]
-
-LOG_ODDS_UNIT = 0.01
-"""Nats in one step of a stored log-odds."""
+__all__ = ["TileMaps"]
 
 _PAGE_CELLS = TILE * PAGE
-
-
-@final
-class Evidence:
-    """What a beam adds to a cell's log-odds, and the clamps, rounded to steps of `LOG_ODDS_UNIT`.
-
-    Parameters
-    ----------
-    hit, miss, minimum, maximum, occupied_above : float, nats
-        `occupied_above` is the log-odds above which a cell counts as occupied for the distance field.
-    """
-
-    __slots__ = ("occupied_above", "steps")
-
-    def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
-        steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
-        if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] < -UNKNOWN):
-            got = hit, miss, minimum, maximum
-            raise ArgumentError("Evidence", "miss < 0 < hit and clamps within +-327 nats", got)
-        self.steps: tuple[int, ...] = steps
-        self.occupied_above: int = steps[4]
 
 
 @final
@@ -239,8 +216,8 @@ class TileMaps:
             (K, 16, 16) int32: tile ids; "log_odds" (T, 32, 32) int16; "field" (T, 32, 32) uint8. Ids count from 1 in
             order of appearance; page 0 and tile 0 are the empty ones.
         """
-        roots, pages = _renumbered(self._roots)
-        tables, tiles = _renumbered(self._arena.pages[pages])
+        roots, pages = renumbered(self._roots)
+        tables, tiles = renumbered(self._arena.pages[pages])
         return {
             "roots": roots,
             "first": np.array(self._first, np.int64),
@@ -304,12 +281,3 @@ class TileMaps:
         row, column = row - first[0], column - first[1]
         roots[:, row : row + rows, column : column + columns] = self._roots
         self._roots, self._first = roots, first
-
-
-def _renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:
-    """The table `ids` with its ids counted from 1 in order of appearance, 0 kept; and the old id of each new one."""
-    old, first, index = np.unique(np.append(np.int32(0), ids), return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    new = np.empty(len(old), np.int32)
-    new[order] = np.arange(len(old), dtype=np.int32)
-    return new[index.ravel()[1:]].reshape(ids.shape), old[order].astype(np.int64)

@@ -103,16 +103,6 @@ class Ancestry:
         only: FloatArray = self._trajectories(self._leaves[particle : particle + 1])[0]
         return only
 
-    def last(self, particle: int) -> tuple[FloatArray, FloatArray]:
-        """Poses (3,) of one particle at the last two steps; twice the same where there is only one."""
-        place, found = int(self._leaves[particle]), []
-        for level in self._levels[: -3 : -1]:
-            found.append(level.poses[place])
-            place = int(level.parents[place])
-        for k in range(self._trunk_length - 1, max(self._trunk_length - 3 + len(found), -1), -1):
-            found.append(self._trunk[k])
-        return found[min(1, len(found) - 1)], found[0]
-
     def trajectories(self) -> FloatArray:
         """Poses (N, T, 3) of all particles."""
         return self._trajectories(self._leaves)

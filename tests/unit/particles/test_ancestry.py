@@ -111,3 +111,26 @@ def test_an_incomplete_state_is_refused() -> None:
     nothing = {"trunk": np.empty((0, 3)), "counts": np.empty(0, dtype=np.int64), "poses": np.empty((0, 3))}
     with pytest.raises(ArgumentError, match="step"):
         Ancestry.from_arrays(nothing | {"parents": np.empty(0, np.int64), "leaves": np.zeros(2, np.int64)})
+
+
+def test_all_particles_along_one_past() -> None:
+    """As if all had been one particle from the start; what they do next is their own."""
+    past = np.random.default_rng(0).normal(size=(7, 3))
+    ancestry = Ancestry.along(past, 4)
+    given, past[:] = past.copy(), 9.0
+    assert (len(ancestry), ancestry.steps, ancestry.coalesced, ancestry.node_count) == (4, 7, 7, 7)
+    lone = Ancestry.start(given[:1])
+    for pose in given[1:]:
+        lone.extend(pose[None])
+    lone.resample([0, 0, 0, 0])
+    new = np.arange(12.0).reshape(4, 3)
+    for one in (ancestry, lone):
+        np.testing.assert_array_equal(one.trajectories(), np.repeat(given[None], 4, axis=0))
+        one.extend(new)
+        one.resample([3, 1, 1, 0])
+        np.testing.assert_array_equal(one.trajectories()[:, :-1], np.repeat(given[None], 4, axis=0))
+        np.testing.assert_array_equal(one.trajectories()[:, -1], new[[3, 1, 1, 0]])
+    for name, array in ancestry.to_arrays().items():
+        np.testing.assert_array_equal(array, lone.to_arrays()[name], err_msg=name)
+    again = Ancestry.from_arrays(ancestry.to_arrays())
+    np.testing.assert_array_equal(again.trajectories(), ancestry.trajectories())
