@@ -210,13 +210,14 @@ def test_distances_and_ray_casting(seed):
     assert (ranges[:, -1] >= np.float32(12.0)).sum() + (ranges[:, -1] == 0).sum() == len(rows)
 
 
-def settings_of(maps, passes, least):
-    return passes, 2.0, 2.0, 0.1, 0.02, 2e-4, maps.reach_cells, least, 2
+def settings_of(maps, passes, least, sparse):
+    return passes, 2.0, 2.0, 0.1, 0.02, 2e-4, maps.reach_cells, least, sparse, 2
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("passes", [1, 2])
-def test_steps_of_a_match(seed, passes):
+@pytest.mark.parametrize("sparse", [0.0, 1.2])
+def test_steps_of_a_match(seed, passes, sparse):
     """Anywhere, even where there is nothing to match, a step is that of the twin as far as single precision reaches."""
     rng = np.random.default_rng(seed)
     maps = random_maps(rng)
@@ -225,7 +226,7 @@ def test_steps_of_a_match(seed, passes):
     guesses = truth + rng.normal(scale=[0.05, 0.05, 0.01], size=truth.shape)
     guesses[0] += [500.0, 0.0, 0.0]  # nothing is there: the prior alone
     priors = np.repeat(np.diag([0.1, 0.2, 0.1])[None], 3, axis=0)  # the steps are well conditioned by it
-    settings = settings_of(maps, passes, float(rng.choice([0.0, 0.02, 0.3])))
+    settings = settings_of(maps, passes, float(rng.choice([0.0, 0.02, 0.3])), sparse)
     one, other = (k.match(*maps._view, ROWS, guesses, priors, ends, CELL, *settings) for k in (compiled, reference))
     np.testing.assert_allclose(one[0][0], guesses[0] - [0, 0, 2 * np.pi * np.floor(guesses[0, 2] / 2 / np.pi + 0.5)])
     np.testing.assert_allclose(one[0], other[0], rtol=0, atol=SINGLE * CELL)
@@ -236,27 +237,74 @@ def test_steps_of_a_match(seed, passes):
     np.testing.assert_allclose(one[1] / (1 + greatest), other[1] / (1 + greatest), rtol=0, atol=2e-3)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_matches_in_a_room(seed):
-    """Where there is a minimum both find it, from guesses up to 10 cm and 2 degrees away, with a prior and without."""
-    rng = np.random.default_rng(seed)
-    half = rng.uniform(2, 8, 2)
-    truth = np.concatenate([rng.uniform(-0.5, 0.5, 2) * half, rng.uniform(-np.pi, np.pi, 1)])
-    bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
+def scan_of_box(half, truth, beams=180):
+    """Ends of beams, in all directions, on the walls |x| = half[0] and |y| = half[1]; seen from `truth` (3,)."""
+    bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     directions = np.column_stack([np.cos(bearings + truth[2]), np.sin(bearings + truth[2])])
     with np.errstate(divide="ignore"):
         ranges = ((half * np.sign(directions) - truth[:2]) / directions).min(axis=1)
-    ends = ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
-    maps = TileMaps(3, resolution_m=CELL, reach_cells=10.5, evidence=EVIDENCES[0])
-    maps.update(ROWS, np.repeat(truth[None], 3, axis=0), beams_to(ends, np.zeros(2)))
+    return ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+def scans_matched(maps, truth, ends, rng, sparse):
+    """What either twin makes of it, from guesses up to 10 cm and 2 degrees away, with a prior and without."""
     guesses = truth + rng.uniform(-1, 1, (3, 3)) * [0.1, 0.1, 0.035]
     priors = np.array([0.0, 0.0025, 0.25])[:, None, None] * np.eye(3)
-    settings = settings_of(maps, 10, 0.02)
-    one, other = (k.match(*maps._view, ROWS, guesses, priors, ends, CELL, *settings) for k in (compiled, reference))
+    settings = settings_of(maps, 10, 0.02, sparse)
+    return (k.match(*maps._view, ROWS, guesses, priors, ends, CELL, *settings) for k in (compiled, reference))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_matches_in_a_room(seed):
+    """Where there is a minimum both find it."""
+    rng = np.random.default_rng(seed)
+    half = rng.uniform(2, 8, 2)
+    truth = np.concatenate([rng.uniform(-0.5, 0.5, 2) * half, rng.uniform(-np.pi, np.pi, 1)])
+    ends = scan_of_box(half, truth)
+    maps = TileMaps(3, resolution_m=CELL, reach_cells=10.5, evidence=EVIDENCES[0])
+    maps.update(ROWS, np.repeat(truth[None], 3, axis=0), beams_to(ends, np.zeros(2)))
+    one, other = scans_matched(maps, truth, ends, rng, 0.0)
     # Both stop when a step is below 0.02 cells; where one takes one pass more they differ by a part of that
     np.testing.assert_allclose(one[0], other[0], rtol=0, atol=0.01 * CELL)
     np.testing.assert_allclose(one[0][:, :2], np.repeat(truth[None, :2], 3, axis=0), rtol=0, atol=0.5 * CELL)
     np.testing.assert_allclose(one[2], other[2], rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("sparse", [0.0, 0.6, 1.2, 4.0, 1e-30])
+def test_matches_in_a_corridor(seed, sparse):
+    """Of a corridor with pillars and noise, where many ends lie sparsely on its walls, and others on nothing straight.
+
+    The evaluated information shows which ends count across their wall only; it is that of one and the same pose.
+    """
+    rng = np.random.default_rng(seed)
+    truth = np.concatenate([rng.uniform(-0.5, 0.5, 2), rng.uniform(-np.pi, np.pi, 1)])
+    ends = scan_of_box(np.array([12.0, 1.1]), truth, int(rng.choice([60, 180, 181])))
+    ends += rng.normal(scale=0.01, size=ends.shape)
+    ends[rng.random(len(ends)) < 0.1] *= 0.7
+    maps = TileMaps(3, resolution_m=CELL, reach_cells=10.5, evidence=EVIDENCES[0])
+    maps.update(ROWS, np.repeat(truth[None], 3, axis=0), beams_to(ends, np.zeros(2)))
+    there = (ROWS, truth + np.zeros((3, 1)), np.zeros((3, 3, 3)), ends, CELL)
+    one, other = (k.match(*maps._view, *there, *settings_of(maps, 0, 0.0, sparse)) for k in (compiled, reference))
+    # One wall found by one of them alone would tell: an end's gradient along it is up to a cell a cell
+    np.testing.assert_allclose(one[1], other[1], rtol=2e-3, atol=2e-3)
+    one, other = scans_matched(maps, truth, ends, rng, sparse)
+    np.testing.assert_allclose(one[0], other[0], rtol=0, atol=0.01 * CELL)
+
+
+@pytest.mark.parametrize("sparse", [0.6, 1.2])
+def test_scans_of_corridors_have_sparse_walls(sparse):
+    """Else the test above would prove nothing."""
+    truth = np.array([0.3, -0.2, 1.0])
+    ends = scan_of_box(np.array([12.0, 1.1]), truth)
+    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=EVIDENCES[0])
+    maps.update(ROWS[:1], truth[None], beams_to(ends, np.zeros(2)))
+    along = [
+        k.match(*maps._view, ROWS[:1], truth[None], np.zeros((1, 3, 3)), ends, CELL, *settings_of(maps, 0, 0.0, s))[1]
+        for k in (compiled, reference) for s in (0.0, sparse)
+    ]  # fmt: skip
+    assert along[1][0, 0, 0] < 0.7 * along[0][0, 0, 0]
+    assert along[3][0, 0, 0] < 0.7 * along[2][0, 0, 0]
 
 
 def test_matches_without_beams_stay_at_the_guess():
@@ -265,7 +313,7 @@ def test_matches_without_beams_stay_at_the_guess():
     for prior in (np.zeros((1, 3, 3)), np.eye(3)[None]):
         for kernels in (compiled, reference):
             poses, information, score = kernels.match(
-                *maps._view, ROWS[:1], guess, prior, np.zeros((0, 2)), CELL, 10, 2.0, 2.0, 0.1, 0.02, 2e-4, 3.0, 0.02, 1
+                *maps._view, ROWS[:1], guess, prior, np.zeros((0, 2)), CELL, *settings_of(maps, 10, 0.02, 1.2)
             )
             np.testing.assert_allclose(poses, guess, atol=1e-15)
             assert not information.any()

@@ -22,7 +22,7 @@ struct Walls {
     for (int i = 0; i < ends.n; ++i) {
       const float apart = std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
       if (apart < least) continue;
-      const int stride = std::max(1, static_cast<int>(std::ceil(kBase / apart)));
+      const int stride = std::max(1, static_cast<int>(std::ceil(std::min(kBase / apart, static_cast<float>(ends.n)))));
       for (const int first : kFirst) {
         const int a = i + first * stride, b = a + 2 * stride;
         if (a >= 0 && b < ends.n && straight(ends, a, a + stride, b, i)) break;

@@ -15,6 +15,8 @@ FloatMap = NDArray[np.float32]
 
 _OCCUPIED = 255
 _HOLD = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
+_BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
+_ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
 
 
 @final
@@ -103,8 +105,8 @@ def match(
     Minimizes sum_b w_b d_b^2 + e^T P e with d_b the distance in cells, w_b = 1 / (1 + (d_b / `cauchy_cells`)^2), e the
     way from the guess and P its information, in m and rad. A step is clipped to `max_step_cells` and `max_step_rad`;
     one below both `stop_cells` and `stop_rad` is the last. Along a direction with less information than
-    `min_information` per agreeing beam the guess is held. Ends on a straight wall farther apart than `sparse_cells`
-    say nothing along it (0: all say what the field says).
+    `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells` or more apart say
+    nothing along it (0: all say what the field says).
 
     Returns
     -------
@@ -120,7 +122,7 @@ def match(
     prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
     pose, going = guess.copy(), np.arange(len(guesses))
-    settings = ends / resolution, _walls(ends / resolution, sparse_cells), cauchy_cells, reach_cells
+    settings = ends / resolution, _walls(ends * (1 / resolution), sparse_cells), cauchy_cells, reach_cells
     for _ in range(max_passes):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, pose[going], *settings)
@@ -140,7 +142,7 @@ def match(
 
 
 def _linearize(
-    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: FloatArray, cauchy_cells: float, reach_cells: float
+    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: FloatMap, cauchy_cells: float, reach_cells: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
     u, v = placed(poses, ends)
@@ -151,29 +153,41 @@ def _linearize(
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     across = (gradient * normals).sum(axis=-1, keepdims=True) * normals
-    ju, jv = np.moveaxis(np.where(walls.any(axis=1)[:, None], across, gradient), -1, 0)
+    ju, jv = np.moveaxis(np.where(walls.any(axis=1, keepdims=True), across, gradient), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
     weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
     return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
 
 
-def _walls(ends: FloatArray, sparse: float) -> FloatArray:
-    """Normals (B, 2) of the straight walls on which ends (B, 2) lie sparsely, in cells; 0 for all other ends."""
-    normals, found = np.zeros_like(ends), np.zeros(len(ends), bool)
-    if not sparse > 0 or len(ends) < 3:
+def _walls(ends: FloatArray, sparse: float) -> FloatMap:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie sparsely, in cells; 0 for all other ends.
+
+    An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
+    where three ends that are equally many beams apart, so many that `_BASE` cells would lie between them were all as
+    sparse as here, follow one another along a line to a cell. The end is the middle one of the three; else, at the end
+    of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
+    """
+    at = ends.astype(np.float32)
+    normals = np.zeros_like(at)
+    if not np.float32(sparse) > 0 or len(ends) < 3:
         return normals
-    u, v = np.diff(ends[:-1], axis=0), np.diff(ends[1:], axis=0)
-    chord = u + v
-    length = np.hypot(chord[:, 0], chord[:, 1])
-    least = np.minimum(np.square(u).sum(axis=1), np.square(v).sum(axis=1))
-    straight = (least >= sparse**2) & ((u * v).sum(axis=1) > 0)
-    straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= length
-    triples = np.flatnonzero(straight)
-    across = np.stack([-chord[triples, 1], chord[triples, 0]], axis=1) / length[triples, None]
-    for member in (1, 2, 0):  # that in which an end is the middle one comes first
-        new = ~found[triples + member]
-        normals[triples[new] + member], found[triples[new] + member] = across[new], True
+    steps = np.diff(at, axis=0)
+    between = np.sqrt((steps * steps).sum(axis=1))
+    apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
+    left = np.flatnonzero(apart >= np.float32(sparse))
+    for first in (-1, -2, 0):
+        stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
+        a, m, b = (left + (first + k) * stride for k in range(3))
+        inside = (a >= 0) & (b < len(ends))
+        i, a, m, b = left[inside], a[inside], m[inside], b[inside]
+        u, v = at[m] - at[a], at[b] - at[m]
+        chord = u + v
+        length = np.sqrt((chord * chord).sum(axis=1))
+        straight = (u * v).sum(axis=1) > 0
+        straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= _ASIDE * length
+        normals[i[straight]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[straight] / length[straight, None]
+        left = np.setdiff1d(left, i[straight])
     return normals
 
 
