@@ -14,8 +14,8 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
 from gridslam.slam.full_slam import Loops
-from gridslam.slam.key_graph import Source
 from gridslam.slam.memory import Rejection
+from gridslam.slam.ties import Source
 from gridslam.types import IntArray
 
 if TYPE_CHECKING:

@@ -16,12 +16,13 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_robust import scaled
 from gridslam.slam.joint_matching import JointMatching, LastWord
-from gridslam.slam.key_graph import Drift, Source, Tie
+from gridslam.slam.key_graph import Drift
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 __all__ = ["FullSlam", "Loops", "full_slam"]

@@ -14,14 +14,15 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import BLOCK, Source, Tie
+from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
+from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["JointMatching", "LastWord"]
@@ -163,9 +164,9 @@ class JointMatching:
                 score = float(match.score[0])
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
                     continue
-                if undetermined(match.information[0], score, self.least_information) is None:
-                    information = match.information[0] / self.beam_sigma_m**2
-                    yield Tie.of(anchor, key, match.poses[0], information, Source.BELIEVED)
+                yield Tie.of(
+                    anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED
+                )  # fmt: skip
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Mapping
-from enum import IntEnum
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -15,15 +14,13 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["BLOCK", "Drift", "KeyGraph", "Nearby", "Source", "Tie"]
+__all__ = ["BLOCK", "Drift", "KeyGraph", "Nearby"]
 
 BLOCK = 10
 """Key scans of a submap: about 5 m of driving."""
-
-_FLOOR = np.diag([1e-2, 1e-2, 1e-2])
-"""Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
 
 
 @final
@@ -59,37 +56,6 @@ class Drift:
             self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
             self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,
         )
-
-
-class Source(IntEnum):
-    """How it is known which old submap a key scan sees."""
-
-    BELIEVED = 0
-    """The filter has the two at one place, which is no proof."""
-
-    KNOWN = 1
-    """The way from the one to the other is too short to be wrong."""
-
-    RECOGNIZED = 2
-    """It was searched for, and found there and nowhere else."""
-
-
-@final
-class Tie(NamedTuple):
-    """A later key scan matched to a submap about an older one: the pose `to` seen from `from_`, its information."""
-
-    from_: int
-    to: int
-    measurement: FloatArray  # (3,)
-    information: FloatArray  # (3, 3), of g2o's error
-    source: Source
-
-    @classmethod
-    def of(cls, from_: int, to: int, pose: FloatArray, information: FloatArray, source: Source) -> Tie:
-        """Tie from a match: pose (3,) and information (3, 3) in the frame of `from_`."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source)
 
 
 @final
@@ -230,9 +196,7 @@ class KeyGraph:
             "poses": np.array(self.poses, np.float64).reshape(-1, 3),
             "variances": np.array(self.variances, np.float64).reshape(-1, 2),
             "sums": np.array(self._sums, np.float64).reshape(-1, 7),
-            "tied": np.array([(t.from_, t.to, t.source) for t in ties], np.int64).reshape(-1, 3),
-            "measurements": np.array([t.measurement for t in ties], np.float64).reshape(-1, 3),
-            "information": np.array([t.information for t in ties], np.float64).reshape(-1, 3, 3),
+            **{f"ties.{name}": array for name, array in ties_to_arrays(ties).items()},
             "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
             "links": np.array([[*p, *m] for ls in self._links.values() for p, m in ls.values()]).reshape(-1, 10),
         }
@@ -243,8 +207,7 @@ class KeyGraph:
         self = cls()
         self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
         self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
-        tied = zip(arrays["tied"].tolist(), arrays["measurements"], arrays["information"], strict=True)
-        self.ties = [Tie(a, b, z, omega, Source(source)) for (a, b, source), z, omega in tied]
+        self.ties = ties_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
             self._links.setdefault(a, {})[b] = moments[:3], moments[3:]
         return self
@@ -277,6 +240,8 @@ class KeyGraph:
 
     def _link(self, tie: Tie) -> None:
         """Note the way that a tie opens between two submaps, if it is the best so far."""
+        if not tie.determined:
+            return
         a, b = tie.from_ // BLOCK, tie.to // BLOCK
         within = sum(self._sums[k] - self._sums[k // BLOCK * BLOCK] for k in (tie.from_, tie.to))
         xx, yy, heading = np.linalg.inv(tie.information).diagonal().tolist()

@@ -14,11 +14,12 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import Drift, Tie
+from gridslam.slam.key_graph import Drift
 from gridslam.slam.memory import Correction, Memory, Rejection
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import ROW
+from gridslam.slam.ties import Tie
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
 __all__ = ["LoopClosure"]

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,10 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import Submaps
+from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
 from gridslam.types import FloatArray
 
-__all__ = ["Correction", "Hypothesis", "Memory", "Rejection"]
+__all__ = ["Correction", "Memory", "Rejection"]
 
 
 class Rejection(Enum):
@@ -30,16 +31,6 @@ class Rejection(Enum):
     THROUGH_WALLS = "beams would pass through walls"
     IMPLAUSIBLE = "too far from where the robot can be"
     INCONSISTENT = "the scans after it say otherwise"
-
-
-@final
-class Hypothesis(NamedTuple):
-    """Key scan `key` seen from the anchor of submap `block`: pose (3,), and its information (3, 3)."""
-
-    key: int
-    block: int
-    pose: FloatArray
-    information: FloatArray
 
 
 @final
@@ -63,7 +54,7 @@ class Memory:
         All scans.
     graph : KeyGraph
         The key scans and how they hang together.
-    hypotheses : list of Hypothesis
+    hypotheses : list of Tie
         Places recognized lately that wait for others to agree.
     rejected : Counter
         How often which reason spoke against a place.
@@ -81,7 +72,7 @@ class Memory:
 
     scans: ScanArchive = field(default_factory=ScanArchive)
     graph: KeyGraph = field(default_factory=KeyGraph)
-    hypotheses: list[Hypothesis] = field(default_factory=list)
+    hypotheses: list[Tie] = field(default_factory=list)
     rejected: Counter[Rejection] = field(default_factory=Counter)
     correction: Correction | None = None
     said: list[FloatArray] = field(default_factory=list)
@@ -103,18 +94,16 @@ class Memory:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
-        waiting = self.hypotheses
         arrays: dict[str, NDArray[Any]] = {
-            "hypotheses": np.array([(h.key, h.block) for h in waiting], np.int64).reshape(-1, 2),
-            "hypotheses.poses": np.array([h.pose for h in waiting], np.float64).reshape(-1, 3),
-            "hypotheses.information": np.array([h.information for h in waiting], np.float64).reshape(-1, 3, 3),
             "said": np.array(self.said, np.float64).reshape(-1, 3),
             "doubts": np.array(self.doubts),
             "search": np.array([self.failures, self.next_search, *self.area], np.int64),
             "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
-            ("scans", self.scans.to_arrays()), ("graph", self.graph.to_arrays())
+            ("hypotheses", ties_to_arrays(self.hypotheses)),
+            ("scans", self.scans.to_arrays()),
+            ("graph", self.graph.to_arrays()),
         ]  # fmt: skip
         if self.correction is not None:
             arrays["correction.poses"] = np.array(self.correction.poses)
@@ -129,9 +118,6 @@ class Memory:
         def part(prefix: str) -> dict[str, NDArray[Any]]:
             return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
-        waiting = zip(
-            arrays["hypotheses"].tolist(), arrays["hypotheses.poses"], arrays["hypotheses.information"], strict=True
-        )
         counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
         failures, next_search, *area = arrays["search"].tolist()
         correction = None
@@ -141,7 +127,7 @@ class Memory:
         return cls(
             ScanArchive.from_arrays(part("scans")),
             KeyGraph.from_arrays(part("graph")),
-            [Hypothesis(key, block, pose, information) for (key, block), pose, information in waiting],
+            ties_from_arrays(part("hypotheses")),
             Counter({reason: n for reason, n in counts if n}),
             correction,
             list(arrays["said"]),

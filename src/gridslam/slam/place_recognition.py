@@ -13,10 +13,11 @@ from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Found, thinned
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby, Source, Tie
-from gridslam.slam.memory import Hypothesis, Memory, Rejection
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
+from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.submaps import ROW, anchor_of, joint_map
+from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray
 
 __all__ = ["PlaceRecognition"]
@@ -53,6 +54,8 @@ class PlaceRecognition:
         Share of those that must agree with the old map.
     known_m : float, m
         Where the position relative to a submap is this certain (standard deviation), its scans are tied without search.
+    follow : int
+        Key scans for which the robot is followed from one that was tied in all directions.
     every : int
         Key scans between two searches.
     query : int
@@ -83,6 +86,7 @@ class PlaceRecognition:
     overlap: float = Field(default=0.6, gt=0, le=1)
     share: float = Field(default=0.75, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
+    follow: int = Field(default=12, ge=1)
     every: int = Field(default=6, ge=1)
     query: int = Field(default=10, ge=1)
     other_share: float = Field(default=0.8, gt=0, le=1)
@@ -114,16 +118,14 @@ class PlaceRecognition:
         if isinstance(found, Rejection):
             self._reject(memory, found)
             return []
-        agreeing = [h for h in memory.hypotheses if newest - h.key <= 6 * self.every and self._agree(graph, h, found)]
+        agreeing = [h for h in memory.hypotheses if newest - h.to <= 6 * self.every and self._agree(graph, h, found)]
         if memory.hypotheses and not agreeing:
             memory.rejected[Rejection.INCONSISTENT] += 1
         memory.hypotheses = [*agreeing, found]
         memory.failures, memory.next_search = 0, newest + self.every // 2
         if len(memory.hypotheses) < self.confirmations:
             return []
-        waited = memory.hypotheses
-        ties = [Tie.of(anchor_of(h.block), h.key, h.pose, h.information, Source.RECOGNIZED) for h in waited]
-        memory.hypotheses = []
+        ties, memory.hypotheses = memory.hypotheses, []
         for tie in ties:
             graph.add(tie)
         return ties
@@ -140,23 +142,21 @@ class PlaceRecognition:
     def _tie_known(self, memory: Memory, mapper: OccupancyGridMapping) -> bool:
         """Tie the newest key scan to an old submap where it is certain, or believed, to be; whether it is certain."""
         graph = memory.graph
-        newest, oldest = len(graph) - 1, (len(graph) - 1) // BLOCK - self.gap
+        oldest = (len(graph) - 1) // BLOCK - self.gap
         followed = self._followed(graph, oldest)
         guess = followed or self._believed(memory, oldest)
         if guess is None:
             return False
-        match = self._match(memory, mapper, *guess)
-        if isinstance(match, Rejection):
+        tie = self._match(memory, mapper, *guess, Source.KNOWN)
+        if isinstance(tie, Rejection):
             return False
-        certain = followed is not None
-        if not certain:
-            way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == match.block), None)
-            if way is None or not self._plausible(way.covariance, _missed(graph, way, match)):
+        if followed is None:
+            way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == guess[0]), None)
+            if way is None or not self._plausible(way.covariance, _missed(graph, way, tie)):
                 return False
-            certain = way.sigma_m < self.known_m
-        source = Source.KNOWN if certain else Source.BELIEVED
-        graph.add(Tie.of(anchor_of(match.block), newest, match.pose, match.information, source))
-        return certain
+            tie = tie._replace(source=Source.KNOWN if way.sigma_m < self.known_m else Source.BELIEVED)
+        graph.add(tie)
+        return tie.source is Source.KNOWN
 
     def _plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
         """Whether the drift explains what a match differs by from where the robot should be, map frame."""
@@ -169,8 +169,9 @@ class PlaceRecognition:
     def _followed(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
         """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
         newest = len(graph) - 1
-        last = next((tie for tie in reversed(graph.ties[-self.every :]) if tie.source is not Source.BELIEVED), None)
-        if last is None or newest - last.to > self.every:
+        known = (t for t in reversed(graph.ties[-self.follow :]) if t.determined and t.source is not Source.BELIEVED)
+        last = next(known, None)
+        if last is None or newest - last.to > self.follow:
             return None
         seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
         block = last.from_ // BLOCK
@@ -188,8 +189,8 @@ class PlaceRecognition:
         return (block, between(anchors[block], here)) if away[block] < self.near_m else None
 
     def _match(
-        self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray
-    ) -> Hypothesis | Rejection:
+        self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray, source: Source
+    ) -> Tie | Rejection:
         """Match the newest key scan to a submap, from a guess (3,) in its frame."""
         newest = len(memory.graph) - 1
         beams = memory.scans.key(newest)
@@ -199,9 +200,7 @@ class PlaceRecognition:
         moved = between(guess, pose)
         if math.hypot(moved[0], moved[1]) > 3 * self.known_m or not self._agrees(maps, pose, beams.ends):
             return Rejection.POOR
-        if undetermined(match.information[0], float(match.score[0]), self.least_information) is not None:
-            return Rejection.UNDETERMINED
-        return Hypothesis(newest, block, pose, match.information[0] / self.beam_sigma_m**2)
+        return Tie.of(anchor_of(block), newest, guess, match, self.beam_sigma_m, self.least_information, source)
 
     def _agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
@@ -211,7 +210,7 @@ class PlaceRecognition:
         away = maps.distances(ROW, pose[None], points)[0, known]
         return float(np.mean(1 / (1 + np.square(away / self.matcher.cauchy_m)))) >= self.share
 
-    def _recognize(self, memory: Memory, mapper: OccupancyGridMapping) -> Hypothesis | Rejection | None:
+    def _recognize(self, memory: Memory, mapper: OccupancyGridMapping) -> Tie | Rejection | None:
         """Search the newest key scans in the old submaps where the robot may be."""
         graph = memory.graph
         candidates = self._candidates(graph)
@@ -237,7 +236,9 @@ class PlaceRecognition:
             return rejection
         anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
         block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
-        return self._match(memory, mapper, block, between(graph.poses[anchor_of(block)], found.pose))
+        seen = between(graph.poses[anchor_of(block)], found.pose)
+        tie = self._match(memory, mapper, block, seen, Source.RECOGNIZED)
+        return tie if isinstance(tie, Rejection) or tie.determined else Rejection.UNDETERMINED
 
     def _candidates(self, graph: KeyGraph) -> list[Nearby]:
         """Old submaps that the robot may be in, the one that it would have to be moved least for first."""
@@ -280,19 +281,19 @@ class PlaceRecognition:
             return Rejection.THROUGH_WALLS
         return None
 
-    def _agree(self, graph: KeyGraph, earlier: Hypothesis, later: Hypothesis) -> bool:
+    def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
         """Whether the motion between two key scans leads from the one place to the other."""
-        way = between(graph.tracked[earlier.key], graph.tracked[later.key])
-        reached = compose(earlier.pose, way)
-        seen = compose(graph.local(anchor_of(earlier.block), anchor_of(later.block)), later.pose)
+        way = between(graph.tracked[earlier.to], graph.tracked[later.to])
+        reached = compose(earlier.measurement, way)
+        seen = compose(graph.local(earlier.from_, later.from_), later.measurement)
         missed = between(reached, seen)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad
 
 
-def _missed(graph: KeyGraph, way: Nearby, match: Hypothesis) -> FloatArray:
+def _missed(graph: KeyGraph, way: Nearby, match: Tie) -> FloatArray:
     """What a match (3,) differs by from the way to its submap, turned to the map frame."""
     expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
     turn = graph.poses[-1][2] - expected[2]
     c, s = math.cos(turn), math.sin(turn)
-    x, y = (match.pose - expected)[:2].tolist()
-    return np.array([c * x - s * y, s * x + c * y, between(expected, match.pose)[2]])
+    x, y = (match.measurement - expected)[:2].tolist()
+    return np.array([c * x - s * y, s * x + c * y, between(expected, match.measurement)[2]])

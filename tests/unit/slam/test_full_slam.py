@@ -11,8 +11,8 @@ from gridslam.evaluation import absolute_errors, false_closures
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.full_slam import full_slam
-from gridslam.slam.key_graph import Source
 from gridslam.slam.memory import Rejection
+from gridslam.slam.ties import Source
 from gridslam.types import Trajectory
 
 OFF = override(PROVOKED, "loop_closure=false")
