@@ -1,0 +1,86 @@
+"""Ties made of matches: what they weigh, what they leave open, and that they survive as arrays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between
+from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
+from gridslam.types import Match
+
+SIGMA_M = 0.3
+FLOOR = 1e-2
+"""Information of a direction left open: 10 m, 10 rad."""
+
+
+def match_at(pose, information, score=100.0):
+    return Match(np.array([pose]), np.array([information]), np.array([score]))
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2, -2.3])
+def test_a_tie_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
+    """e' Omega e = d' I d for a small displacement d in the submap's frame, and e = between(measured, displaced)."""
+    rng = np.random.default_rng(0)
+    factor = rng.normal(size=(3, 3))
+    information, pose = 100 * (factor @ factor.T + np.eye(3)), np.array([2.0, -1.0, heading])
+    tie = Tie.of(3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, Source.KNOWN)
+    assert (tie.from_, tie.to, tie.source, tie.determined) == (3, 40, Source.KNOWN, True)
+    np.testing.assert_array_equal(tie.measurement, pose)
+    for away in rng.normal(scale=0.1, size=(5, 3)):
+        error = between(pose, pose + away)
+        expected = away @ information @ away / SIGMA_M**2 + FLOOR * error @ error
+        assert error @ tie.information @ error == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("axis_rad", [0.0, 0.4, math.pi / 2, 2.5])
+@pytest.mark.parametrize("heading", [0.0, -2.3])
+def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_rad, heading):
+    """A corridor along `axis_rad`: 40 beams across it, 1 along it, none of them coupled with the heading's 500."""
+    along = np.array([math.cos(axis_rad), math.sin(axis_rad)])
+    across = np.array([-along[1], along[0]])
+    information = np.zeros((3, 3))
+    information[:2, :2] = np.outer(along, along) + 40 * np.outer(across, across)
+    information[2, 2] = 500.0
+    guess, pose = np.array([1.0, 2.0, heading - 0.02]), np.array([1.3, 1.9, heading])
+    tie = Tie.of(5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, Source.BELIEVED)
+    assert not tie.determined
+    assert tie.measurement[2] == heading
+    assert along @ tie.measurement[:2] == pytest.approx(along @ guess[:2])
+    assert across @ tie.measurement[:2] == pytest.approx(across @ pose[:2])
+    for direction, weight in ((along, 0.0), (across, 40.0)):
+        error = between(tie.measurement, tie.measurement + np.append(direction, 0.0))
+        assert error @ tie.information @ error == pytest.approx(weight / SIGMA_M**2 + FLOOR)
+    assert tie.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
+    assert np.linalg.eigvalsh(tie.information)[0] > 0.99 * FLOOR
+    np.testing.assert_array_equal(pose, [1.3, 1.9, heading])
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_arrays_hold_every_tie(count):
+    rng = np.random.default_rng(count)
+    ties = [
+        Tie(k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), Source(k % 3), determined=bool(k % 2))
+        for k in range(count)
+    ]
+    read = ties_from_arrays(ties_to_arrays(ties))
+    assert len(read) == count
+    for one, other in zip(read, ties, strict=True):
+        assert (one.from_, one.to, one.source, one.determined) == (
+            other.from_, other.to, other.source, other.determined
+        )  # fmt: skip
+        assert type(one.determined) is bool
+        np.testing.assert_array_equal(one.measurement, other.measurement)
+        np.testing.assert_array_equal(one.information, other.information)
+    again = ties_to_arrays(read)
+    for name, array in ties_to_arrays(ties).items():
+        assert (again[name].dtype, again[name].tobytes()) == (array.dtype, array.tobytes())
+
+
+def test_a_missing_array_is_told():
+    arrays = ties_to_arrays([])
+    del arrays["information"]
+    with pytest.raises(KeyError, match="information"):
+        ties_from_arrays(arrays)
