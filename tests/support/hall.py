@@ -1,0 +1,111 @@
+"""A hall around a block, full of crates of all sizes, driven twice around: what was seen, with or without a filter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
+from gridslam.sim.floor_plan import box, join
+from gridslam.slam.key_graph import Drift
+from gridslam.slam.memory import Memory
+from gridslam.slam.place_recognition import PlaceRecognition
+from gridslam.slam.ties import Source, Tie
+from gridslam.types import BeamEnds
+
+MAPPER = OccupancyGridMapping()
+EAGER = PlaceRecognition(near_m=10.0, every=3)
+"""Looks for old places often, in all the submaps about: so that tests of what follows have something to follow."""
+DOUBTFUL = Drift(m=0.06, rad_of_way=0.005)
+"""Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
+
+
+def hall(seed: int) -> World:
+    """24 m x 16 m with a block in the middle; crates along the outer wall make every place unlike all others."""
+    rng, (width, height) = np.random.default_rng(seed), (24.0, 16.0)
+    walls = [box(0, 0, width, height), box(5, 5, width - 5, height - 5)]
+    for along, far, end in ((0, 0.0, width), (0, height, width), (1, 0.0, height), (1, width, height)):
+        at = 1 + rng.uniform(0, 2)
+        while at < end - 2.5:
+            side, depth = rng.uniform(0.3, 1.5), rng.uniform(0.2, 0.9)
+            low, high = (0.0, depth) if far == 0 else (far - depth, far)
+            walls.append(box(at, low, at + side, high) if along == 0 else box(low, at, high, at + side))
+            at += side + rng.uniform(0.5, 4)
+    lap = [(3.0, 3.0), (width - 3, 3.0), (width - 3, height - 3), (3.0, height - 3)]
+    return World.of("hall", join(*walls), [*lap, *lap, lap[0]])
+
+
+def drive(seed: int, odometry: OdometryNoise | None = None) -> SimulatedLog:
+    """Two laps of 56 m, 362 scans."""
+    lidar = LidarConfig(rate_hz=3.0, range_max_m=8.0)
+    rng = np.random.default_rng(seed)
+    return simulate(hall(seed), RobotConfig(v_max_m_s=1.0), odometry or OdometryNoise(), lidar, rng)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """True poses (K, 3) of key scans, seen from the first, and their beams."""
+
+    truth: np.ndarray
+    beams: Sequence[BeamEnds]
+
+
+def key_scans(log: SimulatedLog) -> Seen:
+    """Scans after each 0.4 m or 0.25 rad."""
+    keys, poses = [0], log.truth.poses
+    for k, pose in enumerate(poses):
+        x, y, turn = between(poses[keys[-1]], pose)
+        if math.hypot(x, y) > 0.4 or abs(turn) > 0.25:
+            keys.append(k)
+    measurements = list(log.measurements)
+    return Seen(between(poses[0], poses[keys]), [measurements[k][1].beams(0.05, 30.0) for k in keys])
+
+
+def tracked(truth: np.ndarray, bias_rad_per_m: float = 0.0, scale: float = 1.0) -> np.ndarray:
+    """Poses (K, 3) as a tracker has them that turns and stretches every increment a little."""
+    poses = [truth[0]]
+    for increment in between(truth[:-1], truth[1:]):
+        turn = bias_rad_per_m * math.hypot(increment[0], increment[1])
+        poses.append(compose(poses[-1], increment * [scale, scale, 1.0] + [0.0, 0.0, turn]))
+    return np.array(poses)
+
+
+def remember(
+    memory: Memory,
+    seen: Seen,
+    poses: np.ndarray,
+    *,
+    drift: Drift = DOUBTFUL,
+    recognition: PlaceRecognition = EAGER,
+    until: int | None = None,
+) -> list[tuple[int, Tie]]:
+    """Go on with a memory as loop closure would, up to key scan `until`; what was recognized, and at which key scan.
+
+    The filter believes what was tracked.
+    """
+    told = []
+    for k in range(len(memory.graph), len(poses) if until is None else until):
+        x, y, turn = between(poses[k - 1], poses[k]) if k else np.zeros(3)
+        memory.scans.append(seen.beams[k], is_key=True)
+        memory.graph.extend(poses[k], poses[k], drift.variances(math.hypot(x, y), abs(turn)))
+        memory.said.append(poses[k])
+        told += [(k, tie) for tie in recognition(memory, MAPPER)]
+    return told
+
+
+def errors(truth: np.ndarray, ties: Sequence[Tie]) -> np.ndarray:
+    """By how many m and rad (K, 2) ties are wrong."""
+    ends = np.array([(tie.from_, tie.to) for tie in ties]).reshape(-1, 2)
+    measured = np.array([tie.measurement for tie in ties]).reshape(-1, 3)
+    off = between(between(truth[ends[:, 0]], truth[ends[:, 1]]), measured)
+    return np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])])
+
+
+def trusted(memory: Memory) -> list[Tie]:
+    """Ties that are more than the filter's belief."""
+    return [tie for tie in memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]

@@ -1,0 +1,89 @@
+"""Submaps are drawn from what was tracked, whatever the map's poses are, and keeping some changes none of them."""
+
+from __future__ import annotations
+
+import hall
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.slam.key_graph import BLOCK
+from gridslam.slam.memory import Memory
+from gridslam.slam.submaps import ROW, Submaps, anchor_of, drawn, keys_of
+
+COUNT = 65
+
+
+@pytest.fixture(scope="module")
+def memory():
+    """65 key scans, tracked in a frame that drifts against that of the map."""
+    seen, made = hall.key_scans(hall.drive(0)), Memory()
+    hall.remember(made, seen, hall.tracked(seen.truth, 0.002), until=COUNT)
+    return made
+
+
+def contents(maps):
+    return {name: array.tobytes() for name, array in maps.to_arrays().items()}
+
+
+def test_blocks_and_anchors_partition_the_key_scans():
+    assert np.concatenate([keys_of(block) for block in range(7)]).tolist() == list(range(7 * BLOCK))
+    for block in range(7):
+        assert anchor_of(block) in keys_of(block)[1:-1]  # in its midst: all of it is near
+
+
+def test_a_submap_is_drawn_as_tracked_about_its_anchor(memory):
+    poses = np.array(memory.graph.tracked)
+    for block in (0, 3, 5):
+        maps = hall.MAPPER.empty(1)
+        for key in keys_of(block):
+            maps.update(ROW, between(poses[anchor_of(block)], poses[key])[None], memory.scans.key(key))
+        assert contents(Submaps()(block, hall.MAPPER, memory.scans, memory.graph)) == contents(maps)
+
+
+def test_what_is_kept_changes_nothing(memory):
+    """Asked for in any order, with room for one or for many, before and after a correction."""
+    many, one = Submaps(), Submaps(most=1)
+    order = np.random.default_rng(0).integers(0, 6, 20).tolist()
+    graph = memory.graph.snapshot()
+    once = {block: contents(Submaps()(block, hall.MAPPER, memory.scans, graph)) for block in range(6)}
+    for k, block in enumerate(order):
+        if k == 10:
+            graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)) * [1.01, 1.0, 1.0])
+        for submaps in (many, one):
+            assert contents(submaps(block, hall.MAPPER, memory.scans, graph)) == once[block]
+    assert many(order[-1], hall.MAPPER, memory.scans, graph) is many(order[-1], hall.MAPPER, memory.scans, graph)
+
+
+def test_room_is_made_by_dropping_what_was_not_used_for_longest(memory):
+    submaps = Submaps(most=2)
+    drawn_first = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 1, 0, 2)]
+    again = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 2, 1)]
+    assert again[0] is drawn_first[0]
+    assert again[1] is drawn_first[3]
+    assert again[2] is not drawn_first[1]
+
+
+def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
+    """One block alone is every other of its scans, moved to the anchor's pose in the map."""
+    graph = memory.graph.snapshot()
+    graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
+    maps, pyramid = Submaps().joint((3,), hall.MAPPER, memory.scans, graph)
+    keys, anchor = keys_of(3)[::2], anchor_of(3)
+    local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
+    assert contents(maps) == contents(drawn(hall.MAPPER, memory.scans, keys, compose(graph.poses[anchor], local)))
+    field, corner = maps.field(0)
+    assert pyramid.corner == corner
+    assert pyramid.fine.shape[-2:] >= field.shape
+
+
+def test_a_joint_map_is_drawn_once_until_it_is_forgotten(memory):
+    submaps, graph = Submaps(), memory.graph.snapshot()
+    first, _ = submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)
+    assert submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)[0] is first
+    assert contents(submaps.joint((1, 3), hall.MAPPER, memory.scans, graph)[0]) != contents(first)
+    again, _ = submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)
+    assert contents(again) == contents(first)
+    graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
+    submaps.forget()
+    assert contents(submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)[0]) != contents(first)
