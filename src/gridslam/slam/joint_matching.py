@@ -128,11 +128,11 @@ class JointMatching:
         known = memory.graph
         known.correct(trajectory)
         known.correct(self.solver.solve(known.graph()).poses)
-        kept = known.ties
+        kept = [tie for tie in known.ties if tie.source is Source.RECOGNIZED or not tie.determined]
         for _ in range(self.rounds):
             before = np.array(known.poses)
             ties = list(self._ties(memory, before, mapper, tick))
-            known.ties = [tie for tie in kept if tie.source is Source.RECOGNIZED] + ties
+            known.ties = kept + ties
             graph = known.graph()
             solution = self.solver.solve(graph)
             known.correct(solution.poses)
@@ -164,9 +164,9 @@ class JointMatching:
                 score = float(match.score[0])
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
                     continue
-                yield Tie.of(
-                    anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED
-                )  # fmt: skip
+                tie = Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
+                if tie.determined:
+                    yield tie
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""

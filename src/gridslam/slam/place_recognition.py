@@ -56,6 +56,9 @@ class PlaceRecognition:
         Where the position relative to a submap is this certain (standard deviation), its scans are tied without search.
     follow : int
         Key scans for which the robot is followed from one that was tied in all directions.
+    believed_m : float, m
+        Where the filter has the robot farther than this from where it was tracked to, its belief is not taken over: a
+        map that repeats itself may have drawn it there.
     every : int
         Key scans between two searches.
     query : int
@@ -87,8 +90,9 @@ class PlaceRecognition:
     share: float = Field(default=0.75, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
     follow: int = Field(default=12, ge=1)
+    believed_m: float = Field(default=0.6, gt=0)
     every: int = Field(default=6, ge=1)
-    query: int = Field(default=10, ge=1)
+    query: int = Field(default=16, ge=1)
     other_share: float = Field(default=0.8, gt=0, le=1)
     unlike_m: float = Field(default=10.0, ge=0)
     unlike_rad: float = Field(default=0.2, ge=0)
@@ -152,9 +156,15 @@ class PlaceRecognition:
             return False
         if followed is None:
             way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == guess[0]), None)
-            if way is None or not self._plausible(way.covariance, _missed(graph, way, tie)):
+            if way is None:
                 return False
-            tie = tie._replace(source=Source.KNOWN if way.sigma_m < self.known_m else Source.BELIEVED)
+            missed = _missed(graph, way, tie)
+            if math.hypot(missed[0], missed[1]) > self.believed_m or not self._plausible(way.covariance, missed):
+                return False
+            if way.sigma_m > self.known_m:
+                if not tie.determined:
+                    return False
+                tie = tie._replace(source=Source.BELIEVED)
         graph.add(tie)
         return tie.source is Source.KNOWN
 
