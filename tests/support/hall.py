@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gridslam.evaluation import closure_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
@@ -19,8 +20,8 @@ from gridslam.slam.ties import Source, Tie
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
-EAGER = PlaceRecognition(near_m=10.0, every=3)
-"""Looks for old places often, in all the submaps about: so that tests of what follows have something to follow."""
+EAGER = PlaceRecognition(gap=3, near_m=10.0, overlap=0.6, share=0.75, every=3, query=10, confirmations=3)
+"""Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
 DOUBTFUL = Drift(m=0.06, rad_of_way=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
 
@@ -100,10 +101,8 @@ def remember(
 
 def errors(truth: np.ndarray, ties: Sequence[Tie]) -> np.ndarray:
     """By how many m and rad (K, 2) ties are wrong."""
-    ends = np.array([(tie.from_, tie.to) for tie in ties]).reshape(-1, 2)
-    measured = np.array([tie.measurement for tie in ties]).reshape(-1, 3)
-    off = between(between(truth[ends[:, 0]], truth[ends[:, 1]]), measured)
-    return np.column_stack([np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])])
+    ends = [(tie.from_, tie.to) for tie in ties]
+    return np.column_stack(closure_errors(truth, ends, [tie.measurement for tie in ties]))
 
 
 def trusted(memory: Memory) -> list[Tie]:

@@ -1,0 +1,94 @@
+"""What loop closure remembers goes on to the same bytes from a snapshot and from arrays, cut anywhere."""
+
+from __future__ import annotations
+
+import hall
+import numpy as np
+import pytest
+
+from gridslam.slam.memory import Correction, Memory, Rejection
+from gridslam.slam.submaps import ROW
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return hall.key_scans(hall.drive(1))
+
+
+@pytest.fixture(scope="module")
+def poses(seen):
+    return hall.tracked(seen.truth, 0.002, 1.01)
+
+
+@pytest.fixture(scope="module")
+def whole(seen, poses):
+    """The memory of two laps, and how many places waited for others to agree after each key scan."""
+    memory, waiting = Memory(), []
+    for k in range(len(poses)):
+        hall.remember(memory, seen, poses, until=k + 1)
+        waiting.append(len(memory.hypotheses))
+    return memory, waiting
+
+
+def contents(memory):
+    return {name: (array.dtype, array.shape, array.tobytes()) for name, array in memory.to_arrays().items()}
+
+
+def copies(memory):
+    return memory.snapshot(), Memory.from_arrays(memory.to_arrays(), hall.MAPPER)
+
+
+def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
+    """Cut before anything was tied, while places wait, and right after a recognition."""
+    end, waiting = whole
+    cuts = [30, *(waiting.index(n) for n in (1, 2))]
+    recognized = next(k for k in range(1, len(poses)) if waiting[k] < waiting[k - 1] and end.graph.ties)
+    for cut in [*cuts, recognized]:
+        memory = Memory()
+        hall.remember(memory, seen, poses, until=cut + 1)
+        before = contents(memory)
+        for twin in copies(memory):
+            assert contents(twin) == before
+            hall.remember(twin, seen, poses)
+            assert contents(twin) == contents(end)
+            assert contents(memory) == before  # what the one did has not reached the other
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
+    memory = Memory()
+    hall.remember(memory, seen, poses, until=40)
+    maps = hall.MAPPER.empty(1)
+    memory.correction = Correction(list(seen.truth[:40]), maps, drawn=10)
+    for key in range(10):
+        maps.update(ROW, seen.truth[key][None], memory.scans.key(key))
+    before = contents(memory)
+    kept, read = memory.snapshot(), Memory.from_arrays(memory.to_arrays(), hall.MAPPER, threads)
+    for twin in (memory, kept, read):
+        assert contents(twin) == before
+        twin.correction.maps.update(ROW, seen.truth[10][None], twin.scans.key(10))
+        twin.correction.poses.append(seen.truth[40])
+        twin.correction.drawn += 1
+        after = contents(twin)
+        assert after != before
+    assert contents(memory) == contents(kept) == after
+
+
+def test_rejections_are_counted_by_reason(seen, poses):
+    memory = Memory()
+    hall.remember(memory, seen, poses, until=20)
+    memory.rejected.update({Rejection.POOR: 3, Rejection.THROUGH_WALLS: 1})
+    for twin in copies(memory):
+        assert twin.rejected == {Rejection.POOR: 3, Rejection.THROUGH_WALLS: 1}
+        twin.rejected[Rejection.POOR] += 1
+    assert memory.rejected[Rejection.POOR] == 3
+
+
+@pytest.mark.parametrize("name", ["search", "said", "rejected", "doubts", "graph.tracked", "scans.ends"])
+def test_a_missing_array_is_told(seen, poses, name):
+    memory = Memory()
+    hall.remember(memory, seen, poses, until=5)
+    arrays = memory.to_arrays()
+    assert isinstance(arrays.pop(name), np.ndarray)
+    with pytest.raises(KeyError, match=name.rpartition(".")[2]):
+        Memory.from_arrays(arrays, hall.MAPPER)

@@ -1,0 +1,140 @@
+"""Old places are recognized where they are unlike all others, and nowhere else."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import hall
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between
+from gridslam.slam.key_graph import BLOCK, Drift
+from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.ties import Source
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
+
+from closure_worlds import Drive, deceptive, returns
+
+LAP = 95
+"""Key scans of a lap in the hall."""
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return {seed: hall.key_scans(hall.drive(seed)) for seed in (1, 3)}
+
+
+@pytest.mark.parametrize(("seed", "bias_rad_per_m"), [(1, 0.001), (1, 0.002), (3, -0.001), (3, 0.002)])
+def test_the_way_is_recognized_when_it_is_driven_again(drives, seed, bias_rad_per_m):
+    """After a lap the track is 0.35 to 2 m off; a tie is right to a cell or two."""
+    seen = drives[seed]
+    poses, memory = hall.tracked(seen.truth, bias_rad_per_m, 1.01), Memory()
+    told = hall.remember(memory, seen, poses)
+    ties = [tie for _, tie in told]
+    assert len(ties) >= hall.EAGER.confirmations
+    assert [(t.from_, t.to) for t in memory.graph.ties if t.source is Source.RECOGNIZED] == [
+        (t.from_, t.to) for t in ties
+    ]
+    for key, tie in told:
+        assert tie.to <= key
+        assert tie.to - tie.from_ > LAP / 2
+        assert tie.determined
+        assert np.linalg.eigvalsh(tie.information)[0] > 0
+    as_tracked = [tie._replace(measurement=between(poses[tie.from_], poses[tie.to])) for tie in ties]
+    assert (hall.errors(seen.truth, as_tracked)[:, 0] > 0.3).all()  # else it would not have been worth the search
+    assert (hall.errors(seen.truth, ties) < [0.1, 0.02]).all()
+
+
+def test_what_follows_a_recognized_place_is_known(drives):
+    """The ways through it are short; no search is needed any more, and every such tie is right."""
+    seen, memory = drives[1], Memory()
+    told = hall.remember(memory, seen, hall.tracked(seen.truth, 0.002, 1.01))
+    first = told[0][0]
+    after = [tie for tie in hall.trusted(memory) if tie.to > first]
+    assert sum(tie.source is Source.KNOWN for tie in after) > 5
+    assert (hall.errors(seen.truth, after) < [0.15, 0.03]).all()
+
+
+def test_where_the_way_back_is_certain_places_are_known_without_a_search(drives):
+    """Tracked without an error, and the drift says so."""
+    seen, memory = drives[3], Memory()
+    certain = Drift(m=0.005, rad_of_way=0.0003, rad=0.001, m_of_turn=0.002)
+    told = hall.remember(memory, seen, seen.truth, drift=certain)
+    assert told == []
+    assert sum(tie.source is Source.KNOWN for tie in memory.graph.ties) > LAP / 2
+    assert (hall.errors(seen.truth, hall.trusted(memory)) < [0.1, 0.02]).all()
+
+
+@pytest.mark.parametrize("far_m", [2.0, 3.0, 8.0])
+def test_an_old_place_out_of_reach_is_not_believed(drives, far_m):
+    """The track jumps by some metres, of which the drift says nothing: what was before it fits, but not there."""
+    seen, memory = drives[1], Memory()
+    jump = np.where(np.arange(len(seen.truth)) < 60, 0.0, far_m)[:, None] * [1.0, 1.0, 0.0]
+    told = hall.remember(memory, seen, seen.truth + jump, drift=Drift())
+    assert told == []
+    assert all(tie.from_ // BLOCK >= 6 for tie in hall.trusted(memory))
+    assert sum(memory.rejected.values()) > 3
+
+
+def test_too_few_confirmations_are_no_recognition(drives):
+    """As soon as the last of the searches that must agree has been made it is told, and not before."""
+    seen = drives[1]
+    poses, first = hall.tracked(seen.truth, 0.002, 1.01), []
+    for confirmations in (1, 2, 3):
+        recognition = replace(hall.EAGER, confirmations=confirmations)
+        told = hall.remember(Memory(), seen, poses, recognition=recognition)
+        first.append(told[0][0])
+        assert len({key for key, _ in told[:confirmations]}) == 1
+    assert first[0] < first[1] <= first[2]
+
+
+def test_nothing_is_looked_for_while_all_is_recent(drives):
+    seen, memory = drives[1], Memory()
+    hall.remember(memory, seen, seen.truth, until=hall.EAGER.gap * BLOCK + BLOCK)
+    assert memory.graph.ties == []
+    assert not memory.rejected
+
+
+def test_a_scan_without_a_beam_is_passed_over(drives):
+    seen = drives[1]
+    blind = seen.beams[120]
+    blind = replace(blind, indices=blind.indices[:0], ends=blind.ends[:0])
+    beams = [blind if 115 <= k < 135 else b for k, b in enumerate(seen.beams)]
+    memory = Memory()
+    hall.remember(memory, hall.Seen(seen.truth, beams), hall.tracked(seen.truth, 0.001), until=150)
+    assert not any(115 <= tie.to < 135 for tie in memory.graph.ties)
+
+
+def driven(world: Drive) -> hall.Seen:
+    stream = world.stream()
+    assert returns(stream.truth.poses) < 0.1
+    return hall.key_scans(stream)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("equal_rooms", 0), ("symmetric", 2), ("bare_corridors", 0)])
+def test_where_places_are_alike_none_is_recognized(kind, seed):
+    """Rooms, wings and corridors like others before, hardly ever the same ones; the drift would allow for them."""
+    seen, memory = driven(deceptive(kind, seed)), Memory()
+    poses = hall.tracked(seen.truth, 0.0007, 1.01)
+    hall.remember(memory, seen, poses, drift=Drift(m=0.1, rad_of_way=0.006))
+    assert (hall.errors(seen.truth, hall.trusted(memory)) < [0.5, 0.09]).all()
+    assert not any(tie.source is Source.RECOGNIZED for tie in memory.graph.ties)
+    assert sum(memory.rejected.values()) > 3
+    if kind != "symmetric":
+        assert memory.rejected[Rejection.AMBIGUOUS] + memory.rejected[Rejection.IMPLAUSIBLE] > 0
+
+
+def test_a_bare_corridor_driven_twice_has_no_place_along_it():
+    """Ties across it may be made, but none that says where along it the robot is."""
+    seen = driven(deceptive("bare_corridors", 0))
+    once = next(k for k, pose in enumerate(seen.truth) if np.hypot(*pose[:2]) > 30)
+    there = seen.truth[:once]
+    assert abs(there[-1, 2]) < 0.2  # straight on
+    beams, memory = list(seen.beams[:once]), Memory()
+    again = hall.Seen(np.concatenate([there, there[::-1], there]), [*beams, *beams[::-1], *beams])
+    hall.remember(memory, again, hall.tracked(again.truth, 0.0005, 1.01), drift=Drift(m=0.1, rad_of_way=0.006))
+    assert not any(tie.source is Source.RECOGNIZED for tie in memory.graph.ties)
