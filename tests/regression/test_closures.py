@@ -1,0 +1,85 @@
+"""Worlds made to deceive: whatever is tied to whatever, nothing is tied to what only looks like it."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build
+from gridslam.evaluation import absolute_errors, closure_errors, false_closures
+from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.slam.full_slam import FullSlam, full_slam
+from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.ties import Source
+from gridslam.types import Trajectory
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+from closure_worlds import DECEPTIVE, deceptive
+
+CONFIG = Configuration()
+PARTICLES = 10
+
+@dataclass(frozen=True)
+class Driven:
+    """A drive of 100 to 200 m, its true poses, and what was made of it."""
+
+    truth: Trajectory
+    odometry: Trajectory
+    state: GridFastSlamState
+    answer: FullSlam
+
+    @property
+    def key_truth(self) -> np.ndarray:
+        """True poses (T, 3) of the key scans."""
+        return self.truth.poses[self.state.memory.scans.keys]
+
+
+@pytest.fixture(scope="module", params=DECEPTIVE)
+def driven(request) -> tuple[str, Driven]:
+    stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
+    rng = np.random.default_rng(0)
+    state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
+    parts = CONFIG.mapper, CONFIG.closure, CONFIG.last_word
+    answer = full_slam(state, recorder.keys, recorder.from_key, *parts)
+    return request.param, Driven(stream.truth, stream.odometry, state, answer)
+
+
+def test_nothing_false_is_recognized_or_known(driven):
+    """Not while the robot drives. The filter's mere belief, which is told as such, is judged by the next test."""
+    _, drive = driven
+    ties = [tie for tie in drive.state.memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]
+    edges, measured = [(tie.from_, tie.to) for tie in ties], [tie.measurement for tie in ties]
+    assert not false_closures(drive.key_truth, edges, measured).any()
+
+
+def test_nothing_in_the_final_graph_is_false(driven):
+    """Of all its ties; of those in a bare corridor, which may say nothing along it, the heading."""
+    kind, drive = driven
+    graph = drive.answer.graph
+    ties = slice(len(graph.poses) - 1, None)
+    edges, measured = graph.edges[ties], graph.measurements[ties]
+    if kind == "bare_corridors":
+        assert (closure_errors(drive.key_truth, edges, measured)[1] < FALSE_CLOSURE_RAD).all()
+    else:
+        assert not false_closures(drive.key_truth, edges, measured).any()
+        assert len(edges) > 10  # or nothing would be shown
+
+
+def test_no_world_is_torn(driven):
+    """A false closure would cost metres. Measured, aligned: at most 0.4 % of the way, and a third of the odometry's."""
+    _, drive = driven
+    found, odometry = (
+        absolute_errors(Trajectory(drive.truth.stamps_ns, poses), drive.truth)
+        for poses in (drive.answer.poses, drive.odometry.poses)
+    )
+    way = np.hypot(*np.diff(drive.truth.poses[:, :2], axis=0).T).sum()
+    assert found.trans_max_m < 0.01 * way
+    assert found.trans_rmse_m < 0.5 * odometry.trans_rmse_m
+    assert found.rot_rmse_deg < 2.0
