@@ -9,10 +9,13 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
+from gridslam.matching import GaussNewton
 from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spread
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
+from gridslam.slam.proposals import Peak
+from gridslam.slam.tracker import Tracker
 from gridslam.types import LaserScan, SkipReason
 
 PARTICLES = 8
@@ -150,36 +153,95 @@ def test_a_kidnapped_robot_is_lost(drive, play, hall, start):
     assert all(between_keys)
 
 
-@pytest.fixture(scope="module")
-def bare(play):
-    """What the filter says of 10 m along two parallel walls, with nothing else within the lidar's 6 m."""
+DEFAULT = GaussNewton().sparse_m
+ACROSS = 0.01
+"""Of no wall in sight do ends lie denser than this, so that all count across only."""
+
+
+def corridor_drive(seed):
+    """10 m along two parallel walls, with nothing else within the lidar's 6 m."""
     walls = np.concatenate([polyline([(0, y), (60, y)]) for y in (-1.07, 1.07)])
     world = World.of("bare", walls, [(20.0, 0.0), (30.0, 0.0)])
     lidar = LidarConfig(beams=120, range_max_m=6.0)
-    log = simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(0))
-    return play(GridFastSlam(), log.measurements, particles=PARTICLES)[1]
+    return simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
 
 
-@pytest.mark.xfail(strict=True, reason="the far, sparse ends of the beams hold the tracker to its first scan")
-def test_along_a_bare_corridor_the_odometry_is_kept(bare):
-    """Odometry is off by 0.1 m; a robot that drives past what it cannot tell apart must still arrive."""
-    driven = np.hypot(*(bare[-1].pose - bare[0].pose)[:2])
-    assert driven == pytest.approx(10.0, abs=0.5)
+def played_bare(play, sparse_m):
+    matcher, runs = GaussNewton(sparse_m=sparse_m), []
+    slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=Peak(matcher=matcher))
+    for log in map(corridor_drive, range(3)):
+        reports, odometry = play(slam, log.measurements, particles=PARTICLES)[1], log.odometry.poses
+        driven = np.hypot(*(reports[-1].pose - reports[0].pose)[:2])
+        runs.append((reports, driven, np.hypot(*(odometry[-1] - odometry[0])[:2])))
+    return runs
 
 
-@pytest.mark.xfail(strict=True, reason="the far, sparse ends of the beams count as if they told the position")
-def test_along_a_bare_corridor_the_position_is_undetermined(bare):
+@pytest.fixture(scope="module")
+def bare(play):
+    """By `sparse_m`: for each of three bare corridors the reports, and the way driven, beside what odometry tells."""
+    return {
+        0.0: played_bare(play, 0.0), DEFAULT: played_bare(play, DEFAULT), ACROSS: played_bare(play, ACROSS)
+    }  # fmt: skip
+
+
+def test_along_a_bare_corridor_the_robot_drives_on(bare):
+    """The dots of its far walls hold it back by a sixth; as they count only across, less than a third of that is left.
+
+    Of that the near walls are guilty, whose ends are too dense for dots and too sparse for a line. Measured in 27
+    corridors of three widths, with three lidars: 9.14 to 9.95 m, where odometry tells 10.06 to 10.14 m.
+    """
+    for (_, held, told), (_, driven, _) in zip(bare[0.0], bare[DEFAULT], strict=True):
+        assert told - held > 1.0
+        assert told - driven < (told - held) / 3
+        assert driven == pytest.approx(10.0, abs=1.0)
+
+
+def test_where_no_wall_counts_along_itself_the_odometry_is_kept(bare):
+    """To three cells in 10 m: which of them a far end is taken to lie in depends on noise."""
+    for _, driven, told in bare[ACROSS]:
+        assert driven == pytest.approx(told, abs=0.15)
+
+
+def assert_axis_told(runs):
     """The axis is told as a unit vector; the map's x axis is where the robot looked at first."""
-    keys = [report for report in bare[1:] if not report.skipped]
-    assert len(keys) > 15
-    told = [report.undetermined for report in keys if report.undetermined is not None]
-    assert len(told) > 0.9 * len(keys)
-    assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in told)
+    for reports, _, _ in runs:
+        keys = [report for report in reports[1:] if not report.skipped]
+        told = [report.undetermined for report in keys if report.undetermined is not None]
+        assert len(keys) > 12
+        assert len(told) > 0.9 * len(keys)
+        assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in told)
+
+
+def test_where_no_wall_counts_along_itself_the_axis_is_undetermined(bare):
+    assert_axis_told(bare[ACROSS])
+
+
+@pytest.mark.xfail(strict=True, reason="ragged walls leave 0.03 to 0.2 a beam along themselves, a room 0.1 to 0.3")
+def test_along_a_bare_corridor_the_position_is_undetermined(bare):
+    assert_axis_told(bare[DEFAULT])
+
+
+def test_straight_walls_tell_corridors_from_rooms(play):
+    """Looked at with all of them counted across only, the least information is more than a factor of 25 apart."""
+    look = GaussNewton(max_passes=0, sparse_m=0.001)
+
+    def least(log, scans):
+        state, reports = play(GridFastSlam(), log.measurements[:scans], particles=1)
+        beams = log.measurements[scans - 1][1].beams(0.05, 30.0)
+        match = look(state.maps, np.zeros(1, np.int32), reports[-1].pose[None], np.zeros((1, 3, 3)), beams)
+        information = match.information[0]
+        position = information[:2, :2] - np.outer(information[:2, 2], information[2, :2]) / information[2, 2]
+        return np.linalg.eigvalsh(position)[0] / match.score[0]
+
+    assert max(least(corridor_drive(0), scans) for scans in (20, 40)) < 0.002
+    assert min(least(room_drive(), scans) for scans in (20, 40)) > 0.05
+
+
+def room_drive():
+    world = World.of("room", box(0, 0, 7, 5), [(1.0, 1.0), (6.0, 1.2), (5.8, 4.0)])
+    return simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(beams=120), np.random.default_rng(0))
 
 
 def test_a_closed_room_determines_everything(play):
-    rng = np.random.default_rng(0)
-    world = World.of("room", box(0, 0, 7, 5), [(1.0, 1.0), (6.0, 1.2), (5.8, 4.0)])
-    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(beams=120), rng)
-    _, reports = play(GridFastSlam(), log.measurements, particles=PARTICLES)
+    _, reports = play(GridFastSlam(), room_drive().measurements, particles=PARTICLES)
     assert all(report.undetermined is None for report in reports)
