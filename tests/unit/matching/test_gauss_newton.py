@@ -205,3 +205,61 @@ def test_steps_are_clipped(room):
     moved = match.poses[0] - guess
     assert np.hypot(*moved[:2]) == pytest.approx(0.02, rel=1e-6)
     assert abs(moved[2]) <= 0.001 + 1e-12
+
+
+def every_third(beams):
+    """120 beams all about: from 1.02 m away they see a wall at a spacing of 5.3 cm and more."""
+    return replace(beams, indices=beams.indices[::3], ends=beams.ends[::3])
+
+
+def dotted(pose):
+    """The corridor as mapped by one scan, so that its far walls are rows of dots; and that scan."""
+    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
+    seen = every_third(scan_of_room(pose, CORRIDOR, max_m=6.0))
+    maps.update(ROW, pose[None], seen)
+    return maps, seen
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.8, -2.4])
+def test_ends_seen_sparsely_on_a_wall_say_nothing_along_it(turn):
+    """However the robot is turned; across it they say what they did."""
+    pose = np.array([0.0, 0.0, turn])
+    maps, seen = dotted(pose)
+    counted = [
+        GaussNewton(max_passes=0, sparse_m=sparse)(maps, ROW, pose[None], prior(), seen) for sparse in (0.0, 0.04)
+    ]
+    along, across = ([match.information[0, i, i] for match in counted] for i in (0, 1))
+    assert along[0] > 0.1 * counted[0].score[0]
+    assert along[1] < 0.002 * counted[1].score[0]
+    assert across[1] > 0.5 * across[0]
+    assert counted[0].score[0] == counted[1].score[0]  # they agree or not as before
+    axis = undetermined(counted[1].information[0], float(counted[1].score[0]))
+    assert abs(axis[0]) > 0.999
+    assert undetermined(counted[0].information[0], float(counted[0].score[0])) is None
+
+
+@pytest.mark.parametrize("moved_m", [0.05, 0.1, 0.2])
+def test_dots_do_not_hold_a_robot_that_moves_along_its_corridor(moved_m):
+    """From where the odometry has it; the same dots are seen from there, and would pull it back to where it was."""
+    maps, _ = dotted(np.zeros(3))
+    truth = np.array([moved_m, 0.0, 0.0])
+    seen = every_third(scan_of_room(truth, CORRIDOR, max_m=6.0))
+    held, free = (
+        GaussNewton(sparse_m=sparse)(maps, ROW, truth[None], prior(), seen).poses[0] for sparse in (0.0, 0.04)
+    )
+    assert held[0] < truth[0] - 0.02
+    assert free[0] == pytest.approx(truth[0], abs=0.005)
+    assert free[1] == pytest.approx(0.0, abs=0.02)
+
+
+def test_where_no_three_ends_follow_one_another_nothing_changes():
+    """Near and far ends by turns: the way from one to the next always turns back."""
+    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ends = np.column_stack([np.cos(angles), np.sin(angles)]) * np.tile([1.0, 3.0], 20)[:, None]
+    beams = LaserScan.from_ranges(0, np.hypot(*ends.T), ScanGeometry(angles)).beams(0.0, np.inf)
+    maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
+    maps.update(ROW, np.zeros((1, 3)), beams)
+    guess = np.array([[0.03, -0.02, 0.01]])
+    one, other = (GaussNewton(sparse_m=sparse)(maps, ROW, guess, prior(), beams) for sparse in (0.0, 0.06))
+    np.testing.assert_array_equal(one.poses, other.poses)
+    np.testing.assert_array_equal(one.information, other.information)
