@@ -65,6 +65,9 @@ class JointMatching:
         At most so many times are the key scans matched and the graph solved.
     stop_m : float, m
         A round that moves no key scan farther is the last.
+    drawn_off_m, drawn_off_rad : float
+        A particle that its map moved by more than this in one step, off the track, has closed a loop, rightly or not:
+        whether the two places are one is for the ties to say.
     near_m : float, m
         A key scan is matched to submaps with a key scan this near.
     submaps : int
@@ -91,6 +94,8 @@ class JointMatching:
 
     rounds: int = Field(default=3, ge=1)
     stop_m: float = Field(default=0.1, gt=0)
+    drawn_off_m: float = Field(default=0.1, gt=0)
+    drawn_off_rad: float = Field(default=0.03, gt=0)
     near_m: float = Field(default=3.0, gt=0)
     submaps: int = Field(default=3, ge=1)
     share: float = Field(default=0.7, gt=0, le=1)
@@ -127,13 +132,14 @@ class JointMatching:
         """
         known = memory.graph
         known.correct(trajectory)
-        known.correct(self.solver.solve(known.graph()).poses)
-        kept = [tie for tie in known.ties if tie.source is Source.RECOGNIZED or not tie.determined]
+        increments = self._increments(memory, trajectory)
+        known.correct(self.solver.solve(known.graph(increments)).poses)
+        kept = [tie for tie in known.ties if tie.source is Source.RECOGNIZED]
         for _ in range(self.rounds):
             before = np.array(known.poses)
             ties = list(self._ties(memory, before, mapper, tick))
             known.ties = kept + ties
-            graph = known.graph()
+            graph = known.graph(increments)
             solution = self.solver.solve(graph)
             known.correct(solution.poses)
             if np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
@@ -143,6 +149,16 @@ class JointMatching:
         return LastWord(
             graph.with_poses(solution.poses), solution.weights, self._matched(memory, bent, maps, tick), maps
         )
+
+    def _increments(self, memory: Memory, trajectory: FloatArray) -> FloatArray:
+        """Increments (T - 1, 3) as the filter has them; where its map drew it off the track, as tracked."""
+        tracked = np.array(memory.graph.tracked)
+        moved, driven = between(tracked[:-1], tracked[1:]), between(trajectory[:-1], trajectory[1:])
+        missed = between(moved, driven)
+        drawn_off = (np.hypot(missed[:, 0], missed[:, 1]) > self.drawn_off_m) | (
+            np.abs(missed[:, 2]) > self.drawn_off_rad
+        )
+        return np.where(drawn_off[:, None], moved, driven)
 
     def _ties(
         self, memory: Memory, poses: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
@@ -165,8 +181,7 @@ class JointMatching:
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
                     continue
                 tie = Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
-                if tie.determined:
-                    yield tie
+                yield tie
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""

@@ -161,8 +161,11 @@ class KeyGraph:
                         heapq.heappush(queue, (spread, len(ways) - 1, other))
         return [Nearby(block, pose, self._covariance(moments)) for block, (pose, moments) in done.items()]
 
-    def graph(self) -> PoseGraph:
-        """Everything as a pose graph: the increments between key scans, which are trusted, then the ties."""
+    def graph(self, increments: FloatArray | None = None) -> PoseGraph:
+        """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the ties.
+
+        The increments are the tracked ones if not given.
+        """
         poses, tracked = np.array(self.poses), np.array(self.tracked)
         count = len(poses)
         steps = np.zeros((count - 1, 3, 3))
@@ -175,7 +178,7 @@ class KeyGraph:
         return PoseGraph(
             poses,
             np.concatenate([chain, np.array([(t.from_, t.to) for t in ties], np.int64).reshape(-1, 2)]),
-            np.concatenate([between(tracked[:-1], tracked[1:]), tied]),
+            np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, tied]),
             np.concatenate([steps, np.array([t.information for t in ties]).reshape(-1, 3, 3)]),
             np.arange(count - 1 + len(ties)) < count - 1,
         )

@@ -90,7 +90,7 @@ class PlaceRecognition:
     share: float = Field(default=0.75, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
     follow: int = Field(default=12, ge=1)
-    believed_m: float = Field(default=0.6, gt=0)
+    believed_m: float = Field(default=1.2, gt=0)
     every: int = Field(default=6, ge=1)
     query: int = Field(default=16, ge=1)
     other_share: float = Field(default=0.8, gt=0, le=1)
@@ -162,7 +162,7 @@ class PlaceRecognition:
             if math.hypot(missed[0], missed[1]) > self.believed_m or not self._plausible(way.covariance, missed):
                 return False
             if way.sigma_m > self.known_m:
-                if not tie.determined:
+                if not tie.determined and way.sigma_m > 2 * self.known_m:
                     return False
                 tie = tie._replace(source=Source.BELIEVED)
         graph.add(tie)
