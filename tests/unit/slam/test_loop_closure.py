@@ -27,7 +27,7 @@ RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
 """A filter that is lost by a metre is not believed."""
 CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
 SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=Prior(), loop_closure=CLOSURE)
-RUNS = [(0, 1), (2, 5), (3, 5)]
+RUNS = [(2, 5), (3, 5)]
 """Seeds of the hall, and numbers of particles."""
 
 
@@ -146,7 +146,7 @@ def test_what_was_recognized_is_told_once(closed):
     assert (hall.errors(log.truth[state.memory.scans.keys], recognized) < [0.1, 0.02]).all()
 
 
-@pytest.mark.parametrize("scans_per_step", [2, 7, 20, 60, 1000])
+@pytest.mark.parametrize("scans_per_step", [2, 7, 1000])
 def test_the_merge_comes_a_number_of_key_scans_later_that_follows_from_counts(logs, scans_per_step):
     """T key scans at the closure, s drawn at each of it and the next ones, each of which adds one: j s >= T + j - 1."""
     slam = replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=scans_per_step))
