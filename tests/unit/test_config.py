@@ -54,8 +54,8 @@ def test_loop_closure_is_built_as_configured():
 
 
 def test_a_part_may_be_none():
-    config = override(Configuration(), "closure.solver.robust.kind=GraduatedNonConvexity")
-    assert config.closure.solver == GraphSlam(robust=GraduatedNonConvexity())
+    config = override(Configuration(), "closure.solver.robust.probability=0.99")
+    assert config.closure.solver == GraphSlam("given", GraduatedNonConvexity(probability=0.99))
     assert loads(dumps(config)) == config
     without = override(config, "closure.solver.robust.kind=none")
     assert without.closure.solver.robust is None

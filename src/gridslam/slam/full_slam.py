@@ -73,7 +73,7 @@ class FullSlam:
     poses, covariances : (N, 3), (N, 3, 3) float64
         Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
     graph : PoseGraph
-        The T key scans and what was measured between them.
+        The T key scans and what was measured between them, the information as it was weighed in the end.
     map : OccupancyGrid
         Drawn from the key scans at these poses.
     loops : Loops or None
@@ -121,8 +121,8 @@ def full_slam(
     else:
         memory = state.memory.snapshot()  # the last word writes into it
         said = last_word(memory, trajectory, keys, key_from_base, mapper, tick)
-        graph, poses, maps, row = said.graph, said.poses, said.maps, 0
-        key_covariances = _marginals(scaled(graph, said.weights))
+        graph, poses, maps, row = scaled(said.graph, said.weights), said.poses, said.maps, 0
+        key_covariances = _marginals(graph)
         loops = _loops(state.memory, memory, said, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
     return FullSlam(poses, covariances, graph, maps.occupancy(row), loops)

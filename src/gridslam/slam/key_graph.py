@@ -238,7 +238,8 @@ class KeyGraph:
         found = [(other, *link) for other, link in self._links.get(block, {}).items()]
         for other in (first - BLOCK, first + BLOCK):
             if 0 <= other < len(self):
-                found.append((other // BLOCK, between(tracked[other], tracked[first]), abs(sums[first] - sums[other])))
+                between_them = sums[max(first, other)] - sums[min(first, other)]
+                found.append((other // BLOCK, between(tracked[other], tracked[first]), between_them))
         return found
 
     def _link(self, tie: Tie) -> None:

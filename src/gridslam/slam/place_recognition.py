@@ -16,6 +16,7 @@ from gridslam.matching.branch_and_bound import BranchAndBound, Found, thinned
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
 from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.place_evidence import disagreement, missed_by, recent_points, through_walls
 from gridslam.slam.submaps import ROW, anchor_of, joint_map
 from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray
@@ -28,9 +29,6 @@ _FEW, _MOST_SUBMAPS = 12, 24
 
 _MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
-
-_WALL_M = 0.3
-"""A beam that ends so much behind what the map knows has passed through it."""
 
 
 @final
@@ -158,7 +156,7 @@ class PlaceRecognition:
             way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == guess[0]), None)
             if way is None:
                 return False
-            missed = _missed(graph, way, tie)
+            missed = missed_by(graph, way, tie)
             if math.hypot(missed[0], missed[1]) > self.believed_m or not self._plausible(way.covariance, missed):
                 return False
             if way.sigma_m > self.known_m:
@@ -226,11 +224,13 @@ class PlaceRecognition:
         candidates = self._candidates(graph)
         if not candidates:
             return None
-        way, points = candidates[0], thinned(self._points(memory), self.search.points)
+        way, points = candidates[0], thinned(recent_points(memory, self.query), self.search.points)
         guess = compose(graph.poses[way.block * BLOCK], way.pose)
-        near = [n for n in candidates if self._away(n) < self.search.gate][:_FEW]
-        if not {n.block for n in near[:6]} <= set(memory.area):
-            memory.area = tuple(sorted(n.block for n in near))
+        near = [n.block for n in candidates if self._away(n) < self.search.gate][:_FEW]
+        if not set(near[:6]) <= set(memory.area):
+            oldest = (len(graph) - 1) // BLOCK - self.gap
+            seen_too = {b for block in near for b in range(block - 1, block + 2)}  # what is seen reaches farther
+            memory.area = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
         maps, pyramid = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
         found = self.search.search(pyramid, guess, way.covariance, points)
         if found is None or not self._agrees(maps, found.pose, points):
@@ -268,15 +268,6 @@ class PlaceRecognition:
         """By how many standard deviations the robot would have to be elsewhere to be in a submap."""
         return max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.near_m, 0.0) / nearby.sigma_m
 
-    def _points(self, memory: Memory) -> FloatArray:
-        """Points (B, 2) of the last key scans, seen from the newest one."""
-        graph, newest = memory.graph, len(memory.graph) - 1
-        keys = range(newest - self.query + 1, newest + 1)
-        tracked = between(graph.tracked[newest], np.array([graph.tracked[k] for k in keys]))
-        return np.concatenate(
-            [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys, tracked, strict=True)]
-        )
-
     def _judged(self, found: Found, maps: TileMaps, points: FloatArray, memory: Memory) -> Rejection | None:
         """What speaks against a place that was found."""
         if not self._agrees(maps, found.pose, points):
@@ -284,26 +275,9 @@ class PlaceRecognition:
         if found.other_share > self.other_share * found.share:
             return Rejection.AMBIGUOUS
         beams = memory.scans.key(len(memory.graph) - 1)
-        ways = beams.ends - beams.origin
-        ranges = np.hypot(ways[:, 0], ways[:, 1])
-        seen = maps.cast_rays(ROW, found.pose[None], beams.origin, ways / ranges[:, None], float(ranges.max()))[0]
-        if np.mean(seen < ranges - _WALL_M) > self.through:
-            return Rejection.THROUGH_WALLS
-        return None
+        return Rejection.THROUGH_WALLS if through_walls(maps, found.pose, beams) > self.through else None
 
     def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
         """Whether the motion between two key scans leads from the one place to the other."""
-        way = between(graph.tracked[earlier.to], graph.tracked[later.to])
-        reached = compose(earlier.measurement, way)
-        seen = compose(graph.local(earlier.from_, later.from_), later.measurement)
-        missed = between(reached, seen)
+        missed = disagreement(graph, earlier, later)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad
-
-
-def _missed(graph: KeyGraph, way: Nearby, match: Tie) -> FloatArray:
-    """What a match (3,) differs by from the way to its submap, turned to the map frame."""
-    expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
-    turn = graph.poses[-1][2] - expected[2]
-    c, s = math.cos(turn), math.sin(turn)
-    x, y = (match.measurement - expected)[:2].tolist()
-    return np.array([c * x - s * y, s * x + c * y, between(expected, match.measurement)[2]])

@@ -172,7 +172,7 @@ def test_the_number_of_beams_may_change_from_scan_to_scan(drive, play):
     log = [(odometry, thinned(scan, 1 + k % 3)) for k, (odometry, scan) in enumerate(drive.measurements)]
     assert len({len(scan) for _, scan in log}) == 3
     _, reports = play(GridFastSlam(), log)
-    assert worst_error(reports, drive.truth) < BAND_M
+    assert worst_error(reports, drive.truth) < 1.5 * BAND_M  # with half the beams on average, 1 / sqrt(2) as certain
 
 
 def test_one_particle_is_enough(drive, play):
