@@ -14,15 +14,18 @@ from pathlib import Path
 import logs
 import scaling
 from accuracy import accuracy, starts
+from closures import closures
+from graphs import graphs
 from gridslam import preset
 from gridslam.config import dumps
 from kernels import kernel_times, record
 from measure import provenance
+from places import place_search
 from report import Report
 
 __all__ = ["main"]
 
-_SECTIONS = ("accuracy", "start", "particles", "size", "threads", "beams", "kernels")
+_SECTIONS = ("accuracy", "start", "particles", "size", "threads", "beams", "kernels", "places", "graphs", "closures")
 _WORLDS = ("demo", "rooms", "loop", "hall")
 _ROOT = Path(__file__).resolve().parent.parent
 
@@ -70,6 +73,12 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
         scaling.beams((180, 360) if quick else (180, 360, 720, 1080), folder, report, 300 if quick else None)
     if "kernels" in sections:
         report.add("Kernels: 30 particles, one thread", kernel_times(record(), 7 if quick else 20))
+    if "places" in sections:
+        place_search(report)
+    if "graphs" in sections:
+        graphs(given.data, report, 3 if quick else 7)
+    if "closures" in sections:
+        closures(report, range(given.seeds))
 
 
 def _parser() -> argparse.ArgumentParser:
