@@ -84,7 +84,7 @@ class LoopClosure:
         self._remember(memory, state)
         ties = self.recognition(memory, mapper)
         if ties and memory.correction is None and self._disagrees(memory, ties, state):
-            self._solve(memory, ties, mapper, threads)
+            ties = self._solved(memory, ties, mapper, threads)
         corrected = memory.correction is not None and self._draw(memory, memory.correction, state)
         return replace(
             report, pose=state.poses[state.best], closures=tuple((t.from_, t.to) for t in ties), corrected=corrected
@@ -110,8 +110,8 @@ class LoopClosure:
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
-    def _solve(self, memory: Memory, ties: list[Tie], mapper: OccupancyGridMapping, threads: int) -> None:
-        """Solve the graph, and begin to draw the corrected past."""
+    def _solved(self, memory: Memory, ties: list[Tie], mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
+        """Solve the graph, and begin to draw the corrected past; returns the new ties, none if they are doubted."""
         graph = memory.graph
         solution = self.solver.solve(graph.graph())
         graph.correct(solution.poses)
@@ -122,8 +122,9 @@ class LoopClosure:
             del graph.ties[-len(ties) :]
             graph.correct(np.array(graph.poses))
             memory.rejected[Rejection.IMPLAUSIBLE] += 1
-            return
+            return []
         memory.correction = Correction(list(solution.poses), mapper.empty(1, threads))
+        return ties
 
     def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
         """Draw on; when all is drawn, merge. Returns whether it was merged."""
