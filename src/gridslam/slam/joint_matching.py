@@ -92,7 +92,7 @@ class JointMatching:
         How the graph is solved.
     """
 
-    rounds: int = Field(default=3, ge=1)
+    rounds: int = Field(default=2, ge=1)
     stop_m: float = Field(default=0.1, gt=0)
     drawn_off_m: float = Field(default=0.1, gt=0)
     drawn_off_rad: float = Field(default=0.03, gt=0)
@@ -131,9 +131,9 @@ class JointMatching:
             Called now and then, so that progress can be shown and the work be interrupted.
         """
         known = memory.graph
-        known.correct(trajectory)
+        known.poses = list(trajectory)
         increments = self._increments(memory, trajectory)
-        known.correct(self.solver.solve(known.graph(increments)).poses)
+        known.poses = list(self.solver.solve(known.graph(increments)).poses)
         kept = [tie for tie in known.ties if tie.source is Source.RECOGNIZED]
         for _ in range(self.rounds):
             before = np.array(known.poses)
@@ -141,7 +141,7 @@ class JointMatching:
             known.ties = kept + ties
             graph = known.graph(increments)
             solution = self.solver.solve(graph)
-            known.correct(solution.poses)
+            known.poses = list(solution.poses)
             if np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
                 break
         maps = drawn(mapper, memory.scans, np.arange(len(known)), solution.poses)
