@@ -180,8 +180,7 @@ class JointMatching:
                 score = float(match.score[0])
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
                     continue
-                tie = Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
-                yield tie
+                yield Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""

@@ -128,8 +128,11 @@ class KeyGraph:
 
     def local_poses(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
-        tracked = np.array([self.tracked[k] for k in keys.tolist()])
-        return compose(self.poses[anchor], between(self.tracked[anchor], tracked))
+        return compose(self.poses[anchor], self.tracked_from(anchor, keys))
+
+    def tracked_from(self, anchor: int, keys: IntArray) -> FloatArray:
+        """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
+        return between(self.tracked[anchor], np.array([self.tracked[k] for k in keys.tolist()]))
 
     def local(self, anchor: int, key: int) -> FloatArray:
         """Pose (3,) of a key scan seen from another: as tracked where they are near in time, else as the map has it."""

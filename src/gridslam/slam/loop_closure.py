@@ -18,7 +18,7 @@ from gridslam.slam.key_graph import Drift
 from gridslam.slam.memory import Correction, Memory, Rejection
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.submaps import ROW
+from gridslam.slam.submaps import draw
 from gridslam.slam.ties import Tie
 from gridslam.types import BeamEnds, FloatArray, StepReport
 
@@ -114,16 +114,13 @@ class LoopClosure:
         """Solve the graph, and begin to draw the corrected past; returns the new ties, none if they are doubted."""
         graph = memory.graph
         solution = self.solver.solve(graph.graph())
-        graph.correct(solution.poses)
-        memory.area = ()
-        memory.submaps.forget()
-        doubted = solution.weights[-len(ties) :].min() < 0.5
-        if doubted:  # what else is known speaks against the closure
+        if solution.weights[-len(ties) :].min() < 0.5:  # what else is known speaks against the closure
             del graph.ties[-len(ties) :]
-            graph.correct(np.array(graph.poses))
             memory.rejected[Rejection.IMPLAUSIBLE] += 1
-            return []
-        memory.correction = Correction(list(solution.poses), mapper.empty(1, threads))
+            ties = []
+        else:
+            memory.correction = Correction(list(solution.poses), mapper.empty(1, threads))
+        memory.correct(solution.poses)
         return ties
 
     def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
@@ -132,16 +129,13 @@ class LoopClosure:
         if len(poses) < len(graph):
             poses.append(compose(poses[-1], between(graph.tracked[-2], graph.tracked[-1])))
         last = min(correction.drawn + self.scans_per_step, len(poses))
-        for key in range(correction.drawn, last):
-            correction.maps.update(ROW, poses[key][None], memory.scans.key(key))
+        draw(correction.maps, memory.scans, range(correction.drawn, last), poses[correction.drawn : last])
         correction.drawn = last
         if last < len(poses):
             return False
         corrected: FloatArray = np.array(poses)
-        graph.correct(corrected)
+        memory.correct(corrected)
         memory.said = list(corrected)
-        memory.area = ()
-        memory.submaps.forget()
         state.reseed(corrected, correction.maps)
         memory.correction = None
         return True

@@ -82,6 +82,12 @@ class Memory:
     area: tuple[int, ...] = ()
     submaps: Submaps = field(default_factory=Submaps)
 
+    def correct(self, poses: FloatArray) -> None:
+        """Let the key scans be at poses (T, 3): what was drawn from others is drawn anew."""
+        self.graph.correct(poses)
+        self.area = ()
+        self.submaps.forget()
+
     def snapshot(self) -> Memory:
         """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
         pending = self.correction

@@ -23,9 +23,9 @@ _WALL_M = 0.3
 def recent_points(memory: Memory, scans: int) -> FloatArray:
     """Points (B, 2) of so many last key scans, seen from the newest one."""
     graph, newest = memory.graph, len(memory.graph) - 1
-    keys = range(newest - scans + 1, newest + 1)
-    tracked = between(graph.tracked[newest], np.array([graph.tracked[k] for k in keys]))
-    points = [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys, tracked, strict=True)]
+    keys = np.arange(newest - scans + 1, newest + 1)
+    tracked = graph.tracked_from(newest, keys)
+    points = [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)]
     return np.concatenate(points)
 
 

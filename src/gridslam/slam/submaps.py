@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
@@ -15,7 +15,7 @@ from gridslam.slam.key_graph import BLOCK, KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "Submaps", "anchor_of", "drawn", "joint_map", "keys_of"]
+__all__ = ["ROW", "Submaps", "anchor_of", "draw", "drawn", "joint_map", "keys_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -34,11 +34,16 @@ def anchor_of(block: int) -> int:
     return block * BLOCK + BLOCK // 2
 
 
-def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
-    """Draw a map of key scans `keys` (K,) at poses (K, 3)."""
-    maps = mapper.empty(1)
-    for key, pose in zip(keys.tolist(), poses, strict=True):
+def draw(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterable[FloatArray]) -> None:
+    """Draw key scans into the one map of `maps`, each at its pose (3,)."""
+    for key, pose in zip(keys, poses, strict=True):
         maps.update(ROW, pose[None], scans.key(key))
+
+
+def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
+    """Draw a new map of key scans `keys` (K,) at poses (K, 3)."""
+    maps = mapper.empty(1)
+    draw(maps, scans, keys.tolist(), poses)
     return maps
 
 
@@ -73,8 +78,7 @@ class Submaps:
         maps = self._kept.pop(block, None)
         if maps is None:
             keys, anchor = keys_of(block), anchor_of(block)
-            local = between(graph.tracked[anchor], np.array([graph.tracked[k] for k in keys.tolist()]))
-            maps = drawn(mapper, scans, keys, local)
+            maps = drawn(mapper, scans, keys, graph.tracked_from(anchor, keys))
             if len(self._kept) >= self._most:
                 del self._kept[next(iter(self._kept))]
         self._kept[block] = maps  # the last used one comes last
