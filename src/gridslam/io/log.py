@@ -1,0 +1,80 @@
+"""What every log offers whatever its format, and the choice of the reader that a file needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, final, runtime_checkable
+
+from gridslam.errors import ArgumentError
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.measurement import Measurement
+
+__all__ = ["Log", "LogOptions"]
+
+
+@runtime_checkable
+class Log(Protocol):
+    """A stream of measurements that can be read again from its start."""
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start; raises InputError where it cannot be read on."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LogOptions:
+    """What to read of a log, and how.
+
+    Attributes
+    ----------
+    scan_topics : tuple of str
+        Topics (bags) or sensors (other logs) whose scans are read; all that there is no doubt about where empty.
+    odometry_topic : str or None
+        Topic of the odometry of a bag; found by its type if not given.
+    odometry_frame, base_frame : str or None
+        Take the odometry of a bag from the transforms between these frames; found by their names if not given.
+    no_odometry : bool
+        Give every scan without odometry, whatever the log has.
+    keep_truncated : bool
+        Read a log that is cut off as far as it goes instead of refusing it.
+    start_s : float, >= 0
+        Leave out the scans less than so many seconds after the first.
+    duration_s : float or None, > 0
+        Leave out the scans that come so many seconds or more after the start.
+    every : int, >= 1
+        Of the scans that are left of a sensor take every so many-th, from the first on.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of its range.
+    """
+
+    scan_topics: tuple[str, ...] = ()
+    odometry_topic: str | None = None
+    odometry_frame: str | None = None
+    base_frame: str | None = None
+    no_odometry: bool = False
+    keep_truncated: bool = False
+    start_s: float = 0.0
+    duration_s: float | None = None
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not 0 <= self.start_s < float("inf"):
+            raise ArgumentError("start_s", "a time >= 0 s", self.start_s)
+        if self.duration_s is not None and not self.duration_s > 0:
+            raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
+        if self.every < 1:
+            raise ArgumentError("every", "a number >= 1", self.every)
