@@ -45,6 +45,7 @@ class BeamStatus(IntEnum):
 
 
 _HIT = np.uint8(BeamStatus.HIT)
+_STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
 
 @final
@@ -138,13 +139,15 @@ class LaserScan:
         """Build a scan from raw ranges (B,) in m, deciding each beam's status.
 
         NaN, negative and zero ranges and ranges below `range_min_m` are INVALID; infinite ones and those at or above
-        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ.
+        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ or a beam's time is not finite.
         """
         values = frozen(ranges, np.float64, (len(geometry.bearings),), "ranges")
         no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
         valid = (values > 0) & (values >= range_min_m)
         status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
         times = None if beam_times_s is None else frozen(beam_times_s, np.float64, values.shape, "beam_times_s")
+        if times is not None and not np.isfinite(times).all():
+            raise ArgumentError("beam_times_s", "finite times in s", "a value that is not finite")
         known = frozen(status, np.uint8, values.shape, "status")
         return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
 
@@ -192,6 +195,38 @@ class Beams:
     def reach_m(self) -> float:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
         return _reach_m(self.ends, self.origin)
+
+    def deskewed(self, twist: FloatArray) -> Beams:
+        """Undo the robot's motion during the scan: all beams as if they had been measured at the scan's stamp.
+
+        A beam that was measured t seconds after the stamp left the laser, and ended, where the base then was: both lie
+        at exp(t twist) from the base at the stamp. To be applied once, to beams as `LaserScan.beams` selects them.
+
+        Parameters
+        ----------
+        twist : (3,) float64
+            Motion of the base, [v_x m/s, v_y m/s, omega rad/s] in its own frame, taken as constant during the scan.
+
+        Returns
+        -------
+        Beams
+            With exact ends. All rays begin at one `origin`, the mean of the laser's places: rays of a scan leave from
+            within half the way that the laser made meanwhile, 2 cm at 0.4 m/s and 10 scans a second. The same object
+            where the scan has no beam times.
+
+        Source: Sola et al., A micro Lie theory (2018), equations 156 and 158, as complex numbers.
+        """
+        if self.scan.beam_times_s is None or not len(self.ends):
+            return self
+        v_x, v_y, omega = twist.tolist()
+        times = self.scan.beam_times_s.take(self.indices)
+        half_turns = np.empty(len(times), np.complex128)
+        half_turns.real, half_turns.imag = np.cos(0.5 * omega * times), np.sin(0.5 * omega * times)
+        chords = half_turns.imag * (2 / omega) if abs(omega) > _STRAIGHT else times
+        ways, turns = complex(v_x, v_y) * chords * half_turns, half_turns * half_turns
+        ends = turns * self.ends.view(np.complex128)[:, 0] + ways
+        origin = (turns * complex(*self.origin.tolist()) + ways).mean(keepdims=True)
+        return Beams(self.scan, self.indices, ends.view(np.float64).reshape(-1, 2), origin.view(np.float64))
 
 
 @final
