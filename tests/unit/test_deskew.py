@@ -33,7 +33,8 @@ def test_each_end_lies_where_the_base_was_at_its_time(twist, seed):
     np.testing.assert_allclose(deskewed.ends, se2.transform_points(moved, beams.ends), atol=1e-13)
     lasers = se2.transform_points(moved, beams.origin)
     np.testing.assert_allclose(deskewed.origin, lasers.mean(axis=0), atol=1e-13)
-    assert deskewed.scan is beams.scan and deskewed.indices is beams.indices
+    assert deskewed.scan is beams.scan
+    assert deskewed.indices is beams.indices
 
 
 def test_a_wall_seen_while_turning_is_straight_again():
