@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
 
-from gridslam.types import FloatArray, LaserScan
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, FloatArray, LaserScan
 
-__all__ = ["LogStatistics", "Mounting"]
+__all__ = ["LogStatistics", "Mounting", "Topic"]
+
+_BY_SCAN = (
+    "span_read", "scans", "beam_counts", "invalid_beams", "no_return_beams", "without_odometry", "odometry_length_m",
+    "backward_stamps", "duplicate_stamps", "first_stamp_ns", "last_stamp_ns", "_last_sensor", "_last_place",
+)  # fmt: skip
+"""What is counted of each scan, and not of the file as a whole."""
+
+_INVALID, _NO_RETURN = np.uint8(BeamStatus.INVALID), np.uint8(BeamStatus.NO_RETURN)
 
 
 @final
@@ -20,6 +30,15 @@ class Mounting:
 
     pose: FloatArray
     source: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """Type of a topic's messages and how many a bag holds."""
+
+    type: str
+    messages: int
 
 
 @final
@@ -35,8 +54,10 @@ class LogStatistics:
         Size of the file and how much of it has been read, both as on disk.
     lines : int
         Lines read.
+    span_read : float
+        Share in [0, 1] of the chosen time that has been read; 0 where all of the log is wanted.
     scans : Counter of str
-        Scans by tag of their line.
+        Scans by sensor; in CARMEN logs by tag of their line.
     beam_counts : Counter of int
         Scans by their number of beams.
     invalid_beams, no_return_beams : int
@@ -59,12 +80,17 @@ class LogStatistics:
         Lines of other kinds, by tag.
     mountings : dict of str to Mounting
         By sensor.
+    topics : dict of str to Topic
+        All topics of a bag.
+    missing_transforms : Counter of str
+        Scans that had to be left out, or to go without odometry, by what is missing.
     truncated : bool
         Whether the file is cut off and what is missing was left out on request.
     """
 
     total_bytes: int = 0
     bytes_read: int = 0
+    span_read: float = 0.0
     lines: int = 0
     scans: Counter[str] = field(default_factory=Counter)
     beam_counts: Counter[int] = field(default_factory=Counter)
@@ -81,6 +107,8 @@ class LogStatistics:
     parameters: dict[str, str] = field(default_factory=dict)
     unused_tags: Counter[str] = field(default_factory=Counter)
     mountings: dict[str, Mounting] = field(default_factory=dict)
+    topics: dict[str, Topic] = field(default_factory=dict)
+    missing_transforms: Counter[str] = field(default_factory=Counter)
     truncated: bool = False
     _last_sensor: str = ""
     _last_place: FloatArray | None = None
@@ -96,6 +124,30 @@ class LogStatistics:
         if self.first_stamp_ns is None or self.last_stamp_ns is None:
             return 0.0
         return (self.last_stamp_ns - self.first_stamp_ns) / 1e9
+
+    @property
+    def share_read(self) -> float:
+        """How much of what is wanted of the log has been read, in [0, 1]."""
+        return max(self.bytes_read / max(self.total_bytes, 1), self.span_read)
+
+    def of_scans(self, counts: LogStatistics) -> LogStatistics:
+        """These statistics of the file, with those of the scans replaced by what `counts` has counted."""
+        return replace(self, **{name: getattr(counts, name) for name in _BY_SCAN})
+
+    def count(self, measurement: Measurement) -> None:
+        """Take the next measurement into account."""
+        odometry, scan = measurement
+        self.scans[scan.sensor] += 1
+        self.beam_counts[len(scan)] += 1
+        self.invalid_beams += int(np.count_nonzero(scan.status == _INVALID))
+        self.no_return_beams += int(np.count_nonzero(scan.status == _NO_RETURN))
+        self.count_stamp(scan)
+        if odometry is None:
+            self.without_odometry += 1
+            return
+        last, self._last_place = self._last_place, odometry.pose[:2]
+        if last is not None:
+            self.odometry_length_m += math.dist(last, self._last_place)
 
     def count_stamp(self, scan: LaserScan) -> None:
         """Take the next scan's stamp into account."""
