@@ -1,5 +1,5 @@
-"""Planar rigid motions and angles; everything works on arrays and knows nothing of robots."""
+"""Rigid motions of the plane and of space, and angles; nothing here knows of robots."""
 
-from gridslam.geometry import angles, se2
+from gridslam.geometry import angles, rigid, se2, se3
 
-__all__ = ["angles", "se2"]
+__all__ = ["angles", "rigid", "se2", "se3"]
