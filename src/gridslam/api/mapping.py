@@ -11,7 +11,7 @@ from gridslam.api.result import MapResult
 from gridslam.config import Configuration, build, override
 from gridslam.config import preset as preset_of
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen import CarmenLog
+from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.io.text_source import sha256_of
@@ -25,29 +25,31 @@ __all__ = ["map_log"]
 
 
 def map_log(
-    log: str | Path | CarmenLog,
+    log: str | Path | Log,
     particles: int | None = None,
     seed: int = 0,
     *,
+    options: LogOptions | None = None,
     preset: str = "default",
     configuration: Configuration | None = None,
     loop_closure: bool = True,
     threads: int = 1,
-    keep_truncated: bool = False,
     observers: Sequence[Observer] = (),
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> MapResult:
-    """Map a CARMEN log with grid-based FastSLAM and loop closure.
+    """Map a log with grid-based FastSLAM and loop closure.
 
     Parameters
     ----------
-    log : str, Path or CarmenLog
-        The log.
+    log : str, Path or Log
+        The log, of any format that `open_log` knows.
     particles : int, optional
         Number of particles; the preset's own if not given. Not together with `configuration`.
     seed : int, >= 0
         The same log, configuration and seed give the same bytes.
+    options : LogOptions, optional
+        What to read of the log at a path.
     preset : str
         "default", "fast", "accurate" or "gmapping".
     configuration : Configuration, optional
@@ -56,8 +58,6 @@ def map_log(
         False for the filter alone, whatever the configuration says.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
-    keep_truncated : bool
-        Whether a log that is cut off is mapped as far as it goes instead of refused.
     observers : sequence of Observer
         Called after each scan.
     tick : callable
@@ -68,7 +68,8 @@ def map_log(
     Raises
     ------
     ArgumentError
-        The seed is negative, there is no thread, or both `particles` and `configuration` are given.
+        The seed is negative, there is no thread, both `particles` and `configuration` are given, or both `options` and
+        a log that is open already.
     InputError
         The log cannot be read, or has a scan without odometry.
     ConfigurationError
@@ -78,7 +79,7 @@ def map_log(
     config = configuration or preset_of(preset, particles)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
-    source = log if isinstance(log, CarmenLog) else CarmenLog(log, keep_truncated=keep_truncated)
+    source = _opened(log, options)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
     measurements, slam, rng = _with_odometry(source), build(config, threads), np.random.default_rng(seed)
@@ -93,7 +94,7 @@ def map_log(
 
 def _result(
     full: FullSlam, state: GridFastSlamState, trajectory: TrajectoryRecorder, statistics: StatisticsRecorder,
-    record: RecordWriter, source: CarmenLog, config: Configuration, seed: int, threads: int, watch: Stopwatch,
+    record: RecordWriter, source: Log, config: Configuration, seed: int, threads: int, watch: Stopwatch,
 ) -> MapResult:  # fmt: skip
     """Put together what a run gives."""
     online = trajectory.online()
@@ -120,6 +121,14 @@ def _result(
     return result
 
 
+def _opened(log: str | Path | Log, options: LogOptions | None) -> Log:
+    if isinstance(log, str | Path):
+        return open_log(log, options or LogOptions())
+    if options is not None:
+        raise ArgumentError("options", "none for a log that is open already", options)
+    return log
+
+
 def _check(seed: int, threads: int, particles: int | None, configuration: Configuration | None) -> None:
     if seed < 0:
         raise ArgumentError("seed", "a number >= 0", seed)
@@ -136,7 +145,7 @@ def _kept_in(record: RecordWriter) -> Observer:
     return keep
 
 
-def _with_odometry(log: CarmenLog) -> Iterator[Measurement]:
+def _with_odometry(log: Log) -> Iterator[Measurement]:
     for count, measurement in enumerate(log, 1):
         if measurement.odometry is None:
             raise InputError(log.path, f"expected odometry with every scan, got none for scan {count}")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from gridslam import __version__
+from gridslam.cli.log_options import log_options
 
 __all__ = ["gridslam"]
 
@@ -58,10 +59,12 @@ class _MapCommand(click.Command):
 @click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's.")
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
 @click.option("--no-loop-closure", is_flag=True, help="The filter alone.")
-@click.option("--keep-truncated", is_flag=True, help="Map a log that is cut off as far as it goes.")
+@log_options
 @_json
 def map_command(**options: Any) -> None:  # noqa: ANN401
-    """Map LOG, a CARMEN log (plain, .gz or .bz2), with grid-based FastSLAM and loop closure.
+    """Map LOG with grid-based FastSLAM and loop closure.
+
+    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans.
 
     OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan, told from the end), trajectory.csv
     (with covariances), trajectory_online.tum (what was said at the time), graph.g2o (the key scans and what ties them),
@@ -70,6 +73,21 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.map import map_to_folder
 
     map_to_folder(**options)
+
+
+@gridslam.command("doctor")
+@click.argument("log", type=_PATH)
+@click.option("-o", "--out", type=_PATH, help="Folder for pictures of what was found; made if need be.")
+@log_options
+@_json
+def doctor_command(**options: Any) -> Any:  # noqa: ANN401
+    """Tell what is in LOG, and what is wrong with it, in plain words.
+
+    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 where something would spoil the map.
+    """
+    from gridslam.cli.doctor import doctor_log
+
+    return doctor_log(**options)
 
 
 @gridslam.command("demo")

@@ -14,7 +14,7 @@ from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
 from gridslam.config import Configuration, load, override, preset
-from gridslam.io.carmen import CarmenLog
+from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
@@ -28,6 +28,7 @@ _MANY = 0.1
 
 def map_to_folder(
     log: Path,
+    options: LogOptions,
     out: Path,
     particles: int | None,
     seed: int,
@@ -36,13 +37,12 @@ def map_to_folder(
     config: Path | None,
     assignments: Sequence[str],
     no_loop_closure: bool,
-    keep_truncated: bool,
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, particles, config, assignments, no_loop_closure)
-    source = CarmenLog(log, keep_truncated=keep_truncated)
+    source = open_log(log, options)
     with opened(out) as folder:
         result = map_shown(source, configuration, seed, threads, not as_json, watch)
         document = result.write(folder)
@@ -55,7 +55,7 @@ def map_to_folder(
 
 
 def map_shown(
-    source: CarmenLog, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch
+    source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch
 ) -> MapResult:
     """Map a log while progress is shown."""
     with progress(lambda: source.statistics, shown=shown) as show:

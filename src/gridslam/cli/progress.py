@@ -84,7 +84,7 @@ class Progress:
 
     def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()
-        share = log.bytes_read / max(log.total_bytes, 1)
+        share = log.share_read
         height, width = state.maps.occupancy(state.best).known.shape
         side = state.maps.resolution_m
         real = (report.stamp_ns - self._first_ns) * 1e-9 / seconds

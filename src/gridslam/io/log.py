@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, final, runtime_checkable
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Log", "LogOptions"]
+__all__ = ["Log", "LogOptions", "open_log"]
 
 
 @runtime_checkable
@@ -78,3 +78,41 @@ class LogOptions:
             raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
         if self.every < 1:
             raise ArgumentError("every", "a number >= 1", self.every)
+
+
+_ALL = LogOptions()
+
+
+def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
+    """Open a log of any format that can be read, told by its content: CARMEN, ROS 1 and ROS 2 bags, CSV.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log: a file, or the folder of a ROS 2 bag.
+    options : LogOptions
+        What to read of it.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is no log: says what it looks like; or an option does not fit its format.
+    """
+    from gridslam.io.log_format import LogFormat, log_format_of
+    from gridslam.io.selection import select
+
+    form = log_format_of(path)
+    if form is LogFormat.BAG:
+        from gridslam.io.bag import BagLog  # only bags pay for the import of rosbags
+
+        part = replace(options, scan_topics=())  # the reader takes care of the topics
+        return select(BagLog(path, replace(options, start_s=0.0, duration_s=None, every=1)), part)
+    if options.odometry_topic or options.odometry_frame or options.base_frame:
+        raise InputError(path, f"topics and frames are chosen in bags alone, and this is a {form.value} log")
+    if form is LogFormat.CSV:
+        from gridslam.io.csv_log import CsvLog
+
+        return select(CsvLog(path, keep_truncated=options.keep_truncated), options)
+    from gridslam.io.carmen import CarmenLog
+
+    return select(CarmenLog(path, keep_truncated=options.keep_truncated), options)

@@ -15,7 +15,7 @@ from typing import IO, cast, final
 
 from gridslam.errors import InputError
 
-__all__ = ["TextSource", "open_for_reading", "read_text", "sha256_of"]
+__all__ = ["TextSource", "head_of", "open_for_reading", "read_text", "sha256_of"]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
@@ -48,9 +48,28 @@ def read_text(path: str | Path) -> str:
             raise InputError(path, "expected a text file, got binary data") from None
 
 
+def head_of(path: str | Path, size: int) -> bytes:
+    """First bytes of a file, decompressed; fewer than `size` where it is shorter, cut off or damaged."""
+    head = b""
+    with open_for_reading(path) as file, _decompressed(file) as stream:
+        try:
+            while len(head) < size and (chunk := stream.read1(size - len(head))):  # type: ignore[attr-defined]
+                head += chunk
+        except (EOFError, OSError, zlib.error):
+            pass  # whoever reads it all tells
+    return head
+
+
 def sha256_of(path: str | Path) -> str:
-    """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal."""
+    """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal.
+
+    Of a folder it is that of the list of its files, as ``LC_ALL=C; sha256sum * | sha256sum`` within it gives it.
+    """
     digest = hashlib.sha256()
+    if (where := Path(path)).is_dir():
+        files = sorted(file for file in where.iterdir() if file.is_file() and not file.name.startswith("."))
+        digest.update("".join(f"{sha256_of(file)}  {file.name}\n" for file in files).encode())
+        return digest.hexdigest()
     with open_for_reading(path) as file:
         while block := file.read(1 << 20):
             digest.update(block)
