@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Literal, final
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
 from gridslam.sim.floor_plan import near
 from gridslam.types import FloatArray, IntArray, ScanGeometry
 
-__all__ = ["LidarConfig", "cast_rays", "disc_ranges", "measure"]
+__all__ = ["LidarConfig", "cast_rays", "cast_single_rays", "disc_ranges", "measure"]
 
 _CHUNK = 1 << 17  # pairs of scan and wall at a time: a few MB of intermediate arrays
 _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none slips through where two walls meet
@@ -24,54 +24,107 @@ _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none 
 class LidarConfig:
     """A planar lidar, level on the robot. The defaults are those of the laser that recorded the Intel log.
 
+    A scan is taken in an instant unless `scan_time_s` says otherwise; its stamp is the time of its first beam.
+
     Parameters
     ----------
-    beams : int, >= 2
+    beams : int, >= 1
         Beams of a scan.
+    fewest_beams : int, >= 0
+        Each scan has another number of beams, from this one to `beams`, spread over the same angle; 0: always `beams`.
     field_of_view_rad : float, rad, (0, 2 pi]
         Angle they are spread over, symmetric about the laser's forward axis.
+    clockwise : bool
+        Whether the beams come from left to right; the scans' bearings tell it.
     range_max_m : float, m, > 0
-        Range from which on there is no return; it is then also the value reported.
+        Range from which on there is no return.
+    no_return : str
+        What is then reported: "max" (`range_max_m`), "inf", or "nan" or "zero", which read as invalid beams.
     sigma_range_m : float, m, >= 0
         Standard deviation of a range; 1 cm is usual for such lasers.
+    sigma_range_share : float, >= 0
+        What it grows by with each metre of range, as it does where the range is triangulated.
     no_return_probability : float, [0, 1]
         Share of the beams that are lost (dark or mirroring surfaces).
     x_m, y_m, heading_rad : float
         Mounting: pose of the laser in the robot's base frame.
     rate_hz : float, Hz, > 0
         Scans a second.
+    begin_s : float, s, >= 0
+        When the first scan is taken.
+    scan_time_s : float, s, >= 0
+        What a scan takes: beam i of B is measured i / B of it after the stamp, while the robot drives on.
+    tells_beam_times : bool
+        Whether scans tell when each beam was measured, where they are not taken in an instant.
+    sensor : str
+        Name of the laser and of its frame.
     """
 
-    beams: int = Field(default=180, ge=2)
+    beams: int = Field(default=180, ge=1)
+    fewest_beams: int = Field(default=0, ge=0)
     field_of_view_rad: float = Field(default=math.pi, gt=0, le=math.tau)
+    clockwise: bool = False
     range_max_m: float = Field(default=30.0, gt=0)
+    no_return: Literal["max", "inf", "nan", "zero"] = "max"
     sigma_range_m: float = Field(default=0.01, ge=0)
+    sigma_range_share: float = Field(default=0.0, ge=0)
     no_return_probability: float = Field(default=0.005, ge=0, le=1)
     x_m: float = 0.1
     y_m: float = 0.0
     heading_rad: float = 0.0
     rate_hz: float = Field(default=5.0, gt=0)
+    begin_s: float = Field(default=0.0, ge=0)
+    scan_time_s: float = Field(default=0.0, ge=0)
+    tells_beam_times: bool = True
+    sensor: str = "laser"
+
+    @model_validator(mode="after")
+    def _some_number_of_beams(self) -> LidarConfig:
+        if self.fewest_beams > self.beams:
+            raise ValueError("fewest_beams must not exceed beams")
+        return self
 
     @property
     def bearings(self) -> FloatArray:
-        """Bearings (beams,) in rad, ascending.
+        """Bearings (beams,) in rad of a scan of all beams; see `spread`."""
+        return self.spread(self.beams)
+
+    def spread(self, beams: int) -> FloatArray:
+        """Bearings (beams,) in rad in the order in which they are measured: ascending unless `clockwise`.
 
         An odd number of beams includes both ends of the field of view, an even number (and a full circle) leaves the
-        last one out: the rule by which CARMEN logs, which hold no angles, are read.
+        last one out: the rule by which CARMEN logs, which hold no angles, are read. A single beam looks ahead.
         """
-        whole = self.beams % 2 == 0 or self.field_of_view_rad == math.tau
-        step = self.field_of_view_rad / (self.beams if whole else self.beams - 1)
-        return -self.field_of_view_rad / 2 + step * np.arange(self.beams, dtype=np.float64)
+        if beams == 1:
+            return np.zeros(1)
+        whole = beams % 2 == 0 or self.field_of_view_rad == math.tau
+        step = self.field_of_view_rad / (beams if whole else beams - 1)
+        bearings = -self.field_of_view_rad / 2 + step * np.arange(beams, dtype=np.float64)
+        return -bearings if self.clockwise else bearings
+
+    def times(self, duration_s: float) -> FloatArray:
+        """When scans are taken on a drive of that duration: (N,) float64, s."""
+        count = math.floor((duration_s - self.begin_s) * self.rate_hz + 1e-9) + 1
+        return self.begin_s + np.arange(count, dtype=np.float64) / self.rate_hz
+
+    def beam_times(self, beams: int) -> FloatArray:
+        """When each beam (beams,) is measured, in s after the stamp."""
+        return self.scan_time_s / beams * np.arange(beams, dtype=np.float64)
+
+    @property
+    def mounting(self) -> FloatArray:
+        """Pose (3,) of the laser in the robot's base frame."""
+        return np.array([self.x_m, self.y_m, self.heading_rad])
 
     @property
     def reach_m(self) -> float:
         """Range in m beyond which a wall is not seen, whatever the noise: eight of its standard deviations."""
-        return self.range_max_m + 8 * self.sigma_range_m
+        return self.range_max_m + 8 * (self.sigma_range_m + self.sigma_range_share * self.range_max_m)
 
     @property
     def geometry(self) -> ScanGeometry:
-        """Bearings and mounting as scans carry them."""
-        return ScanGeometry.planar(self.bearings, [self.x_m, self.y_m, self.heading_rad])
+        """Bearings and mounting as scans of all beams carry them."""
+        return ScanGeometry.planar(self.bearings, self.mounting)
 
 
 def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray, reach_m: float = math.inf) -> FloatArray:
@@ -141,16 +194,37 @@ def _covered(begin: FloatArray, width: FloatArray, offsets: FloatArray) -> tuple
     return np.repeat(interval, count), beam
 
 
+def cast_single_rays(walls: FloatArray, rays: FloatArray, reach_m: float = math.inf) -> FloatArray:
+    """Distance (M,) in m along each of rays (M, 3) to the first wall, as `cast_rays` does for a beam of each pose.
+
+    For beams that leave from a place each; costs all pairs of ray and wall.
+    """
+    ranges = np.full(len(rays), np.inf)
+    rows = max(1, _CHUNK // max(1, len(walls)))
+    for first in range(0, len(rays) if len(walls) else 0, rows):
+        some = rays[first : first + rows]
+        x0, y0, x1, y1 = near(walls, some[:, :2], reach_m).T
+        c, s = np.cos(some[:, 2:]), np.sin(some[:, 2:])
+        dx, dy, along_x, along_y = x0 - some[:, :1], y0 - some[:, 1:2], x1 - x0, y1 - y0
+        normal_part = c * along_y - s * along_x
+        normal_part[np.abs(normal_part) <= _EDGE_RAD * np.hypot(along_x, along_y)] = np.nan  # end-on
+        reach, place = (dx * along_y - dy * along_x) / normal_part, (dx * s - dy * c) / normal_part
+        hit = (reach > 0) & (place >= -_EDGE_RAD) & (place <= 1 + _EDGE_RAD)
+        ranges[first : first + rows] = np.where(hit, reach, np.inf).min(axis=1, initial=np.inf)
+    return ranges
+
+
 def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearings: FloatArray) -> FloatArray:
     """Distance (N, B) in m along each beam to the first of P discs that stand at `centres` (N, P, 2) in each scan.
 
-    Infinite where a beam meets none; a disc around the laser itself is not seen.
+    Lasers are (N, 1, 3) or, where each beam has a place of its own, (N, B, 3). Infinite where a beam meets none; a disc
+    around the laser itself is not seen.
     """
-    angles = lasers[:, 2:] + bearings
+    angles = lasers[..., 2] + bearings
     cos, sin = np.cos(angles), np.sin(angles)
     ranges = np.full(angles.shape, np.inf)
     for centre in centres.transpose(1, 2, 0)[..., None]:
-        dx, dy = centre[0] - lasers[:, :1], centre[1] - lasers[:, 1:2]
+        dx, dy = centre[0] - lasers[..., 0], centre[1] - lasers[..., 1]
         along, aside = cos * dx + sin * dy, cos * dy - sin * dx
         depth = np.sqrt(np.maximum(radius_m**2 - aside**2, 0.0))
         hit = (np.abs(aside) < radius_m) & (along > depth)
@@ -161,11 +235,13 @@ def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearin
 def measure(
     true_ranges: FloatArray, lidar: LidarConfig, rng: np.random.Generator, losses: np.random.Generator | None = None
 ) -> FloatArray:
-    """Ranges (N, B) in m as the sensor reports them: with noise, and `range_max_m` for a beam without return.
+    """Ranges (N, B) in m as the sensor reports them: with noise, and what it reports for a beam without return.
 
     The noise is drawn from `rng`, and then, which beams are lost: from `losses` where it is given.
     """
-    noise = lidar.sigma_range_m * rng.standard_normal(true_ranges.shape)
+    sigma = lidar.sigma_range_m + lidar.sigma_range_share * np.minimum(true_ranges, lidar.range_max_m)
+    noise = sigma * rng.standard_normal(true_ranges.shape)
     lost = (rng if losses is None else losses).random(true_ranges.shape) < lidar.no_return_probability
     measured = np.clip(true_ranges + noise, 1e-3, lidar.range_max_m)
-    return np.where(lost, lidar.range_max_m, measured)
+    no_return = {"max": lidar.range_max_m, "inf": np.inf, "nan": np.nan, "zero": 0.0}[lidar.no_return]
+    return np.where(lost | (measured >= lidar.range_max_m), no_return, measured)

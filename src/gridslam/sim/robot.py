@@ -14,7 +14,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import STRICT
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["OdometryNoise", "RobotConfig", "drive", "follow", "read_odometry"]
+__all__ = ["Drive", "OdometryNoise", "RobotConfig", "drive", "follow", "read_odometry"]
 
 _STEP_M = 0.01  # speed is planned at this spacing along the path
 _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
@@ -93,31 +93,61 @@ class _Piece(NamedTuple):
     leg: int
 
 
-def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
-    """Poses (N, 3), one each `period_s`, of a robot that follows the waypoints `route` (K, 2) in m from end to end.
+@final
+class Drive:
+    """A robot that follows the waypoints `route` (K, 2) in m from end to end, and where it is at any time.
 
     It heads for the second waypoint at the start, rounds corners with arcs and turns sharp ones on the spot; speed is
     the greatest that the limits of the robot allow, from rest to rest.
+
+    Attributes
+    ----------
+    duration_s : float
     """
+
+    def __init__(self, route: FloatArray, robot: RobotConfig) -> None:
+        """Plan the way and the speed along it."""
+        pieces = _pieces(route, robot)
+        starts = [np.array([*route[0], math.atan2(*(route[1] - route[0])[::-1])])]
+        for piece in pieces[:-1]:
+            starts.append(se2.compose(starts[-1], se2.exp(piece.twist)))
+        self._starts = np.array(starts)
+        self._begins = np.concatenate([[0.0], np.cumsum([piece.length_m for piece in pieces])])
+        self._twists = np.array([piece.twist for piece in pieces])
+        self._legs = np.array([piece.leg for piece in pieces], np.int64)
+        self._nodes, self._speeds = _speeds(pieces, self._begins, robot.acceleration_m_s2)
+        steps = 2 * np.diff(self._nodes) / (self._speeds[1:] + self._speeds[:-1])
+        self._times = np.concatenate([[0.0], np.cumsum(steps)])
+        self.duration_s = float(self._times[-1])
+
+    def at(self, seconds: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Poses (N, 3) at times (N,) from 0 on, and the leg of the route (N,) int64 that each is on.
+
+        Leg k leads from waypoint k to waypoint k + 1, the turn there included. After the end the robot stands.
+        """
+        at = self._driven(seconds)
+        index = np.searchsorted(self._begins[1:-1], at, side="right")
+        share = (at - self._begins[index]) / np.diff(self._begins)[index]
+        return se2.compose(self._starts[index], se2.exp(self._twists[index] * share[:, None])), self._legs[index]
+
+    def _driven(self, seconds: FloatArray) -> FloatArray:
+        """Metres driven (N,); between nodes on the path the acceleration is constant."""
+        node = np.clip(np.searchsorted(self._times, seconds, side="right") - 1, 0, len(self._times) - 2)
+        passed = np.minimum(seconds, self.duration_s) - self._times[node]
+        gain = (np.diff(self._speeds) / np.diff(self._times))[node]
+        driven = self._nodes[node] + (self._speeds[node] + 0.5 * gain * passed) * passed
+        return np.asarray(np.minimum(driven, self._nodes[-1]))
+
+
+def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
+    """Poses (N, 3), one each `period_s`, of a robot on its `Drive` along the waypoints `route` (K, 2) in m."""
     return follow(route, robot, period_s)[0]
 
 
 def follow(route: FloatArray, robot: RobotConfig, period_s: float) -> tuple[FloatArray, IntArray]:
-    """Poses (N, 3) as `drive` gives them, and the leg of the route (N,) int64 that each is on.
-
-    Leg k leads from waypoint k to waypoint k + 1, the turn there included.
-    """
-    pieces = _pieces(route, robot)
-    starts = [np.array([*route[0], math.atan2(*(route[1] - route[0])[::-1])])]
-    for piece in pieces[:-1]:
-        starts.append(se2.compose(starts[-1], se2.exp(piece.twist)))
-    begins = np.concatenate([[0.0], np.cumsum([piece.length_m for piece in pieces])])
-    at = _driven(pieces, begins, robot.acceleration_m_s2, period_s)
-    index = np.searchsorted(begins[1:-1], at, side="right")
-    share = (at - begins[index]) / np.diff(begins)[index]
-    twists = np.array([piece.twist for piece in pieces])
-    poses = se2.compose(np.array(starts)[index], se2.exp(twists[index] * share[:, None]))
-    return poses, np.array([piece.leg for piece in pieces], np.int64)[index]
+    """Poses (N, 3) as `drive` gives them, and the leg of the route (N,) int64 that each is on."""
+    way = Drive(route, robot)
+    return way.at(period_s * np.arange(math.floor(way.duration_s / period_s + 1e-9) + 1, dtype=np.float64))
 
 
 def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
@@ -143,18 +173,6 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
         elif turn:
             pieces.append(_Piece((0.0, 0.0, turn), metres_per_radian * abs(turn), robot.v_max_m_s, leg))
     return [piece for piece in pieces if piece.length_m > 1e-9]
-
-
-def _driven(pieces: list[_Piece], begins: FloatArray, acceleration: float, period_s: float) -> FloatArray:
-    """Metres driven (N,) after each period; between nodes on the path the acceleration is constant."""
-    nodes, speed = _speeds(pieces, begins, acceleration)
-    times = np.concatenate([[0.0], np.cumsum(2 * np.diff(nodes) / (speed[1:] + speed[:-1]))])
-    t = period_s * np.arange(math.floor(times[-1] / period_s + 1e-9) + 1)
-    node = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-    passed = t - times[node]
-    gain = (np.diff(speed) / np.diff(times))[node]
-    driven: FloatArray = np.minimum(nodes[node] + (speed[node] + 0.5 * gain * passed) * passed, nodes[-1])
-    return driven
 
 
 def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tuple[FloatArray, FloatArray]:

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from copy import deepcopy
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
 from gridslam.sim.floor_plan import clearance, near
-from gridslam.sim.lidar import LidarConfig, cast_rays, disc_ranges, measure
+from gridslam.sim.lidar import LidarConfig
 from gridslam.sim.people import PeopleConfig, walkers
-from gridslam.sim.robot import OdometryNoise, RobotConfig, follow, read_odometry
+from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, read_odometry
+from gridslam.sim.scanner import TOGETHER, Scanner
 from gridslam.sim.world import World
-from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, Trajectory
+from gridslam.types import FloatArray, IntArray, Odometry, Trajectory
 
 __all__ = ["SimulatedLog", "SimulatedStream", "simulate", "simulate_stream"]
-
-_TOGETHER = 256  # scans made at a time: 40 m of way at the most, and some MB of arrays
 
 
 @final
@@ -73,19 +70,19 @@ def simulate(
     world: World,
     robot: RobotConfig,
     odometry: OdometryNoise,
-    lidar: LidarConfig,
+    lidar: LidarConfig | Sequence[LidarConfig],
     rng: np.random.Generator,
     *,
     people: PeopleConfig | None = None,
 ) -> SimulatedLog:
-    """Drive `world`'s route once and record a scan and odometry at the lidar's rate; a scan is taken in an instant.
+    """Drive `world`'s route once and record scans, each with odometry: of one lidar, or of several merged by time.
 
-    Stamps begin at 0. The same arguments and state of `rng` give the same bytes.
+    Stamps begin at 0. The same arguments and state of `rng` give the same bytes. People stand still during a scan.
 
     Raises
     ------
     ArgumentError
-        If the robot would touch a wall.
+        If the robot would touch a wall, or no scan is taken during its drive.
     """
     stream = simulate_stream(world, robot, odometry, lidar, rng, people=people)
     return SimulatedLog(tuple(stream.measurements), stream.truth, stream.odometry, stream.walls)
@@ -95,7 +92,7 @@ def simulate_stream(
     world: World,
     robot: RobotConfig,
     odometry: OdometryNoise,
-    lidar: LidarConfig,
+    lidar: LidarConfig | Sequence[LidarConfig],
     rng: np.random.Generator,
     *,
     people: PeopleConfig | None = None,
@@ -107,50 +104,37 @@ def simulate_stream(
     Raises
     ------
     ArgumentError
-        If the robot would touch a wall.
+        If the robot would touch a wall, or no scan is taken during its drive.
     """
-    truth, legs = follow(world.route, robot, 1.0 / lidar.rate_hz)
+    lidars = [lidar] if isinstance(lidar, LidarConfig) else list(lidar)
+    way = Drive(world.route, robot)
+    times = [one.times(way.duration_s) for one in lidars]
+    if not any(map(len, times)):
+        raise ArgumentError("lidar", f"a scan in the {way.duration_s:.1f} s of the drive", "none")
+    order = np.argsort(np.concatenate(times), kind="stable")  # a scan of the first lidar before others of its time
+    seconds = np.concatenate(times)[order]
+    truth, legs = way.at(seconds)
     _check_clearance(world, truth, legs, robot)
-    seconds = np.arange(len(truth), dtype=np.float64) / lidar.rate_hz
-    stamps = np.round(1e9 * seconds).astype(np.int64)
     measured = read_odometry(truth, odometry, rng)
-    lasers = se2.compose(truth, [lidar.x_m, lidar.y_m, lidar.heading_rad])
-    places = walkers(world.route, people, rng) if people is not None and people.count else None
-
-    def blocked(part: slice) -> FloatArray | float:
-        if people is None or places is None:
-            return np.inf
-        return disc_ranges(places(truth[part], seconds[part]), people.radius_m, lasers[part], lidar.bearings)
-
-    noise = _taken(rng, lambda count: rng.standard_normal((count, lidar.beams)), len(truth))
-    losses = _taken(rng, lambda count: rng.random((count, lidar.beams)), len(truth))
+    crowd = (people, walkers(world.route, people, rng)) if people is not None and people.count else None
+    scanners = [Scanner(one, way, world, rng) for one in lidars]
+    of = np.repeat(np.arange(len(lidars)), [len(some) for some in times])[order]
+    stamps = np.round(1e9 * seconds).astype(np.int64)
 
     def measurements() -> Iterator[Measurement]:
-        geometry, reach = lidar.geometry, lidar.range_max_m
-        for part, walls in world.stretches(legs, _TOGETHER):
-            ranges = cast_rays(walls, lasers[part], lidar.bearings, lidar.reach_m)
-            rows = measure(np.minimum(ranges, blocked(part)), lidar, noise, losses)
-            for stamp, pose, row in zip(stamps[part].tolist(), measured[part], rows, strict=True):
-                scan = LaserScan.from_ranges(stamp, row, geometry, range_max_m=reach)
-                yield Measurement(Odometry.at(stamp, pose), scan)
+        scans = [one.scans(truth[of == k], legs[of == k], crowd) for k, one in enumerate(scanners)]
+        for k, stamp, pose in zip(of.tolist(), stamps.tolist(), measured, strict=True):
+            yield Measurement(Odometry.at(stamp, pose), next(scans[k]))
 
     return SimulatedStream(measurements(), Trajectory(stamps, truth), Trajectory(stamps, measured), world.walls)
 
 
 def _check_clearance(world: World, truth: FloatArray, legs: IntArray, robot: RobotConfig) -> None:
     room = np.full(len(truth), np.inf)
-    for part, walls in world.stretches(legs, _TOGETHER):
+    for part, walls in world.stretches(legs, TOGETHER):
         points = truth[part, :2]
         room[part] = clearance(near(walls, points, robot.radius_m), points)
     if room.min() < robot.radius_m:
         x, y, _ = truth[room.argmin()]
         expected = f"a route that keeps {robot.radius_m} m from walls"
         raise ArgumentError("world", expected, f"{room.min():.3f} m at ({x:.2f}, {y:.2f})")
-
-
-def _taken(rng: np.random.Generator, draw: Callable[[int], FloatArray], count: int) -> np.random.Generator:
-    """Copy `rng`, and let it pass over `count` rows that `draw` takes from it: the copy will draw the same."""
-    copy = deepcopy(rng)
-    for first in range(0, count, _TOGETHER):
-        draw(min(_TOGETHER, count - first))
-    return copy

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from gridslam.sim.floor_plan import box, join, polyline
-from gridslam.sim.lidar import LidarConfig, cast_rays, disc_ranges, measure
+from gridslam.sim.lidar import LidarConfig, cast_rays, cast_single_rays, disc_ranges, measure
 
 
 def _all_pairs(walls, laser, bearings):
@@ -85,7 +85,7 @@ def test_many_scans_are_cast_as_each_alone():
 def test_disc_in_the_way_by_hand():
     lasers = np.array([[1.0, 2.0, math.pi / 2]])
     centres = np.array([[[1.0, 6.0], [1.0, 9.0]]])
-    ranges = disc_ranges(centres, 0.5, lasers, np.array([-1.0, 0.0, 0.1]))
+    ranges = disc_ranges(centres, 0.5, lasers[:, None], np.array([-1.0, 0.0, 0.1]))
     touch = 4 * math.cos(0.1) - math.sqrt(0.25 - (4 * math.sin(0.1)) ** 2)
     assert ranges == pytest.approx(np.array([[np.inf, 3.5, touch]]))
 
@@ -96,6 +96,39 @@ def test_bearings_follow_the_rule_of_carmen_logs():
     assert LidarConfig(beams=181).bearings == pytest.approx(np.arange(-90, 91) * step)
     full = LidarConfig(beams=5, field_of_view_rad=math.tau).bearings
     assert full == pytest.approx(np.deg2rad([-180, -108, -36, 36, 108]))
+
+
+def test_single_rays_are_cast_as_beams_of_a_scan():
+    rng = np.random.default_rng(3)
+    walls = rng.uniform(-5, 5, (300, 4))
+    lasers = rng.uniform((-6, -6, -10), (6, 6, 10), (20, 3))
+    bearings = LidarConfig(beams=90, field_of_view_rad=math.tau).bearings
+    rays = lasers[:, None] + np.stack([0 * bearings, 0 * bearings, bearings], axis=-1)
+    expected = cast_rays(walls, lasers, bearings)
+    np.testing.assert_allclose(cast_single_rays(walls, rays.reshape(-1, 3)).reshape(20, 90), expected, rtol=1e-9)
+    assert np.isinf(cast_single_rays(walls[:0], rays[0])).all()
+    assert np.isinf(cast_single_rays(polyline([(2, 0), (3, 0)]), np.zeros((1, 3)))).all()  # end-on
+
+
+def test_a_clockwise_lidar_sweeps_from_left_to_right():
+    assert LidarConfig(beams=5, clockwise=True).bearings == pytest.approx(np.deg2rad([90, 45, 0, -45, -90]))
+    assert LidarConfig(beams=1).bearings.tolist() == [0.0]
+
+
+def test_noise_that_grows_with_range():
+    lidar = LidarConfig(sigma_range_m=0.01, sigma_range_share=0.02, no_return_probability=0.0)
+    measured = measure(np.full((100, 1000), 5.0), lidar, np.random.default_rng(3))
+    assert measured.std() == pytest.approx(0.01 + 0.02 * 5, rel=5 / math.sqrt(2 * 100_000))  # five deviations of it
+
+
+@pytest.mark.parametrize(("said", "value"), [("max", 8.0), ("inf", np.inf), ("nan", np.nan), ("zero", 0.0)])
+def test_what_is_reported_where_nothing_returns(said, value):
+    lidar = LidarConfig(range_max_m=8.0, no_return=said, no_return_probability=0.5)
+    measured = measure(np.array([[9.0] * 3 + [4.0] * 50]), lidar, np.random.default_rng(0))[0]
+    nothing = np.isclose(measured, value, equal_nan=True)
+    assert nothing[:3].all()
+    assert 10 < nothing.sum() < 45
+    assert measured[~nothing] == pytest.approx(np.full((~nothing).sum(), 4.0), abs=0.1)
 
 
 def test_noise_and_losses_are_as_configured():
@@ -116,7 +149,10 @@ def test_what_is_out_of_range_gives_no_return():
     assert measured.tolist() == [[7.9, 8.0, 8.0]]
 
 
-@pytest.mark.parametrize("wrong", [{"beams": 1}, {"range_max_m": 0.0}, {"no_return_probability": 1.5}, {"colour": 1}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"beams": 0}, {"fewest_beams": 181}, {"range_max_m": 0.0}, {"no_return_probability": 1.5}, {"colour": 1}],
+)
 def test_configuration_out_of_range_is_refused(wrong):
     with pytest.raises(ValidationError):
         LidarConfig(**wrong)
