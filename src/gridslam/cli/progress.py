@@ -13,21 +13,45 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
 
-__all__ = ["Progress", "progress"]
+__all__ = ["Progress", "progress", "reading_progress"]
 
 _BAR_EVERY_S, _LINE_EVERY_S = 0.25, 5.0
 
 
 @contextmanager
 def progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
-    """Give what shows how far the reading of a log has come; nothing is printed where nothing is to be shown."""
+    """Give what shows how far the mapping of a log has come; nothing is printed where nothing is to be shown."""
+    with _display(shown) as (show, every_s):
+        yield Progress(statistics, show, every_s)
+
+
+@contextmanager
+def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """Give what is called after each scan and shows how far the reading of a log has come, now and then."""
+    with _display(shown) as (show, every_s):
+        began, scans = time.perf_counter(), 0
+        due = began + every_s
+
+        def tell() -> None:
+            nonlocal scans, due
+            scans += 1
+            if (now := time.perf_counter()) >= due:
+                due = now + every_s
+                show(statistics().share_read, f"{scans} scans, {scans / (now - began):.0f}/s")
+
+        yield tell
+
+
+@contextmanager
+def _display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
+    """Give what shows a share and a text, and every how many seconds it is to be called."""
     if not shown:
-        yield Progress(statistics, lambda share, text: None, math.inf)
+        yield lambda share, text: None, math.inf
     elif sys.stderr.isatty():
         with _bar() as show:
-            yield Progress(statistics, show, _BAR_EVERY_S)
+            yield show, _BAR_EVERY_S
     else:
-        yield Progress(statistics, _print_line, _LINE_EVERY_S)
+        yield _print_line, _LINE_EVERY_S
 
 
 def _print_line(share: float, text: str) -> None:
