@@ -13,14 +13,14 @@ __all__ = ["log_options"]
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _SPAN = (
-    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Begin so many seconds into it."),
+    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Begin so many seconds into the log."),
     click.option("--duration", "duration_s", type=float, metavar="S", help="Read so many seconds, not to the end."),
     click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Read every N-th scan only."),
 )
 _SOURCES = (
     click.option("--scan", "scan_topics", multiple=True, metavar="TOPIC", help="Topic of the scans; may be repeated."),
     click.option("--odom", "odometry_topic", metavar="TOPIC", help="Topic of the odometry."),
-    click.option("--odom-frame", "odometry_frame", metavar="FRAME", help="Odometry from /tf: where it is told in."),
+    click.option("--odom-frame", "odometry_frame", metavar="FRAME", help="Take the odometry from /tf, in this frame."),
     click.option("--base-frame", metavar="FRAME", help="The robot's own frame."),
     click.option("--no-odometry", is_flag=True, help="Take no notice of the odometry."),
     click.option("--keep-truncated", is_flag=True, help="Read a log that is cut off as far as it goes."),

@@ -11,7 +11,9 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "parse_pose", "parse_rows", "parse_stamp_ns"]
+__all__ = [
+    "SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "format_stamp_ns", "parse_pose", "parse_rows", "parse_stamp_ns",
+]  # fmt: skip
 
 SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "ROBOTLASER1": "robotlaser1"}
 """Tags of lines that hold a scan, with the name of the sensor they are from."""
@@ -76,6 +78,13 @@ def parse_stamp_ns(text: str) -> int:
     except ArithmeticError:
         pass
     raise LineError(f"expected a stamp in seconds that fits 64 bits of nanoseconds, got {text!r}")
+
+
+def format_stamp_ns(stamp_ns: int) -> str:
+    """Exact decimal seconds: six decimals, as is usual, or nine where needed."""
+    sign, (seconds, nanoseconds) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
+    fraction = f"{nanoseconds:09d}" if nanoseconds % 1000 else f"{nanoseconds // 1000:06d}"
+    return f"{sign}{seconds}.{fraction}"
 
 
 def parse_pose(words: Sequence[str]) -> FloatArray:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import IO, cast
 
 import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry import se2
 from gridslam.io.carmen_lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
+from gridslam.io.carmen_lines import format_stamp_ns
 from gridslam.io.measurement import Measurement
-from gridslam.io.output import written_aside
+from gridslam.io.output import opened_for_writing, written_aside
 from gridslam.types import BeamStatus, FloatArray, LaserScan
 
 __all__ = ["write_carmen"]
@@ -53,7 +50,7 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
         Where the file cannot be written.
     """
     stated: dict[str, list[str]] = {}
-    with written_aside(path) as aside, _opened(aside, Path(path).suffix) as file:
+    with written_aside(path) as aside, opened_for_writing(aside, Path(path).suffix) as file:
         file.write(_HEADER.encode())
         start_ns: int | None = None
         for measurement in measurements:
@@ -65,20 +62,6 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
                 file.write("".join(parameters).encode())
                 stated[sensor] = parameters
             file.write(_lines(tag, measurement, start_ns).encode())
-
-
-@contextmanager
-def _opened(path: Path, suffix: str) -> Iterator[IO[bytes]]:
-    with path.open("wb") as raw:
-        if suffix == ".gz":
-            # Neither name nor time goes into the file: the same log gives the same bytes.
-            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file:
-                yield cast(IO[bytes], file)
-        elif suffix == ".bz2":
-            with bz2.BZ2File(raw, "wb") as compressed:
-                yield compressed
-        else:
-            yield raw
 
 
 def _parameters(sensor: str, scan: LaserScan) -> list[str]:
@@ -112,16 +95,9 @@ def _lines(tag: str, measurement: Measurement, start_ns: int) -> str:
         got = None if odometry is None else odometry.stamp_ns
         raise ArgumentError("measurements", f"odometry at the scan's stamp {scan.stamp_ns}", got)
     laser = se2.compose(odometry.pose, _mounting(scan))
-    tail = f"{_seconds(scan.stamp_ns)} nohost {(scan.stamp_ns - start_ns) / 1e9:.6f}\n"
+    tail = f"{format_stamp_ns(scan.stamp_ns)} nohost {(scan.stamp_ns - start_ns) / 1e9:.6f}\n"
     robot = _pose(odometry.pose)
     return f"ODOM {robot} 0 0 0 {tail}{tag} {len(scan)} {_ranges(scan)} {_pose(laser)} {robot} {tail}"
-
-
-def _seconds(stamp_ns: int) -> str:
-    """Exact decimal seconds: six decimals, as is usual, or nine where needed."""
-    sign, (seconds, nanoseconds) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
-    fraction = f"{nanoseconds:09d}" if nanoseconds % 1000 else f"{nanoseconds // 1000:06d}"
-    return f"{sign}{seconds}.{fraction}"
 
 
 def _pose(pose: FloatArray) -> str:

@@ -94,7 +94,7 @@ def _looks_like(head: bytes, line: str) -> str:
     if _CONTROL.search(head):
         return f"binary data that begins with {head[:8].hex(' ')}"
     if line == CSV_HEADER or _is_tum(line):
-        return "a trajectory: it has poses, but no scans"
+        return "poses without scans (a trajectory, or relations)"
     if line.startswith(("VERTEX", "EDGE")):
         return "a pose graph (gridslam graph solves it)"
     if line.startswith(("<!", "<html", "<?xml")):

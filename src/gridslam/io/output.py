@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import json
 import os
 import secrets
@@ -10,11 +12,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, final
+from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
 
-__all__ = ["OutputFolder", "written_aside"]
+__all__ = ["OutputFolder", "opened_for_writing", "written_aside"]
 
 
 @contextmanager
@@ -29,6 +31,21 @@ def written_aside(path: str | Path) -> Iterator[Path]:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         aside.unlink(missing_ok=True)
+
+
+@contextmanager
+def opened_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
+    """Open a file whose bytes are compressed where `suffix` is .gz or .bz2."""
+    with path.open("wb") as raw:
+        if suffix == ".gz":
+            # Neither name nor time goes into the file: the same log gives the same bytes.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file:
+                yield cast(IO[bytes], file)
+        elif suffix == ".bz2":
+            with bz2.BZ2File(raw, "wb") as compressed:
+                yield compressed
+        else:
+            yield raw
 
 
 @final
