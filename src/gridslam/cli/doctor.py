@@ -1,0 +1,59 @@
+"""gridslam doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.cli.progress import reading_progress
+from gridslam.doctor import Diagnosis, Severity, diagnose
+from gridslam.doctor.report import document, markdown, picture_name, text
+from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.output import OutputFolder
+
+__all__ = ["SPOILED", "doctor_log"]
+
+SPOILED = 3
+"""Exit status where something would spoil the map."""
+
+
+def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) -> int:
+    """Diagnose a log, say what was found, and write the report and its pictures into a folder where one is given."""
+    source = open_log(log, options)
+    if out is None:
+        diagnosis = _shown(source, not as_json)
+    else:
+        with opened(out) as folder:
+            diagnosis = _shown(source, not as_json)
+            _write(diagnosis, folder)
+    if as_json:
+        print_json(document(diagnosis))
+    else:
+        click.echo("\n".join([*text(diagnosis), *([f"report: {out / 'report.md'}"] if out else [])]))
+    return SPOILED if diagnosis.worst is Severity.SPOILS else 0
+
+
+def _shown(source: Log, shown: bool) -> Diagnosis:
+    """Diagnose while progress is shown."""
+    with reading_progress(lambda: source.statistics, shown=shown) as show:
+
+        def tick() -> None:
+            stop_if_interrupted()
+            show()
+
+        return diagnose(source, tick=tick)
+
+
+def _write(diagnosis: Diagnosis, folder: OutputFolder) -> None:
+    from gridslam.viz.chart import draw_chart
+
+    folder.write_json("report.json", document(diagnosis))
+    folder.file("report.md").write_text("\n".join(markdown(diagnosis)) + "\n", encoding="utf-8")
+    for number, finding in enumerate(diagnosis.findings, 1):
+        name = picture_name(number, finding)
+        if name is not None and finding.figure is not None:
+            says = [finding.says, *([finding.remedy] if finding.remedy else [])]
+            draw_chart(finding.figure, caption=says).save(folder.file(name), optimize=True)

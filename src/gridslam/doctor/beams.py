@@ -1,0 +1,180 @@
+"""What the beams of each laser say: how many there are, where they point, and how many measure nothing."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from gridslam.doctor.examiner import Trace, percent
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, IntArray, LaserScan, ScanGeometry
+
+__all__ = ["BeamExaminer", "Sweep"]
+
+_MANY_INVALID = 0.1  # share of beams: the pose's spread grows by 5 %; healthy lasers lose some hundredths
+_FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
+_OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
+_ALWAYS = 0.99  # a beam that is invalid this often is blocked, it is not lost by chance
+_INVALID, _NO_RETURN, _HIT = (np.uint8(s) for s in (BeamStatus.INVALID, BeamStatus.NO_RETURN, BeamStatus.HIT))
+
+
+@final
+@dataclass(slots=True)
+class Sweep:
+    """The beams of one laser, over all its scans."""
+
+    scans: int = 0
+    counts: Counter[int] = field(default_factory=Counter)
+    beams: int = 0
+    invalid: int = 0
+    no_return: int = 0
+    not_numbers: int = 0
+    zeros: int = 0
+    blind_scans: int = 0
+    geometry: ScanGeometry | None = None
+    _lost: dict[int, IntArray] = field(default_factory=dict)
+    _invalid_trace: Trace = field(default_factory=Trace)
+    _count_trace: Trace = field(default_factory=Trace)
+
+    def take(self, scan: LaserScan) -> None:
+        """Take the beams of the next scan."""
+        count, status = len(scan), scan.status
+        lost = status == _INVALID
+        invalid, hits = int(np.count_nonzero(lost)), int(np.count_nonzero(status == _HIT))
+        self.geometry = scan.geometry
+        self.counts[count] += 1
+        self.beams += count
+        self.invalid += invalid
+        self.no_return += count - invalid - hits
+        self.blind_scans += hits < _FEW_HITS
+        self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
+        self._count_trace.add(float(self.scans), float(count))
+        self.scans += 1
+        if invalid:
+            self._note_lost(scan, lost)
+
+    def _note_lost(self, scan: LaserScan, lost: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> None:
+        readings = scan.ranges[lost]
+        self.not_numbers += int(np.count_nonzero(np.isnan(readings)))
+        self.zeros += int(np.count_nonzero(readings == 0))
+        if len(scan) not in self._lost and len(self._lost) < 16:
+            self._lost[len(scan)] = np.zeros(len(scan), np.int64)
+        if (known := self._lost.get(len(scan))) is not None:
+            known += lost
+
+    @property
+    def usual(self) -> int:
+        """The number of beams that most scans have."""
+        return self.counts.most_common(1)[0][0] if self.counts else 0
+
+    @property
+    def field_of_view_rad(self) -> float:
+        """Angle over which the beams of the latest scan are spread, at most a full turn."""
+        if self.geometry is None or len(self.geometry.bearings) < 2:
+            return 0.0
+        bearings = self.geometry.bearings
+        span = abs(float(bearings[-1] - bearings[0]))
+        return min(span * len(bearings) / (len(bearings) - 1), math.tau)
+
+    @property
+    def clockwise(self) -> bool:
+        """Whether bearings fall from the first beam to the last."""
+        return self.geometry is not None and bool(np.ptp(self.geometry.bearings)) and self._falls(self.geometry)
+
+    @staticmethod
+    def _falls(geometry: ScanGeometry) -> bool:
+        return bool(geometry.bearings[0] > geometry.bearings[-1])
+
+    def blocked(self) -> int:
+        """How many beams of the usual scan never measure anything."""
+        lost = self._lost.get(self.usual)
+        return 0 if lost is None else int(np.count_nonzero(lost >= _ALWAYS * self.counts[self.usual]))
+
+    def invalid_figure(self) -> Figure:
+        """Share of invalid beams over the log."""
+        course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
+        marks = (Mark("doubtful", _MANY_INVALID), Mark("on average", self.invalid / self.beams))
+        return Figure("Invalid beams", "scan", "share", (course,), marks)
+
+    def counts_figure(self) -> Figure:
+        """How many scans have how many beams."""
+        counts = np.array(sorted(self.counts.items()), np.float64)
+        return Figure("Beams of a scan", "beams", "scans", (Series("scans", counts[:, 0], counts[:, 1], "bars"),))
+
+
+@final
+class BeamExaminer:
+    """Finds beam_count_varies, invalid_beams and few_hits of each laser."""
+
+    def __init__(self) -> None:
+        """Begin with no laser seen."""
+        self.sweeps: dict[str, Sweep] = {}
+
+    def take(self, measurement: Measurement) -> None:
+        """Look at the beams of the next scan."""
+        scan = measurement.scan
+        sweep = self.sweeps.get(scan.sensor)
+        if sweep is None:
+            sweep = self.sweeps[scan.sensor] = Sweep()
+        sweep.take(scan)
+
+    def findings(self) -> Iterator[Finding]:
+        """Tell what is wrong with the beams."""
+        for sensor, sweep in self.sweeps.items():
+            if len(sweep.counts) > 1:
+                yield _varies(sensor, sweep)
+            if sweep.invalid:
+                yield _invalid(sensor, sweep)
+            if sweep.blind_scans > _OFTEN * sweep.scans:
+                yield _few_hits(sensor, sweep)
+
+
+def _varies(sensor: str, sweep: Sweep) -> Finding:
+    least, most = min(sweep.counts), max(sweep.counts)
+    return Finding(
+        "beam_count_varies", Severity.DOUBTFUL,
+        f"The number of beams varies from {least} to {most}; {sweep.counts[sweep.usual]} of {sweep.scans} scans have "
+        f"{sweep.usual}.",
+        most - least, "beams",
+        "gridslam takes each scan with its own angles: see to it that the driver states angle_min and angle_increment "
+        "anew with each scan, for a fixed increment with another number of beams bends the walls.",
+        sensor, sweep.counts_figure(),
+    )  # fmt: skip
+
+
+def _invalid(sensor: str, sweep: Sweep) -> Finding:
+    share = sweep.invalid / sweep.beams
+    blocked = sweep.blocked() / max(sweep.usual, 1)
+    many = share - blocked > _MANY_INVALID
+    kinds = [("not a number", sweep.not_numbers), ("zero", sweep.zeros),
+             ("negative or too near", sweep.invalid - sweep.not_numbers - sweep.zeros)]  # fmt: skip
+    told = ", ".join(f"{percent(count / sweep.beams)} {kind}" for kind, count in kinds if count)
+    says = f"{percent(share)} of the beams are invalid ({told})"
+    if blocked:
+        says += f"; {sweep.blocked()} of {sweep.usual} beams never measure anything, as where the robot hides the view"
+    remedy = (
+        "Clean the laser and look for what disturbs it (sunlight, dark or shining surfaces, a loose cable); a driver "
+        "should say inf, not zero or NaN, where nothing is in reach."
+    )
+    return Finding(
+        "invalid_beams", Severity.DOUBTFUL if many else Severity.INFO, says + ".", share, "share",
+        remedy if many else "", sensor, sweep.invalid_figure() if many else None,
+    )  # fmt: skip
+
+
+def _few_hits(sensor: str, sweep: Sweep) -> Finding:
+    share = sweep.blind_scans / sweep.scans
+    return Finding(
+        "few_hits", Severity.SPOILS if share > 0.5 else Severity.DOUBTFUL,
+        f"{percent(share)} of the scans have fewer than {_FEW_HITS} beams that hit anything "
+        f"({percent(sweep.no_return / max(sweep.beams, 1))} of all beams return nothing, "
+        f"{percent(sweep.invalid / max(sweep.beams, 1))} are invalid): they cannot be matched.",
+        share, "share",
+        "Drive where walls are within the laser's reach, and check its range limits.", sensor,
+    )  # fmt: skip

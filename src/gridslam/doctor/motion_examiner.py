@@ -1,0 +1,118 @@
+"""What only matching tells: the motion of each laser against odometry, mounting and clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.laser_motion import LaserMotion, LaserWitness
+from gridslam.doctor.motion_findings import motion_findings
+from gridslam.doctor.sweep import measured_sweep, turn_rates
+from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray, ScanGeometry
+
+__all__ = ["MotionExaminer"]
+
+_SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
+_SURE = 4.0  # standard deviations
+_HIDDEN = 0.3  # share of the sweep that matching shows at least
+
+
+@final
+@dataclass(slots=True)
+class _Laser:
+    """One laser: what its motion tells, and how long it takes for a scan as told."""
+
+    witness: LaserWitness = field(default_factory=LaserWitness)
+    geometry: ScanGeometry | None = None
+    told_s: float = math.nan
+
+    def take(self, measurement: Measurement) -> None:
+        scan = measurement.scan
+        if scan.geometry is not self.geometry:
+            self.geometry = scan.geometry
+            times = scan.beam_times_s
+            self.told_s = math.nan if times is None or len(times) == 0 else float(np.ptp(times))
+        self.witness.add(measurement)
+
+
+@final
+class MotionExaminer:
+    """Finds skewed_while_turning, and what `motion_findings` tells of each laser."""
+
+    def __init__(self) -> None:
+        """Begin with no laser seen."""
+        self._lasers: dict[str, _Laser] = {}
+
+    def take(self, measurement: Measurement) -> None:
+        """Match the next scan to those before it of the same laser."""
+        sensor = measurement.scan.sensor
+        laser = self._lasers.get(sensor)
+        if laser is None:
+            laser = self._lasers[sensor] = _Laser()
+        laser.take(measurement)
+
+    def findings(self) -> Iterator[Finding]:
+        """Tell what the motion of each laser says."""
+        for laser in self._lasers.values():
+            motion = laser.witness.motion
+            found = motion_findings(motion)
+            skewed = None
+            if laser.geometry is not None and len(motion) > 1:
+                reflected = any(finding.code == "reflected_laser" for finding in found)
+                skewed = _skewed(motion, laser.geometry, laser.told_s, reflected)
+            if skewed is not None:
+                yield skewed
+            for finding in found:
+                if not (skewed is not None and skewed.is_fault and finding.code == "clock_skew"):
+                    yield finding  # a sweep whose stamp is its first beam's looks late by half of it: told once
+
+
+def _skewed(motion: LaserMotion, geometry: ScanGeometry, told_s: float, reflected: bool) -> Finding | None:
+    """Tell where scans are smeared by turning, and whether the log lets that be undone."""
+    rates = np.abs(turn_rates(motion))
+    fast = float(np.quantile(rates, 0.99))
+    if not math.isnan(told_s):
+        if fast * told_s < _SMEAR_RAD:
+            return None
+        return Finding(
+            "skewed_while_turning", Severity.INFO,
+            f"A scan takes {1e3 * told_s:.0f} ms, in which the robot turns by up to {fast * told_s:.2f} rad "
+            f"({fast:.1f} rad/s); each beam has its time, and the scans are straightened.",
+            fast * told_s, "rad", "", motion.sensor,
+        )  # fmt: skip
+    seconds = np.diff(motion.stamps_ns) * 1e-9
+    span = _field_of_view(geometry.bearings)
+    sweep_s = float(np.median(seconds)) * span / math.tau
+    if fast * sweep_s < _SMEAR_RAD:
+        return None
+    falls = len(geometry.bearings) > 1 and geometry.bearings[0] > geometry.bearings[-1]
+    seen = measured_sweep(motion, span, reflected=reflected)
+    seen_s = -seen.value if falls else seen.value
+    if not seen.determined or seen_s < max(_SURE * seen.sigma, _HIDDEN * sweep_s):
+        return None
+    return Finding(
+        "skewed_while_turning", Severity.DOUBTFUL,
+        f"A scan takes about {1e3 * sweep_s:.0f} ms, in which the robot turns by up to {fast * sweep_s:.2f} rad "
+        f"({fast:.1f} rad/s), and the log does not tell when each beam was measured: walls come out bent.",
+        fast * sweep_s, "rad",
+        "Let the driver state time_increment, so that scans can be straightened; until then turn more slowly.",
+        motion.sensor, _figure(motion, rates, sweep_s),
+    )  # fmt: skip
+
+
+def _field_of_view(bearings: FloatArray) -> float:
+    if len(bearings) < 2:
+        return 0.0
+    return min(abs(float(bearings[-1] - bearings[0])) * len(bearings) / (len(bearings) - 1), math.tau)
+
+
+def _figure(motion: LaserMotion, rates: FloatArray, sweep_s: float) -> Figure:
+    times = (motion.stamps_ns - motion.stamps_ns[0]) * 1e-9
+    smear = Series("turn during a scan", times, rates * sweep_s)
+    return Figure("Turn during a scan", "time, s", "rad", (smear,), (Mark("harmful", _SMEAR_RAD),))

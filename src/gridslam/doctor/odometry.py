@@ -1,0 +1,186 @@
+"""What can be told of odometry without matching a scan: none, frozen, standing still, turning too fast."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from gridslam.doctor.examiner import LogHistogram, Trace, percent
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, LaserScan, Odometry
+
+__all__ = ["OdometryExaminer"]
+
+_WINDOW_S = 1.0
+_STILL_M, _STILL_RAD = 0.01, 0.01  # in a second: slower than any robot drives, more than encoders flicker
+_CHANGED_M, _CHANGED_SHARE = 0.1, 0.02  # a range has changed by more than noise: so many m, and of the range
+_MOST_CHANGED = 0.5  # of the beams: people who pass change fewer
+_FROZEN_WINDOWS, _FROZEN_SHARE = 3, 0.1  # a shorter stop of the wheels' messages is what matching is for
+_STILL_WORTH_S = 10.0  # seconds that are worth a line
+_MOSTLY_STILL, _NEVER_MOVED_M, _NEVER_MOVED_RAD = 0.5, 0.5, 0.5
+_KEY_M, _KEY_RAD = 0.4, 0.25  # when the particles are stepped
+_OVERLAP = 0.5  # share of the field of view that two scans that follow each other must have in common
+_GUESS_RAD = 1.0  # odometry errs by 5 % of a turn: 0.5 m at 10 m, as far as matching reaches
+_FAST_SHARE = 0.005  # of all scans: from one in 200 on it is how the robot drives, not a hitch
+
+
+@final
+@dataclass(slots=True)
+class OdometryExaminer:
+    """Finds no_odometry, odometry_frozen, standing_still and fast_turning; counts way, turns and key scans."""
+
+    metres: float = 0.0
+    radians: float = 0.0
+    key_scans: int = 0
+    scans: int = 0
+    without: int = 0
+    turn_rates: LogHistogram = field(default_factory=LogHistogram)
+    fastest_rad: float = 0.0
+    _fields: dict[str, float] = field(default_factory=dict)
+    _too_far: Counter[str] = field(default_factory=Counter)
+    _previous: dict[str, tuple[int, tuple[float, float, float]]] = field(default_factory=dict)
+    _last: tuple[float, float, float] | None = None
+    _key: tuple[float, float, float] | None = None
+    _window: tuple[int, tuple[float, float, float], LaserScan] | None = None
+    _frozen: int = 0
+    _watched_s: float = 0.0
+    _still_s: float = 0.0
+    _frozen_s: float = 0.0
+    _turns: Trace = field(default_factory=Trace)
+
+    def take(self, measurement: Measurement) -> None:
+        """Look at the odometry of the next scan."""
+        odometry, scan = measurement
+        self.scans += 1
+        if odometry is None:
+            self.without += 1
+            self._last, self._window = None, None
+            self._previous.pop(scan.sensor, None)
+            return
+        x, y, theta = place = tuple(odometry.pose.tolist())
+        if self._last is not None:
+            self.metres += math.dist((x, y), self._last[:2])
+            self.radians += abs(_turn(self._last, place))
+        self._last = (x, y, theta)
+        self._note_key(place)
+        self._note_turn(scan, place)
+        self._note_window(odometry, scan, place)
+
+    def _note_key(self, place: tuple[float, float, float]) -> None:
+        """Count the scans at which the particles will be stepped."""
+        key = self._key
+        if key is None or math.dist(place[:2], key[:2]) > _KEY_M or abs(_turn(key, place)) > _KEY_RAD:
+            self._key, self.key_scans = place, self.key_scans + 1
+
+    def _note_turn(self, scan: LaserScan, place: tuple[float, float, float]) -> None:
+        """Compare the turn since this laser's scan before with what the two can have in common."""
+        before = self._previous.get(scan.sensor)
+        self._previous[scan.sensor] = scan.stamp_ns, place
+        if scan.sensor not in self._fields:
+            bearings = scan.geometry.bearings
+            self._fields[scan.sensor] = min(float(np.ptp(bearings)), math.tau) if len(bearings) else 0.0
+        if before is None:
+            return
+        turned, seconds = abs(_turn(before[1], place)), (scan.stamp_ns - before[0]) * 1e-9
+        self._turns.add(float(self.scans), turned)
+        self._too_far[scan.sensor] += turned > self._limit(scan.sensor)
+        self.fastest_rad = max(self.fastest_rad, turned)
+        if seconds > 0 and turned > 0:
+            self.turn_rates.add(turned / seconds)
+
+    def _limit(self, sensor: str) -> float:
+        """Turn between two scans from which on they are hard to match, rad."""
+        field_rad = self._fields[sensor]
+        return min(_GUESS_RAD, _OVERLAP * field_rad)
+
+    def _note_window(self, odometry: Odometry, scan: LaserScan, place: tuple[float, float, float]) -> None:
+        """Compare odometry and ranges with those of a second ago."""
+        if self._window is None:
+            self._window = scan.stamp_ns, place, scan
+            return
+        began, start, first = self._window
+        seconds = (scan.stamp_ns - began) * 1e-9
+        if seconds < _WINDOW_S or scan.sensor != first.sensor:
+            return
+        self._watched_s += seconds
+        moved, turned = math.dist(place[:2], start[:2]), abs(_turn(start, place))
+        if moved < _STILL_M and turned < _STILL_RAD:
+            frozen = _share_changed(first, scan) > _MOST_CHANGED
+            self._frozen += frozen
+            self._frozen_s += frozen * seconds
+            self._still_s += (not frozen) * seconds
+        self._window = scan.stamp_ns, place, scan
+
+    def findings(self) -> Iterator[Finding]:
+        """Tell what is wrong with the odometry, and with how the robot was driven."""
+        if self.without:
+            yield self._no_odometry()
+        if self._frozen >= _FROZEN_WINDOWS:
+            yield self._odometry_frozen()
+        if self._watched_s:
+            yield from self._standing_still()
+        yield from self._fast_turning()
+
+    def _no_odometry(self) -> Finding:
+        share = self.without / self.scans
+        says = "There is no odometry: motion is told by the scans alone, and long bare corridors come out short."
+        remedy = "Record odometry too; until then drive slowly, and map with --no-odometry."
+        if share < 1:
+            says = f"{self.without} of {self.scans} scans ({percent(share)}) have no odometry."
+            remedy = "See to it that odometry is recorded from before the first scan until after the last."
+        severity = Severity.DOUBTFUL if share > 0.02 else Severity.INFO
+        return Finding("no_odometry", severity, says, share, "share", remedy if share > 0.02 else "")
+
+    def _odometry_frozen(self) -> Finding:
+        share = self._frozen_s / self._watched_s
+        return Finding(
+            "odometry_frozen", Severity.SPOILS if share > _FROZEN_SHARE else Severity.DOUBTFUL,
+            f"For {self._frozen_s:.0f} of {self._watched_s:.0f} s odometry stood still while the scans changed: it is "
+            "frozen.",
+            self._frozen_s, "s", "Look for what stops odometry on the robot; map with --no-odometry until then.",
+        )  # fmt: skip
+
+    def _standing_still(self) -> Iterator[Finding]:
+        share = self._still_s / self._watched_s
+        never = self.metres < _NEVER_MOVED_M and self.radians < _NEVER_MOVED_RAD and not self._frozen
+        if never and share > _MOSTLY_STILL:
+            says = f"The robot never moves (odometry says {self.metres:.2f} m): there is one view, and no map to make."
+            yield Finding("standing_still", Severity.DOUBTFUL, says, self._still_s, "s", "Drive the robot about.")
+        elif self._still_s > _STILL_WORTH_S:
+            says = f"The robot stands still for {self._still_s:.0f} s, {percent(share)} of the time: no harm."
+            yield Finding("standing_still", Severity.INFO, says, self._still_s, "s")
+
+    def _fast_turning(self) -> Iterator[Finding]:
+        for sensor, count in self._too_far.items():
+            if count < 3 or count <= _FAST_SHARE * self.scans:
+                continue
+            limit = self._limit(sensor)
+            turns = Series("turn since the scan before", *self._turns.arrays())
+            yield Finding(
+                "fast_turning", Severity.DOUBTFUL,
+                f"The robot turns by up to {self.fastest_rad:.2f} rad from one scan to the next, and by more than "
+                f"{limit:.2f} rad before {count} of {self.scans} scans: too little is seen in both.",
+                self.fastest_rad, "rad", "Turn more slowly, or let the laser scan faster.", sensor,
+                Figure("Turn between scans", "scan", "rad", (turns,), (Mark("limit", limit),)),
+            )  # fmt: skip
+
+
+def _turn(before: tuple[float, float, float], after: tuple[float, float, float]) -> float:
+    return (after[2] - before[2] + math.pi) % math.tau - math.pi
+
+
+def _share_changed(before: LaserScan, after: LaserScan) -> float:
+    """Share of the beams that hit something both times and farther or nearer by more than noise; 0 where too few."""
+    if len(before) != len(after):
+        return 0.0
+    both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)
+    old, new = before.ranges[both], after.ranges[both]
+    if len(old) < 20:
+        return 0.0
+    return float(np.mean(np.abs(new - old) > _CHANGED_M + _CHANGED_SHARE * old))

@@ -1,0 +1,172 @@
+"""Range limits that lie: readings beyond the stated maximum, and "no return" that is reported as a range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.doctor.examiner import percent
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
+
+__all__ = ["RangeCounts", "RangeExaminer"]
+
+_BIN_M, _BINS, _SECTORS = 0.01, 20_000, 16
+_BLOCK = 1 << 16  # readings that are counted together
+_USED_M = 30.0  # the configuration's range_max_m: what lies beyond is neither matched nor drawn, whatever it says
+
+_LEAST = 100  # readings: fewer at one value may be chance
+_LEAST_SHARE = 1e-3  # of all hits: fewer harm nobody
+_STEEP = 10.0  # times as many as any of the readings about it: surfaces fill ranges evenly
+_BEYOND = 0.1  # of the readings there: what is farther is then no wall that is seen farther away
+_WIDE = 0.5  # share of the field of view: no wall is equally far in so many directions, from several places
+_SPOILING = 0.05  # share of hits: from one false end in twenty on, arcs remain where robots pass once
+
+_BEYOND_SHARE = 0.01  # of all readings, beyond the stated maximum
+_SPREAD_M = 0.5  # codes for "no return" stand close together, ranges do not
+
+
+class _Pile(NamedTuple):
+    """Where readings pile up: the value, how many, and their share of the hits."""
+
+    value_m: float
+    readings: int
+    share: float
+
+
+@final
+@dataclass(slots=True)
+class RangeCounts:
+    """How often one laser reported which range, by sector of its field of view."""
+
+    range_min_m: float = 0.0
+    range_max_m: float = math.inf
+    readings: int = 0
+    _hits: IntArray = field(default_factory=lambda: np.zeros((_BINS + 1, _SECTORS), np.int64))
+    _beyond: IntArray = field(default_factory=lambda: np.zeros(_BINS + 1, np.int64))
+    _waiting: list[tuple[FloatArray, IntArray]] = field(default_factory=list)
+    _waiting_beyond: list[FloatArray] = field(default_factory=list)
+    _pending: int = 0
+
+    def take(self, scan: LaserScan) -> None:
+        """Take the ranges of the next scan."""
+        self.range_min_m, self.range_max_m = scan.range_min_m, scan.range_max_m
+        self.readings += len(scan)
+        hits = (scan.status == BeamStatus.HIT).nonzero()[0]
+        self._waiting.append((scan.ranges[hits], hits * _SECTORS // max(len(scan), 1)))
+        if len(hits) < len(scan):
+            beyond = scan.ranges[scan.status == BeamStatus.NO_RETURN]
+            self._waiting_beyond.append(beyond[np.isfinite(beyond)])
+        self._pending += len(scan)
+        if self._pending >= _BLOCK:
+            self.count()
+
+    def count(self) -> None:
+        """Count what waits."""
+        if self._waiting:
+            bins = np.concatenate([_bins(ranges) for ranges, _ in self._waiting])
+            sectors = np.concatenate([sectors for _, sectors in self._waiting])
+            self._hits += np.bincount(bins * _SECTORS + sectors, minlength=self._hits.size).reshape(self._hits.shape)
+        if self._waiting_beyond:
+            self._beyond += np.bincount(_bins(np.concatenate(self._waiting_beyond)), minlength=_BINS + 1)
+        self._waiting, self._waiting_beyond, self._pending = [], [], 0
+
+    def pile(self) -> _Pile | None:
+        """The value near the far end at which hits pile up as walls never do, if there is one."""
+        by_bin = self._hits.sum(axis=1)
+        total = int(by_bin.sum())
+        if total < _LEAST:
+            return None
+        farther = total - np.cumsum(by_bin)
+        for place in np.flatnonzero((by_bin >= max(_LEAST, _LEAST_SHARE * total)) & (farther <= _BEYOND * by_bin)):
+            count = int(by_bin[max(place - 1, 0) : place + 2].sum())
+            about = by_bin[max(place - 100, 0) : max(place - 2, 0)]
+            steep = count > _STEEP * 3 * (float(about.max()) if len(about) else 0.0)
+            seen = np.count_nonzero(self._hits[max(place - 1, 0) : place + 2].sum(axis=0))
+            if steep and seen >= _WIDE * _SECTORS:
+                return _Pile(float(place) * _BIN_M, count, count / total)
+        return None
+
+    def beyond(self) -> tuple[float, float]:
+        """Share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
+        ranges = self._beyond.copy()
+        ranges[ranges.argmax()] = 0  # the code for "no return", which is no range
+        total = int(ranges.sum())
+        low, high = np.searchsorted(np.cumsum(ranges), [0.1 * total, 0.9 * total])
+        if not total or (high - low) * _BIN_M < _SPREAD_M:
+            return 0.0, 0.0
+        return total / self.readings, float(np.flatnonzero(self._beyond)[-1]) * _BIN_M
+
+    def figure(self, marks: tuple[Mark, ...]) -> Figure:
+        """How often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""
+        by_bin = self._hits.sum(axis=1) + self._beyond
+        coarse = np.add.reduceat(by_bin, np.arange(0, len(by_bin), 10))
+        coarse = coarse[: int(np.flatnonzero(coarse)[-1]) + 1]
+        at: FloatArray = (np.arange(len(coarse), dtype=np.float64) + 0.5) * 10 * _BIN_M
+        logarithms: FloatArray = np.log10(1.0 + coarse.astype(np.float64))
+        bars = Series("readings in 10 cm", at, logarithms, "bars")
+        return Figure("Ranges", "range, m", "log10(1 + readings)", (bars,), marks)
+
+
+def _bins(ranges: FloatArray) -> IntArray:
+    bins: IntArray = np.minimum(ranges / _BIN_M + 0.5, _BINS).astype(np.int64)
+    return bins
+
+
+@final
+class RangeExaminer:
+    """Finds range_limits of each laser."""
+
+    def __init__(self) -> None:
+        """Begin with no laser seen."""
+        self.ranges: dict[str, RangeCounts] = {}
+
+    def take(self, measurement: Measurement) -> None:
+        """Look at the ranges of the next scan."""
+        scan = measurement.scan
+        counts = self.ranges.get(scan.sensor)
+        if counts is None:
+            counts = self.ranges[scan.sensor] = RangeCounts()
+        counts.take(scan)
+
+    def findings(self) -> Iterator[Finding]:
+        """Tell where the limits are not what they are said to be."""
+        for sensor, counts in self.ranges.items():
+            counts.count()
+            if (pile := counts.pile()) is not None:
+                yield _piled(sensor, counts, pile)
+            share, farthest_m = counts.beyond()
+            if share > _BEYOND_SHARE:
+                yield _too_small(sensor, counts, share, farthest_m)
+
+
+def _piled(sensor: str, counts: RangeCounts, pile: _Pile) -> Finding:
+    stated = f"{counts.range_max_m:g} m" if math.isfinite(counts.range_max_m) else "unlimited"
+    says = (
+        f"{pile.readings} readings ({percent(pile.share)} of the hits) are {pile.value_m:.2f} m and next to none is "
+        f"farther, while the range limit is {stated}: beams that hit nothing are reported as walls"
+    )
+    if pile.value_m >= _USED_M:
+        says += f"; harmless, for readings from {_USED_M:g} m on are not used"
+        severity, remedy = Severity.INFO, f"Leave range_max_m below {pile.value_m - 0.05:.2f} m."
+    else:
+        severity = Severity.SPOILS if pile.share > _SPOILING else Severity.DOUBTFUL
+        remedy = f"Map with --set range_max_m={pile.value_m - 0.05:.2f}, or let the driver report inf."
+    marks = (Mark(f"{pile.value_m:.2f} m", pile.value_m, "x"),)
+    size = counts.range_max_m / pile.value_m if math.isfinite(counts.range_max_m) else None
+    return Finding("range_limits", severity, says + ".", size, "m/m", remedy, sensor, counts.figure(marks))
+
+
+def _too_small(sensor: str, counts: RangeCounts, share: float, farthest_m: float) -> Finding:
+    return Finding(
+        "range_limits", Severity.DOUBTFUL,
+        f"{percent(share)} of the readings are ranges beyond the stated limit of {counts.range_max_m:g} m, up to "
+        f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
+        counts.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,
+        counts.figure((Mark("stated limit", counts.range_max_m, "x"),)),
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""What the reader of a log met: topics, transforms that are missing, a file that is cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gridslam.doctor.examiner import percent
+from gridslam.doctor.finding import Finding, Severity
+from gridslam.io.log_statistics import LogStatistics
+
+__all__ = ["reader_findings"]
+
+_LATE = ("is known only until", "is known only from")
+_SPOILING = 0.1  # share of the scans: of fewer, those before and after still show the same walls
+_SHOWN = 40
+
+
+def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
+    """Tell what the statistics of a log that was read to its end say."""
+    for reason, scans in statistics.missing_transforms.most_common():
+        yield _missing(reason, scans, scans + statistics.scan_count)
+    if statistics.truncated:
+        yield Finding(
+            "unreadable", Severity.DOUBTFUL,
+            f"The log is cut off: {statistics.scan_count} scans were there, and what came after them is lost.",
+            statistics.scan_count, "scans", "Record it again, if the end matters.",
+        )  # fmt: skip
+    yield _topics(statistics)
+
+
+def _missing(reason: str, scans: int, of: int) -> Finding:
+    """A transform that came late for some scans, or never came."""
+    late = any(words in reason for words in _LATE)
+    share = scans / of
+    remedy = (
+        "Record transforms from before the first scan until after the last, and stamp them by the scans' clock."
+        if late
+        else "Publish the missing transform (static_transform_publisher) and record /tf and /tf_static, or name the "
+        "robot's frames with --base-frame and --odom-frame."
+    )
+    return Finding(
+        "late_transform" if late else "missing_transform",
+        Severity.SPOILS if share > _SPOILING else Severity.DOUBTFUL,
+        f"{scans} of {of} scans ({percent(share)}) lack a transform: {reason}.", scans, "scans", remedy,
+    )  # fmt: skip
+
+
+def _topics(statistics: LogStatistics) -> Finding:
+    """All that the log holds; of a bag its topics with their types."""
+    if statistics.topics:
+        counted = [(name, topic.type, topic.messages) for name, topic in sorted(statistics.topics.items())]
+    else:
+        counted = [(tag, "laser scans", count) for tag, count in statistics.scans.items()]
+        counted += [("ODOM", "odometry", statistics.odometry_lines)] if statistics.odometry_lines else []
+        counted += [(tag, "not used", count) for tag, count in statistics.unused_tags.most_common()]
+    told = ", ".join(f"{name} ({kind}): {count}" for name, kind, count in counted[:_SHOWN])
+    more = f" and {len(counted) - _SHOWN} more" if len(counted) > _SHOWN else ""
+    return Finding("topics", Severity.INFO, f"The log holds {told}{more}.", len(counted), "topics")

@@ -1,0 +1,148 @@
+"""A diagnosis in words, for people, and as JSON, for machines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from gridslam import __version__
+from gridslam.doctor.diagnosis import Diagnosis, LaserFacts
+from gridslam.doctor.examiner import percent
+from gridslam.doctor.finding import Finding, Severity
+
+__all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
+
+SCHEMA = "gridslam.doctor/1"
+
+_HEADS = {
+    Severity.SPOILS: "What spoils the map",
+    Severity.DOUBTFUL: "What makes it doubtful",
+    Severity.INFO: "For information",
+}
+
+
+def document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """All of a diagnosis as JSON values; what is unknown or unlimited is null."""
+    statistics = diagnosis.statistics
+    return {
+        "schema": SCHEMA,
+        "version": __version__,
+        "log": {
+            "path": str(diagnosis.path),
+            "scans": sum(facts.scans for facts in diagnosis.lasers.values()),
+            "duration_s": statistics.duration_s,
+            "odometry_length_m": diagnosis.metres,
+            "odometry_turns_rad": diagnosis.radians,
+            "lasers": {sensor: _laser(facts) for sensor, facts in diagnosis.lasers.items()},
+        },
+        "worst": diagnosis.worst.value,
+        "counts": {s.value: sum(f.severity is s for f in diagnosis.findings) for s in Severity},
+        "findings": [_finding(number, finding) for number, finding in enumerate(diagnosis.findings, 1)],
+    }
+
+
+def _laser(facts: LaserFacts) -> dict[str, Any]:
+    x, y, yaw = facts.mounting.tolist()
+    return {
+        "scans": facts.scans,
+        "rate_hz": facts.rate_hz,
+        "beams": facts.beams,
+        "field_of_view_rad": facts.field_of_view_rad,
+        "direction": "clockwise" if facts.clockwise else "counter-clockwise",
+        "range_min_m": facts.range_min_m,
+        "range_max_m": facts.range_max_m if math.isfinite(facts.range_max_m) else None,
+        "invalid_share": facts.invalid_share,
+        "no_return_share": facts.no_return_share,
+        "mounting": {"x_m": x, "y_m": y, "yaw_rad": yaw, "tilt_rad": facts.tilt_rad, "upside_down": facts.upside_down},
+    }
+
+
+def _finding(number: int, finding: Finding) -> dict[str, Any]:
+    size = finding.size
+    return {
+        "code": finding.code,
+        "severity": finding.severity.value,
+        "size": size if size is not None and math.isfinite(size) else None,
+        "unit": finding.unit,
+        "says": finding.says,
+        "remedy": finding.remedy,
+        "sensor": finding.sensor,
+        "picture": picture_name(number, finding),
+    }
+
+
+def picture_name(number: int, finding: Finding) -> str | None:
+    """Name of the file for the picture of the `number`-th finding, counted from 1; None where there is none."""
+    return None if finding.figure is None else f"{number:02}_{finding.code}.png"
+
+
+def text(diagnosis: Diagnosis) -> list[str]:
+    """Tell a diagnosis in lines for a terminal."""
+    lines = [_head(diagnosis), *(f"  {line}" for line in _facts(diagnosis))]
+    for severity, head in _HEADS.items():
+        found = [finding for finding in diagnosis.findings if finding.severity is severity]
+        if found:
+            lines += ["", f"{head}:"]
+        for finding in found:
+            lines.append(f"  {_title(finding)}: {finding.says}")
+            lines += [f"    -> {finding.remedy}"] if finding.remedy else []
+    return [*lines, "", verdict(diagnosis)]
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """The one sentence that a user wants to know."""
+    spoiling = sum(finding.severity is Severity.SPOILS for finding in diagnosis.findings)
+    doubtful = len(diagnosis.faults) - spoiling
+    if spoiling:
+        return f"{_count(spoiling, 'thing')} would spoil the map, {_count(doubtful, 'more thing')} may harm it."
+    if doubtful:
+        return f"Nothing that spoils the map was found; {_count(doubtful, 'thing')} may harm it."
+    return "This log is healthy: nothing was found that would harm the map."
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _head(diagnosis: Diagnosis) -> str:
+    scans = sum(facts.scans for facts in diagnosis.lasers.values())
+    turns = math.degrees(diagnosis.radians)
+    return (
+        f"{diagnosis.path.name}: {scans} scans in {diagnosis.statistics.duration_s:.0f} s, {diagnosis.metres:.1f} m "
+        f"and {turns:.0f} degrees of odometry"
+    )
+
+
+def _facts(diagnosis: Diagnosis) -> Iterator[str]:
+    for sensor, facts in diagnosis.lasers.items():
+        x, y, yaw = facts.mounting.tolist()
+        rate = "unknown rate" if facts.rate_hz is None else f"{facts.rate_hz:.3g} scans/s"
+        turns = "clockwise" if facts.clockwise else "counter-clockwise"
+        yield (
+            f"{sensor}: {rate}, {facts.beams} beams over {math.degrees(facts.field_of_view_rad):.0f} degrees {turns}, "
+            f"range {facts.range_min_m:g} to {facts.range_max_m:g} m; {percent(facts.no_return_share)} of the beams "
+            f"return nothing, {percent(facts.invalid_share)} are invalid"
+        )
+        level = "upside down" if facts.upside_down else "upright"
+        tilt = f", tilted by {math.degrees(facts.tilt_rad):.1f} degrees" if facts.tilt_rad > math.radians(0.5) else ""
+        yield f"  mounted at x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(yaw):.1f} degrees, {level}{tilt}"
+
+
+def _title(finding: Finding) -> str:
+    return f"{finding.code} ({finding.sensor})" if finding.sensor else finding.code
+
+
+def markdown(diagnosis: Diagnosis) -> list[str]:
+    """Tell a diagnosis in Markdown, with the pictures."""
+    lines = [f"# {diagnosis.path.name}", "", f"**{verdict(diagnosis)}**", "", _head(diagnosis), ""]
+    lines += [f"{'  ' if line.startswith('  ') else ''}- {line.strip()}" for line in _facts(diagnosis)]
+    for severity, head in _HEADS.items():
+        found = [(k, f) for k, f in enumerate(diagnosis.findings, 1) if f.severity is severity]
+        lines += ["", f"## {head}"] if found else []
+        for number, finding in found:
+            lines += ["", f"### {_title(finding)}", "", finding.says]
+            lines += ["", f"Remedy: {finding.remedy}"] if finding.remedy else []
+            name = picture_name(number, finding)
+            lines += ["", f"![{finding.code}]({name})"] if name else []
+    return lines
