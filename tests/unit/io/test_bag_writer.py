@@ -1,0 +1,259 @@
+"""What the writer writes rosbags reads: topics, types, stamps, values, and the order of the log."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+from rosbags.typesys import Stores, get_typestore
+
+from gridslam.errors import ArgumentError, OutputError
+from gridslam.geometry import se2, se3
+from gridslam.io.bag_writer import write_bag
+from gridslam.io.measurement import Measurement
+from gridslam.types import LaserScan, Odometry, ScanGeometry
+
+S = 1_000_000_000
+START = 1_700_000_000 * S
+NAMES = ["log.bag", "log.mcap", "log.db3", "log"]
+UPSIDE_DOWN = se3.from_quaternion([0.1, 0.02, 0.3], [1, 0, 0, 0])
+
+
+def scan(stamp_ns=START, beams=90, mounting=UPSIDE_DOWN, ranges=None, seed=0, bearings=None, **told):
+    angles = -math.pi / 2 + math.pi / beams * np.arange(beams) if bearings is None else bearings
+    values = np.random.default_rng(seed).uniform(0.1, 29, len(angles)) if ranges is None else ranges
+    return LaserScan.from_ranges(stamp_ns, values, ScanGeometry(angles, mounting), **({"range_max_m": 30.0} | told))
+
+
+def log(count=5, step_ns=S // 10, **told):
+    for k in range(count):
+        stamp_ns = START + k * step_ns
+        yield Measurement(Odometry.at(stamp_ns, [0.1 * k, -0.05 * k, 0.02 * k]), scan(stamp_ns, seed=k, **told))
+
+
+def read(path):
+    """Topic, time of recording and message, in the order of recording."""
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        return [
+            (connection.topic, recorded_ns, reader.deserialize(data, connection.msgtype))
+            for connection, recorded_ns, data in reader.messages()
+        ]
+
+
+def of_topic(messages, topic):
+    return [message for name, _, message in messages if name == topic]
+
+
+def stamp_of(header):
+    return header.stamp.sec * S + header.stamp.nanosec
+
+
+def matrix_of(transform):
+    t, q = transform.translation, transform.rotation
+    return se3.from_quaternion([t.x, t.y, t.z], [q.x, q.y, q.z, q.w])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_written_is_read(tmp_path, name):
+    written = list(log())
+    write_bag(tmp_path / name, iter(written))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    messages = read(tmp_path / name)
+    topics = [topic for topic, _, _ in messages]
+    assert topics == ["/odom", "/tf", "/tf_static", "/scan", *["/odom", "/tf", "/scan"] * 4]
+    assert all(a < b for (_, a, _), (_, b, _) in pairwise(messages))
+    assert all(0 <= recorded - START - k // 3 * S // 10 < 10 for k, (_, recorded, _) in enumerate(messages[1:]))
+
+    for back, (_, laser) in zip(of_topic(messages, "/scan"), written, strict=True):
+        assert (stamp_of(back.header), back.header.frame_id) == (laser.stamp_ns, "laser")
+        bearings = back.angle_min + back.angle_increment * np.arange(90)
+        # Single precision: 2^-24 of 90 steps of 2 degrees and of the first angle.
+        np.testing.assert_allclose(bearings, laser.geometry.bearings, rtol=0, atol=4e-7)
+        assert back.angle_max == pytest.approx(laser.geometry.bearings[-1], abs=1e-6)
+        np.testing.assert_array_equal(back.ranges, laser.ranges.astype(np.float32))
+        assert (back.range_min, back.range_max, back.time_increment, back.scan_time) == (0, 30, 0, 0)
+        assert len(back.intensities) == 0
+    for back, moved, (odometry, _) in zip(of_topic(messages, "/odom"), of_topic(messages, "/tf"), written, strict=True):
+        (link,) = moved.transforms
+        assert (back.header.frame_id, back.child_frame_id) == ("odom", "base_link")
+        assert (link.header.frame_id, link.child_frame_id) == ("odom", "base_link")
+        assert stamp_of(back.header) == stamp_of(link.header) == odometry.stamp_ns
+        assert [back.pose.pose.position.x, back.pose.pose.position.y] == odometry.pose[:2].tolist()
+        np.testing.assert_allclose(se3.to_planar(matrix_of(link.transform)), odometry.pose, atol=1e-15)
+    ((mounting,),) = (message.transforms for message in of_topic(messages, "/tf_static"))
+    assert (mounting.header.frame_id, mounting.child_frame_id) == ("base_link", "laser")
+    np.testing.assert_allclose(matrix_of(mounting.transform), UPSIDE_DOWN, atol=1e-15)
+
+
+def test_the_velocity_is_the_mean_since_the_reading_before(tmp_path):
+    write_bag(tmp_path / "log.bag", log())
+    first, second, *_ = (message.twist.twist for message in of_topic(read(tmp_path / "log.bag"), "/odom"))
+    assert (first.linear.x, first.linear.y, first.angular.z) == (0, 0, 0)
+    got = np.array([second.linear.x, second.linear.y, second.angular.z])
+    np.testing.assert_allclose(se2.exp(0.1 * got), [0.1, -0.05, 0.02], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["log.bag", "log.mcap"])
+def test_the_static_transforms_are_kept_for_who_comes_late(tmp_path, name):
+    write_bag(tmp_path / name, log())
+    with AnyReader([tmp_path / name], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        told = {connection.topic: connection.ext for connection in reader.connections}
+    if name == "log.bag":
+        assert {topic: ext.latching for topic, ext in told.items()} == {
+            "/odom": None, "/tf": None, "/tf_static": 1, "/scan": None,
+        }  # fmt: skip
+    else:
+        assert [qos.durability for qos in told["/tf_static"].offered_qos_profiles] == [QosDurability.TRANSIENT_LOCAL]
+        assert told["/scan"].offered_qos_profiles == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_beam_keeps_its_status(tmp_path, name):
+    # The greatest double below 30 is 30 in single precision.
+    ranges = [math.nextafter(30, 0), 30.0, math.inf, math.nan, -1.0, 0.05, 0.1, 5.0]
+    told = scan(ranges=ranges, beams=8, range_min_m=0.1)
+    write_bag(tmp_path / name, [Measurement(None, told)])
+    (back,) = of_topic(read(tmp_path / name), "/scan")
+    read_back = LaserScan.from_ranges(
+        0, back.ranges, told.geometry, range_min_m=back.range_min, range_max_m=back.range_max
+    )
+    assert read_back.status.tolist() == told.status.tolist()
+    assert np.isinf(back.ranges[1:3]).all()
+    assert np.isnan(back.ranges[3:6]).all()
+
+
+def test_a_hit_too_near_for_single_precision_is_still_a_hit(tmp_path):
+    write_bag(tmp_path / "log.bag", [Measurement(None, scan(ranges=[1e-50, 1.0], beams=2))])
+    (back,) = of_topic(read(tmp_path / "log.bag"), "/scan")
+    assert 0 < back.ranges[0] < 1e-37
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_stamps_that_go_back_keep_the_order_of_the_log(tmp_path, name):
+    stamps = [START + offset for offset in (0, 2 * S, S, S, 3 * S)]
+    write_bag(tmp_path / name, (Measurement(Odometry.at(t, [k, 0, 0]), scan(t)) for k, t in enumerate(stamps)))
+    messages = read(tmp_path / name)
+    assert [stamp_of(message.header) for message in of_topic(messages, "/scan")] == stamps
+    assert [message.pose.pose.position.x for message in of_topic(messages, "/odom")] == [0, 1, 2, 3, 4]
+    assert all(a < b for (_, a, _), (_, b, _) in pairwise(messages))
+
+
+def test_beam_times(tmp_path):
+    write_bag(tmp_path / "log.bag", log(beam_times_s=1e-4 * np.arange(90)))
+    for back in of_topic(read(tmp_path / "log.bag"), "/scan"):
+        assert (back.time_increment, back.scan_time) == (pytest.approx(1e-4), pytest.approx(9e-3))
+
+
+def test_several_lasers(tmp_path):
+    front, rear, third = UPSIDE_DOWN, se3.from_planar([-0.3, 0, math.pi]), np.eye(4)
+    odometry = Odometry.at(START, [1, 2, 3])
+    scans = [
+        scan(mounting=front, sensor="front"),
+        scan(mounting=rear, sensor="re ar", frame="/laser"),
+        scan(mounting=third, sensor="/r1/top_scan", frame="base_link"),
+        scan(mounting=rear, sensor="scan!", frame="laser_2"),
+    ]
+    write_bag(tmp_path / "log.mcap", (Measurement(odometry, one) for one in scans))
+    messages = read(tmp_path / "log.mcap")
+    assert [topic for topic, _, _ in messages if topic != "/tf_static"] == [
+        "/odom", "/tf", "/scan", "/scan_re_ar", "/r1/top_scan", "/scan_scan_",
+    ]  # fmt: skip
+    frames = [message.header.frame_id for topic, _, message in messages if "scan" in topic]
+    assert frames == ["laser", "laser_2", "base_link", "laser_2"]
+    known = of_topic(messages, "/tf_static")[-1].transforms
+    assert [link.child_frame_id for link in known] == ["laser", "laser_2"]
+    for link, mounting in zip(known, (front, rear), strict=True):
+        np.testing.assert_allclose(matrix_of(link.transform), mounting, atol=1e-15)
+
+
+def test_names_that_are_taken_get_another(tmp_path):
+    scans = [scan(sensor="/tf", frame="odom"), scan(sensor="/tf_2"), scan(sensor="b-c"), scan(sensor="b_c")]
+    write_bag(tmp_path / "log.bag", (Measurement(None, one) for one in scans))
+    messages = read(tmp_path / "log.bag")
+    assert [topic for topic, _, _ in messages if topic != "/tf_static"] == [
+        "/tf_2", "/tf_2_2", "/scan_b_c", "/scan_b_c_2",
+    ]  # fmt: skip
+    assert of_topic(messages, "/tf_2")[0].header.frame_id == "odom_2"
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("bearings", [[], [0.3], [1.0, 0.5, 0.0], np.linspace(-3, 3, 100_000)])
+def test_any_number_of_beams_either_way(tmp_path, name, bearings):
+    write_bag(tmp_path / name, [Measurement(None, scan(bearings=bearings))])
+    (back,) = of_topic(read(tmp_path / name), "/scan")
+    got = back.angle_min + back.angle_increment * np.arange(len(back.ranges))
+    # The step's own rounding, 2^-24 of it, counts once for each beam: 2^-24 of the field of view.
+    np.testing.assert_allclose(got, bearings, rtol=0, atol=1e-6)
+
+
+def test_what_messages_cannot_say_is_refused(tmp_path):
+    uneven = scan(bearings=[0.0, 0.1, 0.3])
+    too_far = replace(scan(), range_max_m=5.0)
+    late = scan(beam_times_s=1e-4 * np.arange(90) + 0.1)
+    backward = scan(beam_times_s=-1e-4 * np.arange(90))
+    jerky = scan(beam_times_s=np.sqrt(np.arange(90)))
+    cases = [
+        ([uneven], "bearings: expected evenly spread beams"),
+        ([too_far], "ranges: expected hits from 0 m on and below 5 m"),
+        ([late], "beam_times_s: expected times that grow from 0"),
+        ([backward], "beam_times_s: expected times that grow from 0"),
+        ([jerky], "beam_times_s: expected evenly spread beams"),
+        ([scan(), scan(mounting=np.eye(4))], "base_from_laser: expected one mounting for all scans of 'laser'"),
+        ([scan(-1)], "stamp_ns"),
+        ([scan(2**31 * S)], "stamp_ns"),
+        ([], "measurements: expected at least one scan"),
+    ]
+    for name in NAMES:
+        for scans, match in cases:
+            with pytest.raises(ArgumentError, match=match):
+                write_bag(tmp_path / name, (Measurement(None, one) for one in scans))
+            assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_left_where_writing_fails(tmp_path, name):
+    def failing():
+        yield from log()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_bag(tmp_path / name, failing())
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(OutputError, match="nowhere"):
+        write_bag(tmp_path / "nowhere" / name, log())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_is_replaced_and_a_folder_is_not(tmp_path, name):
+    path = tmp_path / name
+    if name != "log":
+        path.write_text("before")
+        write_bag(path, log())
+        assert len(of_topic(read(path), "/scan")) == 5
+        path.unlink()
+    path.mkdir()
+    (path / "thesis.tex").write_text("mine")
+    with pytest.raises(OutputError, match="there is a folder"):
+        write_bag(path, log())
+    assert [file.name for file in path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize("name", ["log#1", "log?.db3", "100%"])
+def test_paths_that_sqlite3_would_misread_are_refused(tmp_path, name):
+    with pytest.raises(OutputError, match="mcap"):
+        write_bag(tmp_path / name, log())
+    write_bag(tmp_path / f"{name}.mcap", log())
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.mcap"]
+
+
+def test_the_same_log_gives_the_same_bytes(tmp_path):
+    for suffix in (".bag", ".mcap"):
+        for folder in ("a", "b"):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            write_bag(tmp_path / folder / f"log{suffix}", log())
+        assert (tmp_path / "a" / f"log{suffix}").read_bytes() == (tmp_path / "b" / f"log{suffix}").read_bytes()
