@@ -268,7 +268,7 @@ class TransformBuffer:
         late = coverage is Coverage.NOT_YET
         known_ns = link.stamps_ns[-1 if late else 0]
         when = "until" if late else "from"
-        apart = f"{abs(known_ns - stamp_ns) / 1e9:.3f} s {'before' if late else 'after'}"
+        apart = f"{abs(known_ns - stamp_ns) / 1e9:.3g} s {'before' if late else 'after'}"
         reason = (
             f"of the chain {' <- '.join(chain.frames)} the link {link.parent} <- {link.child} "
             f"is known only {when} {known_ns / 1e9:.3f} s, {apart}"

@@ -106,9 +106,9 @@ def test_nothing_is_extrapolated_and_the_link_is_named():
     assert early.coverage is Coverage.TOO_EARLY
     assert str(early) == (
         "no transform from 'odom' to 'laser' at -0.250 s: of the chain laser <- base_link <- base_footprint <- odom "
-        "the link odom <- base_footprint is known only from 0.000 s, 0.250 s after"
+        "the link odom <- base_footprint is known only from 0.000 s, 0.25 s after"
     )
-    assert "is known only until 5.000 s, 1.500 s before" in str(missing(buffer, "odom", "laser", 6_500_000_000))
+    assert "is known only until 5.000 s, 1.5 s before" in str(missing(buffer, "odom", "laser", 6_500_000_000))
     assert buffer.covers("odom", "laser", 5 * S) is buffer.covers("odom", "laser", 0) is Coverage.KNOWN
     assert isinstance(late, GridslamError)
     assert late.stamp_ns == 5 * S + 1
