@@ -84,6 +84,12 @@ class LogStatistics:
         All topics of a bag.
     missing_transforms : Counter of str
         Scans that had to be left out, or to go without odometry, by what is missing.
+    odometry_source : str
+        Topic or frames of a bag that the odometry is taken from; empty where there is none.
+    moving_mountings : Counter of str
+        Scans, by sensor, whose laser was not mounted as at the first one: it tilts or turns on the robot.
+    remarks : Counter of str
+        What was decided, left out or doubtful, in sentences, and how often.
     truncated : bool
         Whether the file is cut off and what is missing was left out on request.
     """
@@ -109,6 +115,9 @@ class LogStatistics:
     mountings: dict[str, Mounting] = field(default_factory=dict)
     topics: dict[str, Topic] = field(default_factory=dict)
     missing_transforms: Counter[str] = field(default_factory=Counter)
+    odometry_source: str = ""
+    moving_mountings: Counter[str] = field(default_factory=Counter)
+    remarks: Counter[str] = field(default_factory=Counter)
     truncated: bool = False
     _last_sensor: str = ""
     _last_place: FloatArray | None = None
