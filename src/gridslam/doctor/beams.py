@@ -99,8 +99,7 @@ class Sweep:
     def invalid_figure(self) -> Figure:
         """Share of invalid beams over the log."""
         course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
-        marks = (Mark("doubtful", _MANY_INVALID), Mark("on average", self.invalid / self.beams))
-        return Figure("Invalid beams", "scan", "share", (course,), marks)
+        return Figure("Invalid beams", "scan", "share", (course,), (Mark("doubtful from here on", _MANY_INVALID),))
 
     def counts_figure(self) -> Figure:
         """How many scans have how many beams."""

@@ -98,7 +98,7 @@ class Clock:
 
     def pauses_figure(self, limit: float) -> Figure:
         """Time between scans over the log."""
-        course = Series("time to the next scan", *self._trace.arrays())
+        course = Series("time to the next scan", *self._trace.arrays(), "dots")
         return Figure("Time between scans", "time, s", "s", (course,), (Mark("gap from here on", limit),))
 
     def behind_figure(self) -> Figure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Protocol, TypeAlias, final
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -24,6 +24,9 @@ _COLOURS: tuple[Colour, ...] = (OCCUPIED, CLOSURE, TRUTH, TIME_ENDS[0])
 _MARK = TIME_ENDS[1]
 _TICKS = 8
 _DOTS = 6000  # more cannot be told apart
+
+
+_Label: TypeAlias = tuple[tuple[float, float], str, str]
 
 
 class ChartSeries(Protocol):
@@ -126,9 +129,11 @@ def draw_chart(chart: Chart, *, caption: Sequence[str] = ()) -> Image.Image:
     _paint_ticks(draw, axes)
     inside = page.crop(axes.box)
     shifted = _Axes(axes.low, axes.high, (0, 0, inside.width, inside.height))
+    names = _paint_marks(inside, chart.marks, shifted)
     for k, series in enumerate(chart.series):
         _paint_series(inside, series, shifted, _COLOURS[k % len(_COLOURS)])
-    _paint_marks(inside, chart.marks, shifted)
+    for at, anchor, name in names:
+        _paint_label(ImageDraw.Draw(inside), at, anchor, name)
     page.paste(inside, axes.box)
     _paint_words(draw, chart, axes)
     paint_caption(draw, MARGIN, bottom + _BOTTOM, "", lines, 1.0)
@@ -198,20 +203,28 @@ def _paint_series(page: Image.Image, series: ChartSeries, axes: _Axes, colour: C
         stroke(page, np.concatenate([places[:-1], places[1:]], axis=1), [colour] * (len(places) - 1), 2.0)
 
 
-def _paint_marks(page: Image.Image, marks: Sequence[ChartMark], axes: _Axes) -> None:
-    """Paint lines across, each with its name at its end, one below the other where they are close."""
-    draw, letters = ImageDraw.Draw(page), font(TEXT_SIZE, 1.0)
+def _paint_marks(page: Image.Image, marks: Sequence[ChartMark], axes: _Axes) -> list[_Label]:
+    """Paint lines across; give the place, anchor and text of each one's name, for what is to cover all else."""
+    names: list[_Label] = []
     for k, mark in enumerate(marks):
         if mark.axis == "x":
             x = float(axes.pixels(np.array([mark.value]), axes.low[1:])[0, 0])
             stroke(page, np.array([[x, 0.0, x, page.height]]), [_MARK], 2.0)
             left = x > 0.7 * page.width
-            at = (x - 10, 26 + TEXT_LINE * k) if left else (x + 10, 26 + TEXT_LINE * k)
-            draw.text(at, mark.name, fill=OCCUPIED, font=letters, anchor="rs" if left else "ls")
+            names.append(((x - 10 if left else x + 10, 26 + TEXT_LINE * k), "rs" if left else "ls", mark.name))
         else:
             y = float(axes.pixels(axes.low[:1], np.array([mark.value]))[0, 1])
             stroke(page, np.array([[0.0, y, page.width, y]]), [_MARK], 2.0)
-            draw.text((page.width - 10 - 220 * k, y - 8), mark.name, fill=OCCUPIED, font=letters, anchor="rs")
+            names.append(((page.width - 10, max(y - 10, 26)), "rs", mark.name))
+    return names
+
+
+def _paint_label(draw: ImageDraw.ImageDraw, at: tuple[float, float], anchor: str, name: str) -> None:
+    """Paint a name on a ground of its own."""
+    letters = font(TEXT_SIZE, 1.0)
+    left, top, right, bottom = draw.textbbox(at, name, font=letters, anchor=anchor)
+    draw.rectangle((left - 4, top - 3, right + 4, bottom + 3), fill=FREE)
+    draw.text(at, name, fill=OCCUPIED, font=letters, anchor=anchor)
 
 
 def _paint_words(draw: ImageDraw.ImageDraw, chart: Chart, axes: _Axes) -> None:

@@ -1,0 +1,163 @@
+"""Odometry, turning and mountings: each finding in a log that has it, and in none that has not."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hand_logs import BEARINGS, drive, findings, seen, view
+
+from gridslam.doctor import Severity
+from gridslam.doctor.cost import expected_cost
+from gridslam.doctor.reader import reader_findings
+from gridslam.io.log_statistics import LogStatistics, Topic
+from gridslam.io.measurement import Measurement
+from gridslam.types import ScanGeometry
+
+
+@pytest.mark.parametrize(
+    ("share", "severity"), [(1.0, Severity.DOUBTFUL), (0.1, Severity.DOUBTFUL), (0.01, Severity.INFO)]
+)
+def test_scans_without_odometry(share, severity):
+    log = [Measurement(None if k < 200 * share else m.odometry, m.scan) for k, m in enumerate(drive())]
+    found = findings(log)["no_odometry"]
+    assert (found.severity, found.size) == (severity, pytest.approx(share))
+    assert ("--no-odometry" in found.remedy) == (share == 1.0)
+
+
+@pytest.mark.parametrize(("seconds", "severity"), [(40, Severity.SPOILS), (4, Severity.DOUBTFUL), (2, None)])
+def test_frozen_odometry(seconds, severity):
+    def log():
+        for k, m in enumerate(drive(60.0)):
+            frozen = 10.0 <= k / 5 <= 10.0 + seconds
+            yield seen(k / 5, m.scan.ranges, (3.0, 0.0, 0.0) if frozen else tuple(m.odometry.pose))
+
+    found = findings(log()).get("odometry_frozen")
+    assert (found and found.severity) == severity
+    if found:
+        assert found.size == pytest.approx(seconds, abs=1.5)  # it is looked at once a second
+
+
+def test_standing_still_is_told_and_harmless():
+    def log():
+        yield from (seen(k / 5, view(0.0), (0.0, 0.0, 0.0)) for k in range(100))
+        yield from (seen(20 + m.scan.stamp_ns * 1e-9, m.scan.ranges, tuple(m.odometry.pose)) for m in drive())
+
+    found = findings(log())
+    assert set(found) == {"standing_still"}
+    assert found["standing_still"].severity is Severity.INFO
+    assert found["standing_still"].size == pytest.approx(20, abs=1.0)
+
+
+def test_a_robot_that_never_moves_gives_no_map():
+    found = findings(seen(k / 5, view(0.0), (0.0, 0.0, 0.0)) for k in range(100))["standing_still"]
+    assert found.severity is Severity.DOUBTFUL
+
+
+@pytest.mark.parametrize(("turn", "severity"), [(0.3, None), (1.2, Severity.DOUBTFUL)])
+def test_turning_too_fast_for_the_scan_rate(turn, severity):
+    def log():
+        heading = 0.0
+        for k, m in enumerate(drive()):
+            heading += turn if k % 20 == 0 else 0.0
+            yield seen(k / 5, m.scan.ranges, (m.odometry.pose[0], 0.0, math.remainder(heading, math.tau)))
+
+    found = findings(log()).get("fast_turning")
+    assert (found and found.severity) == severity
+    if found:
+        assert found.size == pytest.approx(turn)
+
+
+def test_a_narrow_view_bears_less_turning():
+    """0.6 rad are half of 60 degrees, and a third of the 180 that another laser sees."""
+    def log(width):
+        geometry = ScanGeometry(np.linspace(-width / 2, width / 2, 181))
+        return [seen(k / 5, m.scan.ranges, (0.0, 0.0, math.remainder(0.6 * k, math.tau)), geometry)
+                for k, m in enumerate(drive())]  # fmt: skip
+
+    assert "fast_turning" in findings(log(math.radians(60)))
+    assert "fast_turning" not in findings(log(math.radians(180)))
+
+
+def pitched(tilt_rad, height_m=0.3, roll=False):
+    """Geometry of a laser whose nose, or side, is down by `tilt_rad`."""
+    c, s = math.cos(tilt_rad), math.sin(tilt_rad)
+    mounting = np.eye(4)
+    mounting[:3, :3] = [[1, 0, 0], [0, c, -s], [0, s, c]] if roll else [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    mounting[2, 3] = height_m
+    return ScanGeometry(BEARINGS, mounting)
+
+
+def tilted(geometry_at):
+    return [Measurement(m.odometry, replace(m.scan, geometry=geometry_at(k))) for k, m in enumerate(drive())]
+
+
+@pytest.mark.parametrize("roll", [False, True])
+def test_a_laser_that_tilts_spoils(roll):
+    found = findings(tilted(lambda k: pitched(0.3 * math.sin(k / 5), roll=roll)))["tilting_laser"]
+    assert (found.severity, found.unit) == (Severity.SPOILS, "rad")
+    assert found.size == pytest.approx(0.3, abs=0.005)
+
+
+def test_a_laser_that_shakes_a_little_does_not():
+    assert findings(tilted(lambda k: pitched(0.01 * math.sin(k)))) == {}
+
+
+def test_a_tilted_laser_that_sees_the_floor():
+    geometry = pitched(0.1, 0.3)
+    found = findings(tilted(lambda k: geometry))["tilting_laser"]
+    assert (found.severity, found.size) == (Severity.DOUBTFUL, pytest.approx(0.1))
+    assert f"{0.3 / math.sin(0.1):.1f} m" in found.says
+
+
+@pytest.mark.parametrize("tilt", [-0.1, 0.02, math.pi])
+def test_a_tilted_laser_that_does_not(tilt):
+    """Nose up, hardly tilted, upside down: the mounting is known, and no beam meets the floor near by."""
+    geometry = pitched(tilt, 0.3)
+    assert findings(tilted(lambda k: geometry)) == {}
+
+
+@pytest.mark.parametrize(("place", "severity"), [([-0.3, 0, math.pi], Severity.INFO), ([0, 0, 0], Severity.DOUBTFUL)])
+def test_several_lasers(place, severity):
+    other = ScanGeometry.planar(BEARINGS, place)
+    rear = (Measurement(m.odometry, replace(m.scan, sensor="rear", geometry=other)) for m in drive())
+    log = [m for pair in zip(drive(), rear, strict=True) for m in pair]
+    found = findings(log)["several_lasers"]
+    assert (found.severity, found.size) == (severity, 2)
+    assert ("--scan" in found.remedy) == (severity is Severity.DOUBTFUL)
+
+
+def test_the_reader_tells_missing_and_late_transforms_with_their_chain():
+    never, late = "no link names 'laser'; the frames are 'base'", "the link odom <- base is known only from 3.000 s"
+    statistics = LogStatistics(scans=Counter({"/scan": 90}), missing_transforms=Counter({never: 60, late: 5}))
+    found = {finding.code: finding for finding in reader_findings(statistics)}
+    assert found["missing_transform"].severity is Severity.SPOILS
+    assert never in found["missing_transform"].says
+    assert found["late_transform"].severity is Severity.DOUBTFUL
+    assert late in found["late_transform"].says
+    assert found["late_transform"].size == 5
+
+
+def test_the_reader_tells_topics_and_a_log_that_is_cut_off():
+    topics = {"/scan": Topic("sensor_msgs/msg/LaserScan", 90), "/rosout": Topic("rcl_interfaces/msg/Log", 3)}
+    statistics = LogStatistics(scans=Counter({"/scan": 90}), topics=topics, truncated=True)
+    found = {finding.code: finding for finding in reader_findings(statistics)}
+    assert found["topics"].severity is Severity.INFO
+    assert "/rosout (rcl_interfaces/msg/Log): 3, /scan (sensor_msgs/msg/LaserScan): 90" in found["topics"].says
+    assert found["unreadable"].severity is Severity.DOUBTFUL
+
+
+@pytest.mark.parametrize(
+    ("scans", "key_scans", "cpu_s", "memory_mb"),
+    [(13631, 1726, 13.2, 207), (7374, 810, 9.4, 198), (1988, 816, 8.1, 212), (63160, 25000, 190.0, 738)],
+)
+def test_the_expected_cost_is_that_of_logs_that_were_measured(scans, key_scans, cpu_s, memory_mb):
+    """Intel, ACES, CSAIL and a fleet's 10 km (without its last word): within a half, and a quarter for the memory."""
+    found = expected_cost(scans, key_scans)
+    assert found.severity is Severity.INFO
+    assert found.size == pytest.approx(cpu_s, rel=0.5)
+    told = float(found.says.split(" MB")[0].split()[-1])
+    assert told == pytest.approx(memory_mb, rel=0.25)
