@@ -1,0 +1,174 @@
+"""Where a robot's base is by its odometry, and where its lasers are on it, while a bag is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry import rigid
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.rigid import Rigid
+from gridslam.io.bag_choice import Choice
+from gridslam.io.bag_survey import Step, Survey, moved
+from gridslam.io.log_statistics import Mounting
+from gridslam.io.ros_messages import OdometryMessage, StampedTransform
+from gridslam.transforms import Coverage, TransformBuffer
+from gridslam.types import Odometry
+
+__all__ = ["MountedLaser", "Rig"]
+
+_KEEP_S = 5.0  # of odometry: no wider gap is interpolated, and a scan may be this much behind the latest reading
+_ODOMETRY = "(odometry)"  # the parent frame of what an odometry topic tells, apart from the same link on /tf
+_IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+@final
+class MountedLaser:
+    """A laser on the robot. Its mounting is known from the survey on, and followed where it moves.
+
+    Parameters
+    ----------
+    way : sequence of Step or None
+        Links from the base to the laser; None where no transforms tell.
+    poses : dict
+        Pose of each link, kept up to date by `Rig`.
+    source : str
+        Where the mounting is known from.
+
+    Attributes
+    ----------
+    base_from_laser : (4, 4) float64
+        The mounting now: another object after it has moved by more than 5 mm or 0.01 rad.
+    """
+
+    def __init__(self, way: Sequence[Step] | None, poses: dict[tuple[str, str], Rigid], source: str) -> None:
+        self.way = () if way is None else tuple(way)
+        self.is_known = way is not None
+        self._source = source
+        self._poses = poses
+        self._first = self._last = self._composed()
+        self.base_from_laser = rigid.to_matrix(self._last)
+
+    def update(self) -> None:
+        """Take in that a link has another pose."""
+        now = self._composed()
+        if moved(self._last, now):
+            self._last = now
+            self.base_from_laser = rigid.to_matrix(now)
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether the mounting is another than at first."""
+        return self._last is not self._first and moved(self._first, self._last)
+
+    @property
+    def mounting(self) -> Mounting:
+        """For the statistics; of a laser that looks straight up or down the yaw is 0."""
+        try:
+            x, y, yaw = rigid.planar(self._last)
+        except ArgumentError:
+            x, y, yaw = *self._last[:2], 0.0
+        return Mounting(np.array((x, y, wrap(yaw))), self._source)
+
+    def _composed(self) -> Rigid:
+        motion = _IDENTITY
+        for link, down in self.way:
+            pose = self._poses[link]
+            motion = rigid.compose(motion, pose if down else rigid.inverse(pose))
+        return motion
+
+
+@final
+class Rig:
+    """Takes in odometry and transforms in the order of a log; tells the odometry at a stamp and the lasers' mountings.
+
+    Links that the survey saw at rest hold for the whole log until another pose of them comes: a static transform is
+    often told late, and in old logs again and again at later stamps.
+    """
+
+    def __init__(self, choice: Choice, seen: Survey) -> None:
+        self._seen, self._base = seen, choice.base_frame
+        self._frame = _ODOMETRY if choice.odometry else choice.odometry_frame
+        self._child = choice.odometry_child
+        self._buffer = TransformBuffer(_KEEP_S)
+        self._told = {ends: link.pose for ends, link in seen.links.items()}
+        self._poses = dict(self._told)
+        self._lasers: dict[str, MountedLaser] = {}
+        self._followed: dict[tuple[str, str], list[MountedLaser]] = {}
+        self._odometry_links: set[tuple[str, str]] = set()
+        self._moving: set[tuple[str, str]] = set()
+        start = choice.odometry_child if choice.odometry else choice.odometry_frame
+        for link, _ in (seen.way(start, self._base) or ()) if self._frame else ():
+            self._odometry_links.add(link)
+            if link[0] == choice.odometry_frame and not choice.odometry:
+                self._moving.add(link)
+            else:
+                self._add(link, 0, self._poses[link], static=True)
+
+    @property
+    def has_odometry(self) -> bool:
+        """Whether there is any to wait for."""
+        return bool(self._frame)
+
+    def add_odometry(self, message: OdometryMessage) -> None:
+        """Take in a message of the odometry's topic; raises ArgumentError where it is no pose."""
+        pose = message.pose
+        self._buffer.add_quaternion(_ODOMETRY, self._child, message.stamp_ns, pose[:3], pose[3:])
+
+    def add_transform(self, transform: StampedTransform) -> bool:
+        """Take in a transform and tell whether it may be odometry; raises ArgumentError where it is no pose."""
+        link = transform.parent, transform.child
+        if link in self._moving:
+            pose = transform.pose
+            self._buffer.add_quaternion(*link, transform.stamp_ns, pose[:3], pose[3:])
+            if link in self._followed:
+                self._follow(link, rigid.from_quaternion(pose[:3], pose[3:]))
+            return True
+        before = self._told.get(link)
+        if before is None or transform.pose == before:
+            return False
+        self._told[link] = transform.pose
+        now = rigid.from_quaternion(transform.pose[:3], transform.pose[3:])
+        if link in self._odometry_links and moved(self._poses[link], now):
+            self._moving.add(link)
+            self._add(link, transform.stamp_ns, now, static=False)
+        self._follow(link, now)
+        return False
+
+    def odometry(self, stamp_ns: int) -> tuple[Coverage, Odometry | None]:
+        """Pose of the base in the odometry frame, or why it is not known."""
+        coverage = self._buffer.covers(self._frame, self._base, stamp_ns)
+        if coverage is not Coverage.KNOWN:
+            return coverage, None
+        pose = self._buffer.planar(self._frame, self._base, stamp_ns)
+        pose.flags.writeable = False
+        return coverage, Odometry(stamp_ns, pose)
+
+    def laser(self, frame: str) -> MountedLaser:
+        """The laser of this frame."""
+        found = self._lasers.get(frame)
+        if found is None:
+            found = self._lasers[frame] = self._mounted(frame)
+        return found
+
+    def _mounted(self, frame: str) -> MountedLaser:
+        way = self._seen.way(self._base, frame)
+        if way is None:
+            return MountedLaser(None, {}, f"no transform names {frame}: taken to be at the robot's base")
+        topics = sorted({self._seen.links[link].topic for link, _ in way})
+        source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"
+        found = MountedLaser(way, self._poses, source)
+        for link, _ in way:
+            self._followed.setdefault(link, []).append(found)
+        return found
+
+    def _follow(self, link: tuple[str, str], pose: Rigid) -> None:
+        self._poses[link] = pose
+        for laser in self._followed.get(link, ()):
+            laser.update()
+
+    def _add(self, link: tuple[str, str], stamp_ns: int, pose: Rigid, *, static: bool) -> None:
+        self._buffer.add_quaternion(*link, stamp_ns, pose[:3], pose[3:], static)

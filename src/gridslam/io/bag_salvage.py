@@ -1,0 +1,199 @@
+"""Readers of the files of ROS 2 bags that need no index: for those that were not closed, or end early, or are damaged.
+
+Source: mcap.dev/spec; sqlite.org (a table's rows lie in the order of their ids, which is that of the recording).
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import closing
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple, Protocol, final
+from urllib.parse import quote
+
+from gridslam.io import zstd
+from gridslam.io.bag_source import DamageError, Message, in_order
+from gridslam.io.log_statistics import Topic
+from gridslam.io.ros1_records import chunk_data
+
+__all__ = ["SalvagedMcap", "SalvagedSqlite", "SalvagedStorage"]
+
+_MCAP_MAGIC_BYTES = 8
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 2, 3, 4, 5, 6
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_CHUNK_HEAD = struct.Struct("<QQQII")
+
+
+class SalvagedStorage(Protocol):
+    """What can be read of a file.
+
+    Attributes
+    ----------
+    topics : dict of str to Topic
+        All that were found.
+    is_ros1 : bool
+        Whether the messages are serialized as in ROS 1.
+    start_ns, end_ns : int
+        Times of the first and the last message.
+    problem : str
+        What stopped the reading; empty where all of the file can be read.
+    """
+
+    topics: dict[str, Topic]
+    is_ros1: bool
+    start_ns: int
+    end_ns: int
+    problem: str
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, as far as they can be read."""
+
+
+class _Channel(NamedTuple):
+    topic: str
+    type: str
+    encoding: str
+
+
+@final
+class SalvagedMcap:
+    """An mcap file, see `SalvagedStorage`, read from its start without its summary."""
+
+    def __init__(self, path: Path) -> None:
+        """Read it through once."""
+        self.problem = ""
+        self._path = path
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, _Channel] = {}
+        counts: Counter[int] = Counter()
+        self.start_ns, self.end_ns = (1 << 63) - 1, 0
+        for start_ns, messages in self._batches():
+            times = [time_ns for time_ns, _, _ in messages]
+            self.start_ns, self.end_ns = min(self.start_ns, start_ns, *times), max(self.end_ns, *times, 0)
+            counts.update(number for _, number, _ in messages)
+        self.is_ros1 = any(channel.encoding == "ros1" for channel in self._channels.values())
+        self.topics: dict[str, Topic] = {}
+        for number, channel in self._channels.items():
+            before = self.topics.get(channel.topic, Topic(channel.type, 0))
+            self.topics[channel.topic] = Topic(before.type, before.messages + counts[number])
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, by the time of their recording."""
+        wanted = {
+            number: channel.topic
+            for number, channel in self._channels.items()
+            if channel.topic in topics and channel.type == self.topics[channel.topic].type
+        }
+        yield from in_order(
+            (start_ns, [(time_ns, wanted[number], data) for time_ns, number, data in messages if number in wanted])
+            for start_ns, messages in self._batches()
+        )
+
+    def _batches(self) -> Iterator[tuple[int, list[tuple[int, int, bytes]]]]:
+        """Time of the first message and all messages of each chunk, and of each message that is in none."""
+        with self._path.open("rb") as file:
+            size = file.seek(0, 2)
+            file.seek(_MCAP_MAGIC_BYTES)
+            try:
+                for op, content in _records(file, size):
+                    if op == _CHUNK:
+                        start_ns, data = _chunk(content)
+                        yield start_ns, list(self._messages(_records(BytesIO(data), len(data))))
+                    else:
+                        for message in self._messages([(op, content)]):
+                            yield message[0], [message]
+            except (DamageError, struct.error) as error:
+                self.problem = str(error)
+
+    def _messages(self, records: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, int, bytes]]:
+        for op, content in records:
+            if op == _MESSAGE:
+                number, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
+                yield time_ns, number, content[_MESSAGE_HEAD.size :]
+            elif op == _SCHEMA:
+                self._schemas[int.from_bytes(content[:2], "little")] = _texts(content, 2, 1)[0]
+            elif op == _CHANNEL:
+                topic, encoding = _texts(content, 4, 2)
+                kind = self._schemas.get(int.from_bytes(content[2:4], "little"), "")
+                self._channels[int.from_bytes(content[:2], "little")] = _Channel(topic, kind, encoding)
+
+
+def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the records up to the footer, or the end of a chunk; only of those that matter here."""
+    while head := file.read(9):
+        if len(head) < 9:
+            raise DamageError("a record is cut off")
+        op, length = struct.unpack("<BQ", head)
+        if op == _FOOTER:
+            return
+        if file.tell() + length > size:
+            raise DamageError(f"a record at byte {file.tell() - 9} is cut off")
+        if op in (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK):
+            yield op, file.read(length)
+        else:
+            file.seek(length, 1)
+    if not isinstance(file, BytesIO):
+        raise DamageError("the file ends without a footer: it was not closed when it was recorded")
+
+
+def _chunk(content: bytes) -> tuple[int, bytes]:
+    """Time of the first message in a chunk, and its data."""
+    start_ns, _, size, _, length = _CHUNK_HEAD.unpack_from(content)
+    begin = _CHUNK_HEAD.size + length
+    compression = content[_CHUNK_HEAD.size : begin]
+    packed = content[begin + 8 :]
+    data = zstd.decompress(packed) if compression == b"zstd" else chunk_data(compression or b"none", packed, size)
+    if len(data) != size:
+        raise DamageError("a chunk is damaged")
+    return start_ns, data
+
+
+def _texts(content: bytes, begin: int, count: int) -> list[str]:
+    found = []
+    for _ in range(count):
+        end = begin + 4 + struct.unpack_from("<I", content, begin)[0]
+        found.append(content[begin + 4 : end].decode("utf-8", "replace"))
+        begin = end
+    return found
+
+
+@final
+class SalvagedSqlite:
+    """An SQLite file, see `SalvagedStorage`, read row by row up to the first page that is missing or damaged."""
+
+    def __init__(self, path: Path) -> None:
+        """Read it through once."""
+        self.is_ros1 = False
+        self.problem = ""
+        self._path = path
+        self._topics: dict[int, str] = {}
+        self.topics: dict[str, Topic] = {}
+        counts: Counter[int] = Counter()
+        self.start_ns, self.end_ns = (1 << 63) - 1, 0
+        types = {row[0]: (str(row[1]), str(row[2])) for row in self._rows("SELECT id, name, type FROM topics")}
+        for number, time_ns in self._rows("SELECT topic_id, timestamp FROM messages"):
+            counts[number] += 1
+            self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
+        for number, (name, kind) in types.items():
+            self._topics[number] = name
+            self.topics[name] = Topic(kind, counts[number])
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order of their rows."""
+        for time_ns, number, data in self._rows("SELECT timestamp, topic_id, data FROM messages"):
+            topic = self._topics.get(number)
+            if topic in topics and isinstance(data, bytes):
+                yield time_ns, topic, data
+
+    def _rows(self, query: str) -> Iterator[tuple[int, ...]]:
+        try:
+            with closing(sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro&immutable=1", uri=True)) as connection:
+                for row in connection.execute(query):
+                    if isinstance(row[0], int):
+                        yield row
+        except sqlite3.Error as error:
+            self.problem = str(error)
