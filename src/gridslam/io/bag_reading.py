@@ -62,7 +62,7 @@ class BagReading:
         """Yield the measurements of the whole bag."""
         source, choice, waiting = self._source, self._choice, self._waiting
         kinds = {name: kind_of(topic.type) for name, topic in source.topics.items()}
-        wanted = {name for name, kind in kinds.items() if kind == "transforms"} | {*choice.scans, choice.odometry}
+        wanted = {*choice.scans, choice.odometry, *self._rig.topics}
         time_ns = 0
         for time_ns, name, data in source.messages(wanted):
             try:
@@ -110,7 +110,7 @@ class BagReading:
         """The measurement of the scan that is the next one, if it need not wait."""
         scan = self._waiting[0]
         last = time_ns > scan.until_ns or len(self._waiting) > _MOST_WAITING
-        if not last and min(self._latest_ns.values()) < scan.stamp_ns:
+        if not last and (min(self._latest_ns.values()) < scan.stamp_ns or self._rig.latest_ns < scan.stamp_ns):
             return None
         measurement = self._measurement(scan, last)
         if measurement is not None:

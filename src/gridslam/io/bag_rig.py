@@ -15,7 +15,7 @@ from gridslam.io.bag_choice import Choice
 from gridslam.io.bag_survey import Step, Survey, moved
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.ros_messages import OdometryMessage, StampedTransform
-from gridslam.transforms import Coverage, TransformBuffer
+from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
 from gridslam.types import Odometry
 
 __all__ = ["MountedLaser", "Rig"]
@@ -87,26 +87,34 @@ class Rig:
 
     Links that the survey saw at rest hold for the whole log until another pose of them comes: a static transform is
     often told late, and in old logs again and again at later stamps.
+
+    Attributes
+    ----------
+    latest_ns : int
+        Stamp of the odometry that came last; beyond all stamps where there is none to come.
+    topics : frozenset of str
+        Topics of the transforms that matter.
     """
 
     def __init__(self, choice: Choice, seen: Survey) -> None:
         self._seen, self._base = seen, choice.base_frame
         self._frame = _ODOMETRY if choice.odometry else choice.odometry_frame
         self._child = choice.odometry_child
+        self.latest_ns = -1 if self._frame else 1 << 63  # nothing to wait for
         self._buffer = TransformBuffer(_KEEP_S)
-        self._told = {ends: link.pose for ends, link in seen.links.items()}
-        self._poses = dict(self._told)
         self._lasers: dict[str, MountedLaser] = {}
         self._followed: dict[tuple[str, str], list[MountedLaser]] = {}
-        self._odometry_links: set[tuple[str, str]] = set()
-        self._moving: set[tuple[str, str]] = set()
         start = choice.odometry_child if choice.odometry else choice.odometry_frame
-        for link, _ in (seen.way(start, self._base) or ()) if self._frame else ():
-            self._odometry_links.add(link)
-            if link[0] == choice.odometry_frame and not choice.odometry:
-                self._moving.add(link)
-            else:
-                self._add(link, 0, self._poses[link], static=True)
+        way = seen.way(start, self._base) if self._frame else None
+        self._odometry_links = {step.link for step in way or ()}
+        self._moving = {step.link for step in (way or ())[:1] if not choice.odometry}
+        mounts = [seen.way(self._base, seen.scans[name].frame) or [] for name in choice.scans]
+        links = self._odometry_links.union(step.link for way in mounts for step in way)
+        self.topics = frozenset(seen.links[link].topic for link in links)
+        self._told = {link: seen.links[link].pose for link in links}
+        self._poses = dict(self._told)
+        for link in self._odometry_links - self._moving:
+            self._add(link, 0, self._poses[link], static=True)
 
     @property
     def has_odometry(self) -> bool:
@@ -117,6 +125,7 @@ class Rig:
         """Take in a message of the odometry's topic; raises ArgumentError where it is no pose."""
         pose = message.pose
         self._buffer.add_quaternion(_ODOMETRY, self._child, message.stamp_ns, pose[:3], pose[3:])
+        self.latest_ns = message.stamp_ns
 
     def add_transform(self, transform: StampedTransform) -> bool:
         """Take in a transform and tell whether it may be odometry; raises ArgumentError where it is no pose."""
@@ -124,6 +133,7 @@ class Rig:
         if link in self._moving:
             pose = transform.pose
             self._buffer.add_quaternion(*link, transform.stamp_ns, pose[:3], pose[3:])
+            self.latest_ns = transform.stamp_ns
             if link in self._followed:
                 self._follow(link, rigid.from_quaternion(pose[:3], pose[3:]))
             return True
@@ -140,12 +150,12 @@ class Rig:
 
     def odometry(self, stamp_ns: int) -> tuple[Coverage, Odometry | None]:
         """Pose of the base in the odometry frame, or why it is not known."""
-        coverage = self._buffer.covers(self._frame, self._base, stamp_ns)
-        if coverage is not Coverage.KNOWN:
-            return coverage, None
-        pose = self._buffer.planar(self._frame, self._base, stamp_ns)
+        try:
+            pose = self._buffer.planar(self._frame, self._base, stamp_ns)
+        except MissingTransform as missing:
+            return missing.coverage, None
         pose.flags.writeable = False
-        return coverage, Odometry(stamp_ns, pose)
+        return Coverage.KNOWN, Odometry(stamp_ns, pose)
 
     def laser(self, frame: str) -> MountedLaser:
         """The laser of this frame."""
@@ -156,7 +166,7 @@ class Rig:
 
     def _mounted(self, frame: str) -> MountedLaser:
         way = self._seen.way(self._base, frame)
-        if way is None:
+        if way is None or not all(link in self._poses for link, _ in way):
             return MountedLaser(None, {}, f"no transform names {frame}: taken to be at the robot's base")
         topics = sorted({self._seen.links[link].topic for link, _ in way})
         source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"

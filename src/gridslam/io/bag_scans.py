@@ -14,7 +14,7 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan, ScanGeometry
 __all__ = ["ScanMaker"]
 
 _KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
-_INVALID, _NO_RETURN = np.uint8(BeamStatus.INVALID), np.uint8(BeamStatus.NO_RETURN)
+_INVALID = np.uint8(BeamStatus.INVALID)
 _SMALLEST = 5e-324  # a range of 0 is none
 
 
@@ -36,8 +36,7 @@ class ScanMaker:
         lower = message.range_min if message.range_min > 0 else 0.0
         upper = message.range_max if message.range_max > lower else math.inf
         ranges = message.ranges.astype(np.float64)
-        status = (ranges >= upper).view(np.uint8)
-        status *= _NO_RETURN
+        status = (ranges >= upper).view(np.uint8)  # 0 and 1: HIT and NO_RETURN
         status[~(ranges >= (lower or _SMALLEST))] = _INVALID
         ranges.flags.writeable = status.flags.writeable = False
         times = self._times(message)

@@ -20,8 +20,6 @@ _BY_SCAN = (
 )  # fmt: skip
 """What is counted of each scan, and not of the file as a whole."""
 
-_INVALID, _NO_RETURN = np.uint8(BeamStatus.INVALID), np.uint8(BeamStatus.NO_RETURN)
-
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +118,7 @@ class LogStatistics:
     remarks: Counter[str] = field(default_factory=Counter)
     truncated: bool = False
     _last_sensor: str = ""
-    _last_place: FloatArray | None = None
+    _last_place: list[float] | None = None
 
     @property
     def scan_count(self) -> int:
@@ -148,15 +146,17 @@ class LogStatistics:
         odometry, scan = measurement
         self.scans[scan.sensor] += 1
         self.beam_counts[len(scan)] += 1
-        self.invalid_beams += int(np.count_nonzero(scan.status == _INVALID))
-        self.no_return_beams += int(np.count_nonzero(scan.status == _NO_RETURN))
+        status = scan.status.tobytes()  # counted several times as fast as the array
+        self.invalid_beams += status.count(BeamStatus.INVALID)
+        self.no_return_beams += status.count(BeamStatus.NO_RETURN)
         self.count_stamp(scan)
         if odometry is None:
             self.without_odometry += 1
             return
-        last, self._last_place = self._last_place, odometry.pose[:2]
+        last, here = self._last_place, odometry.pose.tolist()[:2]
         if last is not None:
-            self.odometry_length_m += math.dist(last, self._last_place)
+            self.odometry_length_m += math.dist(last, here)
+        self._last_place = here
 
     def count_stamp(self, scan: LaserScan) -> None:
         """Take the next scan's stamp into account."""
@@ -176,4 +176,4 @@ class LogStatistics:
         places = poses[:, :2] if self._last_place is None else np.vstack([self._last_place, poses[:, :2]])
         steps = np.diff(places, axis=0)
         self.odometry_length_m += float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        self._last_place = places[-1].copy()
+        self._last_place = places[-1].tolist()
