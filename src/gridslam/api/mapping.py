@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from gridslam.api.result import MapResult
+from gridslam.api.source import opened_log
 from gridslam.config import Configuration, build, override
 from gridslam.config import preset as preset_of
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.log import Log, LogOptions
 from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.io.text_source import sha256_of
@@ -79,7 +80,7 @@ def map_log(
     config = configuration or preset_of(preset, particles)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
-    source = _opened(log, options)
+    source = opened_log(log, options)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
     measurements, slam, rng = _with_odometry(source), build(config, threads), np.random.default_rng(seed)
@@ -119,14 +120,6 @@ def _result(
     )
     watch.lap("finish")
     return result
-
-
-def _opened(log: str | Path | Log, options: LogOptions | None) -> Log:
-    if isinstance(log, str | Path):
-        return open_log(log, options or LogOptions())
-    if options is not None:
-        raise ArgumentError("options", "none for a log that is open already", options)
-    return log
 
 
 def _check(seed: int, threads: int, particles: int | None, configuration: Configuration | None) -> None:

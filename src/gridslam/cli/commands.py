@@ -90,6 +90,30 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
     return doctor_log(**options)
 
 
+@gridslam.command("convert")
+@click.argument("log", metavar="IN", type=_PATH)
+@click.argument("out", type=_PATH)
+@click.option("--to", type=click.Choice(["carmen", "csv", "tum", "ros1", "ros2", "mcap"]), help="Format of OUT.")
+@log_options
+@_json
+def convert_command(**options: Any) -> None:  # noqa: ANN401
+    """Write the log IN in another format.
+
+    \b
+    The name of OUT tells the format, unless --to does:
+      .clf, .log, .carmen   CARMEN
+      .csv                  a row for each scan (columns: docs/logs.md)
+      .tum                  the odometry alone
+      .bag                  ROS 1
+      .mcap, .db3, a name without suffix (a folder)   ROS 2
+
+    CARMEN and CSV are compressed where .gz or .bz2 follows. What OUT cannot hold is told.
+    """
+    from gridslam.cli.convert import convert
+
+    convert(**options)
+
+
 @gridslam.command("demo")
 @click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
 @click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the simulation and of the filter.")

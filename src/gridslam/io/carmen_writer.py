@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import final
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from gridslam.io.carmen_lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
 from gridslam.io.carmen_lines import format_stamp_ns
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import opened_for_writing, written_aside
-from gridslam.types import BeamStatus, FloatArray, LaserScan
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
 __all__ = ["write_carmen"]
 
@@ -34,6 +35,9 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
     Stamps come back exactly, ranges to 1 mm, poses to 1e-6 m and rad, each beam's status as it was. Field of view,
     maximum range and mounting are stated as parameters. The file appears under its name only once it is whole.
 
+    A log that begins without odometry is written in the older form, whose scans have the odometry of the last ODOM line
+    before them, with its own stamp.
+
     Parameters
     ----------
     path : str or Path
@@ -44,24 +48,24 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
     Raises
     ------
     ArgumentError
-        For what the format cannot say: no odometry or odometry not at the scan's stamp, beams not evenly spread
-        about the laser's axis, a laser not mounted level, hits at or above the maximum range or 81.83 m.
+        For what the format cannot say: odometry that is not at the scan's stamp or ends (but see above), beams not
+        evenly spread about the laser's axis, a laser not mounted level, hits at or above the maximum range or 81.83 m.
     OutputError
         Where the file cannot be written.
     """
     stated: dict[str, list[str]] = {}
     with written_aside(path) as aside, opened_for_writing(aside, Path(path).suffix) as file:
         file.write(_HEADER.encode())
-        start_ns: int | None = None
+        lines: _Lines | None = None
         for measurement in measurements:
             scan = measurement.scan
-            start_ns = scan.stamp_ns if start_ns is None else start_ns
+            lines = lines or _Lines(measurement)
             tag, sensor = ("RLASER", "rear") if scan.sensor == "rear" else ("FLASER", "front")
             parameters = _parameters(sensor, scan)
             if stated.get(sensor) != parameters:
                 file.write("".join(parameters).encode())
                 stated[sensor] = parameters
-            file.write(_lines(tag, measurement, start_ns).encode())
+            file.write(lines(tag, measurement).encode())
 
 
 def _parameters(sensor: str, scan: LaserScan) -> list[str]:
@@ -89,15 +93,35 @@ def _mounting(scan: LaserScan) -> tuple[float, float, float]:
     return float(mounting[0, 3]), float(mounting[1, 3]), float(np.arctan2(mounting[1, 0], mounting[0, 0]))
 
 
-def _lines(tag: str, measurement: Measurement, start_ns: int) -> str:
-    odometry, scan = measurement
-    if odometry is None or odometry.stamp_ns != scan.stamp_ns:
-        got = None if odometry is None else odometry.stamp_ns
-        raise ArgumentError("measurements", f"odometry at the scan's stamp {scan.stamp_ns}", got)
-    laser = se2.compose(odometry.pose, _mounting(scan))
-    tail = f"{format_stamp_ns(scan.stamp_ns)} nohost {(scan.stamp_ns - start_ns) / 1e9:.6f}\n"
-    robot = _pose(odometry.pose)
-    return f"ODOM {robot} 0 0 0 {tail}{tag} {len(scan)} {_ranges(scan)} {_pose(laser)} {robot} {tail}"
+@final
+class _Lines:
+    """Lines of scans and of their odometry, in the form that the first measurement asks for."""
+
+    def __init__(self, first: Measurement) -> None:
+        self._start_ns = first.scan.stamp_ns
+        self._posed = first.odometry is not None
+        self._told: Odometry | None = None
+
+    def __call__(self, tag: str, measurement: Measurement) -> str:
+        """Lines of the next measurement, under the tag of its laser."""
+        odometry, scan = measurement
+        if self._posed and (odometry is None or odometry.stamp_ns != scan.stamp_ns):
+            got = None if odometry is None else odometry.stamp_ns
+            raise ArgumentError("measurements", f"odometry at the scan's stamp {scan.stamp_ns}", got)
+        if odometry is None and self._told is not None:
+            raise ArgumentError("measurements", "odometry with every scan after the first that has some", None)
+        robot = "" if odometry is None else _pose(odometry.pose)
+        odom = ""
+        if odometry is not None and odometry is not self._told:
+            odom = f"ODOM {robot} 0 0 0 {self._tail(odometry.stamp_ns)}"
+            self._told = odometry
+        poses = ""
+        if self._posed and odometry is not None:
+            poses = f"{_pose(se2.compose(odometry.pose, _mounting(scan)))} {robot} "
+        return f"{odom}{tag} {len(scan)} {_ranges(scan)} {poses}{self._tail(scan.stamp_ns)}"
+
+    def _tail(self, stamp_ns: int) -> str:
+        return f"{format_stamp_ns(stamp_ns)} nohost {(stamp_ns - self._start_ns) / 1e9:.6f}\n"
 
 
 def _pose(pose: FloatArray) -> str:

@@ -93,11 +93,27 @@ def test_what_cannot_be_said_is_refused(tmp_path):
     aside = LaserScan.from_ranges(0, [1.0, 1.0, 1.0], ScanGeometry([0.0, 0.1, 0.2]))
     at_zero = Odometry.at(0, [0, 0, 0])
     too_far = measurement(n=3, ranges=[1.0, 90.0, 1.0])
-    bad = (good._replace(odometry=None), good._replace(odometry=late), Measurement(at_zero, uneven))
-    for wrong in (*bad, Measurement(at_zero, aside), too_far):
+    bare = good._replace(odometry=None)
+    bad = [[good, bare], [bare, good, bare], [good._replace(odometry=late)], [Measurement(at_zero, uneven)]]
+    for wrong in (*bad, [Measurement(at_zero, aside)], [too_far]):
         with pytest.raises(ArgumentError):
-            write_carmen(tmp_path / "sim.log", [wrong])
+            write_carmen(tmp_path / "sim.log", wrong)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sensor", ["front", "rear"])
+def test_a_log_that_begins_without_odometry(tmp_path, sensor):
+    path = tmp_path / "sim.log"
+    scans = [measurement(k, mounting=(0.1, 0, 0.3), sensor=sensor).scan for k in range(4)]
+    first, last = Odometry.at(1, [1, 2, 0.5]), Odometry.at(3, [2, 2, 0.5])
+    write_carmen(path, map(Measurement, [None, first, first, last], scans))
+    log = CarmenLog(path)
+    read = list(log)
+    assert [m.odometry and (m.odometry.stamp_ns, *m.odometry.pose) for m in read] == [
+        None, (1, 1, 2, 0.5), (1, 1, 2, 0.5), (3, 2, 2, 0.5),
+    ]  # fmt: skip
+    assert log.statistics.odometry_lines == 2
+    np.testing.assert_allclose(read[0].scan.geometry.base_from_laser, scans[0].geometry.base_from_laser, atol=1e-12)
 
 
 def test_a_folder_that_is_not_there(tmp_path):

@@ -1,0 +1,192 @@
+"""From a log of one format to one of another."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import final
+
+import numpy as np
+
+from gridslam.api.source import opened_log
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.carmen_form import carmen_form
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.csv_writer import write_csv_log
+from gridslam.io.log import Log, LogOptions
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.measurement import Measurement
+from gridslam.io.output import written_aside
+from gridslam.io.trajectory import write_tum
+from gridslam.types import BeamStatus, Odometry, Trajectory
+
+__all__ = ["Conversion", "OutFormat", "convert_log", "format_of_name"]
+
+
+class OutFormat(Enum):
+    """Formats that a log can be written in."""
+
+    CARMEN = "carmen"
+    CSV = "csv"
+    TUM = "tum"
+    ROS1 = "ros1"
+    ROS2 = "ros2"
+    MCAP = "mcap"
+
+
+_BY_SUFFIX = {
+    ".clf": OutFormat.CARMEN, ".log": OutFormat.CARMEN, ".carmen": OutFormat.CARMEN, ".csv": OutFormat.CSV,
+    ".tum": OutFormat.TUM, ".bag": OutFormat.ROS1, ".db3": OutFormat.ROS2, "": OutFormat.ROS2, ".mcap": OutFormat.MCAP,
+}  # fmt: skip
+_NAMES = ".clf, .log, .carmen, .csv (each with .gz or .bz2 if wanted), .tum, .bag, .mcap, .db3, or nothing (a folder)"
+_PACKED = ".gz", ".bz2"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """What was written, and what was lost.
+
+    Attributes
+    ----------
+    out : Path
+        The new log.
+    format : OutFormat
+        Its format.
+    scans : int
+        Scans written; for TUM poses.
+    lost : dict of str to int
+        What the format cannot hold, by name, and in how many scans there was such.
+    log : LogStatistics
+        What was met in the log that was read.
+    """
+
+    out: Path
+    format: OutFormat
+    scans: int
+    lost: dict[str, int]
+    log: LogStatistics
+
+
+def format_of_name(out: str | Path, to: str | None = None) -> OutFormat:
+    """The format that a log is to be written in: by the suffix of its name, or as `to` says.
+
+    Raises ArgumentError where the name tells none, or a bag of another kind than `to`.
+    """
+    path = Path(out)
+    packed = path.suffix in _PACKED
+    named = _BY_SUFFIX.get(Path(path.stem).suffix if packed else path.suffix)
+    if to is not None and to not in {form.value for form in OutFormat}:
+        raise ArgumentError("to", ", ".join(form.value for form in OutFormat), repr(to))
+    form = named if to is None else OutFormat(to)
+    if form in (OutFormat.CARMEN, OutFormat.CSV):
+        return form
+    kinds = OutFormat.ROS1, OutFormat.MCAP  # whose writer goes by the suffix
+    if form is None or packed or (form is not named and (form in kinds or (form is OutFormat.ROS2 and named in kinds))):
+        what = "a log" if form is None else f"a log in the format {form.value}"
+        raise ArgumentError("out", f"a name for {what}, which ends in {_NAMES}", repr(path.name))
+    return form
+
+
+def convert_log(
+    log: str | Path | Log,
+    out: str | Path,
+    to: str | None = None,
+    *,
+    options: LogOptions | None = None,
+    tick: Callable[[], None] = lambda: None,
+) -> Conversion:
+    """Write a log in another format; it appears under its name only once it is whole, and replaces a file there.
+
+    Parameters
+    ----------
+    log : str, Path or Log
+        The log, of any format that `open_log` knows.
+    out : str or Path
+        The new log; its suffix tells its format: .clf, .log, .carmen (CARMEN), .csv, .tum (the odometry alone), .bag
+        (ROS 1), .mcap, .db3 or none (the folder of a ROS 2 bag). CARMEN and CSV are compressed where .gz or .bz2
+        follows.
+    to : str, optional
+        The format whatever the name says: "carmen", "csv", "tum", "ros1", "ros2" or "mcap".
+    options : LogOptions, optional
+        What to read of the log at a path.
+    tick : callable
+        Called after each scan.
+
+    Raises
+    ------
+    ArgumentError
+        The format is not known, `out` is the log itself, or `options` come with a log that is open already.
+    InputError
+        The log cannot be read, or holds what the format cannot say at all.
+    OutputError
+        The new log cannot be written.
+    """
+    form, source, target = format_of_name(out, to), opened_log(log, options), Path(out)
+    if target.exists() and target.samefile(source.path):
+        raise ArgumentError("out", "another name than that of the log which is read", str(out))
+    lost: Counter[str] = Counter()
+    scans = 0
+
+    def counted(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+        nonlocal scans
+        for measurement in measurements:
+            scans += 1
+            yield measurement
+            tick()
+
+    try:
+        _write(form, target, source, lost, counted)
+    except ArgumentError as error:
+        raise InputError(source.path, f"cannot be written as {form.value}: {error}") from None
+    return Conversion(target, form, scans, {what: count for what, count in lost.items() if count}, source.statistics)
+
+
+def _write(
+    form: OutFormat, target: Path, log: Log, lost: Counter[str],
+    counted: Callable[[Iterable[Measurement]], Iterator[Measurement]],
+) -> None:  # fmt: skip
+    if form is OutFormat.CARMEN:
+        write_carmen(target, counted(carmen_form(log, lost)))
+    elif form is OutFormat.CSV:
+        write_csv_log(target, counted(log))
+    elif form is OutFormat.TUM:
+        _write_odometry(target, log.path, counted(_with_odometry(log, lost)))
+    else:
+        from gridslam.io.bag_writer import write_bag  # only bags pay for the import of rosbags
+
+        write_bag(target, counted(_single_precision(log, lost)))
+
+
+def _with_odometry(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
+    """What a trajectory can tell: odometry, each once."""
+    before: Odometry | None = None
+    for measurement in measurements:
+        odometry = measurement.odometry
+        lost["scans"] += 1
+        lost["scans without odometry"] += odometry is None
+        if odometry is not None and odometry is not before:
+            yield measurement
+        before = odometry
+
+
+def _write_odometry(target: Path, source: Path, measurements: Iterable[Measurement]) -> None:
+    told = [measurement.odometry for measurement in measurements]
+    known = [odometry for odometry in told if odometry is not None]
+    if not known:
+        raise InputError(source, "cannot be written as tum: it has no odometry")
+    stamps_ns = np.array([odometry.stamp_ns for odometry in known], dtype=np.int64)
+    with written_aside(target) as aside:
+        write_tum(aside, Trajectory(stamps_ns, np.array([odometry.pose for odometry in known])))
+
+
+def _single_precision(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
+    """The measurements as they are; counts the scans whose ranges will be rounded."""
+    for measurement in measurements:
+        scan = measurement.scan
+        hits = scan.ranges[scan.status == BeamStatus.HIT]
+        lost["more than single precision of ranges"] += bool((hits != hits.astype(np.float32)).any())
+        yield measurement

@@ -1,0 +1,69 @@
+"""gridslam convert."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.api.conversion import Conversion, convert_log, format_of_name
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.cli.progress import reading_progress
+from gridslam.errors import ArgumentError
+from gridslam.io.log import LogOptions, open_log
+
+__all__ = ["CONVERSION_SCHEMA", "convert"]
+
+CONVERSION_SCHEMA = "gridslam.conversion/1"
+
+
+def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
+    """Write a log in another format, and say what the format could not hold."""
+    _check(log, out, to)
+    source = open_log(log, options)
+    with opened(out.parent) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
+
+        def tick() -> None:
+            stop_if_interrupted()
+            show()
+
+        done = replace(convert_log(source, folder.file(out.name), to, tick=tick), out=out)
+    if done.log.truncated:
+        click.echo(f"gridslam: {log}: the log is cut off; {done.log.scan_count} scans were there", err=True)
+    if done.lost:
+        click.echo(f"gridslam: {out}: lost in the format {done.format.value}: {_lost(done)}", err=True)
+    if as_json:
+        print_json(_document(log, done))
+    else:
+        what = "poses" if done.format.value == "tum" else "scans"
+        click.echo(f"{log}: {done.log.scan_count} scans, {done.log.duration_s:.0f} s")
+        click.echo(f"{out}: {done.scans} {what} in the format {done.format.value}")
+
+
+def _check(log: Path, out: Path, to: str | None) -> None:
+    """Refuse an OUT that is no name for a new log."""
+    if not out.name or out.is_dir():
+        raise click.ClickException(f"{out}: expected the name of a new log, got a folder that is there")
+    if out.exists() and log.exists() and out.samefile(log):
+        raise click.ClickException(f"{out}: expected another name than that of the log which is read")
+    try:
+        format_of_name(out, to)
+    except ArgumentError as error:
+        raise click.ClickException(f"{error}; or say the format by --to") from None
+
+
+def _lost(done: Conversion) -> str:
+    """What was lost; in how many scans, where it was not in all."""
+    total = done.log.scan_count
+    return ", ".join(what if count >= total else f"{what} ({count} of {total})" for what, count in done.lost.items())
+
+
+def _document(log: Path, done: Conversion) -> dict[str, Any]:
+    return {
+        "schema": CONVERSION_SCHEMA, "log": str(log), "out": str(done.out), "format": done.format.value,
+        "scans": done.log.scan_count, "written": done.scans, "duration_s": done.log.duration_s, "lost": done.lost,
+        "truncated": done.log.truncated,
+    }  # fmt: skip

@@ -1,0 +1,198 @@
+"""gridslam convert: what is written in one format is read from the other, and what is lost is told."""
+
+from __future__ import annotations
+
+import json
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from gridslam.api.conversion import convert_log
+from gridslam.cli.main import main
+from gridslam.errors import ArgumentError
+from gridslam.io.carmen import CarmenLog
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.trajectory import read_tum
+from gridslam.types import BeamStatus
+
+PRECISE = "more than single precision of ranges"
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+def lines_of(path) -> list[str]:
+    """What matters of a CARMEN log: the scans and the odometry, not the digits of the parameters."""
+    return [line for line in path.read_text().splitlines() if not line.startswith("PARAM")]
+
+
+def check_same(path, log, ranges_within: float) -> None:
+    """The same scans, statuses, odometry and stamps; ranges within a relative difference."""
+    read, written = list(open_log(path)), list(open_log(log))
+    assert [m.scan.stamp_ns for m in read] == [m.scan.stamp_ns for m in written]
+    for (odometry, scan), (known, true) in zip(read, written, strict=True):
+        np.testing.assert_allclose(odometry.pose, known.pose, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(scan.status, true.status)
+        hit = true.status == BeamStatus.HIT
+        np.testing.assert_allclose(scan.ranges[hit], true.ranges[hit], rtol=ranges_within, atol=0)
+        np.testing.assert_allclose(scan.geometry.directions, true.geometry.directions, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(scan.geometry.origin, true.geometry.origin, rtol=0, atol=1e-12)
+
+
+def test_to_csv_and_back_is_the_same_log(log, tmp_path, call):
+    assert call("convert", log, tmp_path / "direct.clf")[0] == 0
+    status, out, err = call("convert", log, tmp_path / "log.csv.gz")
+    assert (status, err) == (0, "")
+    assert out == f"{log}: 120 scans, 24 s\n{tmp_path / 'log.csv.gz'}: 120 scans in the format csv\n"
+    assert call("convert", tmp_path / "log.csv.gz", tmp_path / "back.clf") == (
+        0, f"{tmp_path / 'log.csv.gz'}: 120 scans, 24 s\n{tmp_path / 'back.clf'}: 120 scans in the format carmen\n", ""
+    )  # fmt: skip
+    assert lines_of(tmp_path / "back.clf") == lines_of(tmp_path / "direct.clf")
+    check_same(tmp_path / "log.csv.gz", log, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "form"), [("log.bag", "ros1"), ("log.mcap", "mcap"), ("log.db3", "ros2"), ("folder", "ros2")]
+)
+def test_to_bags_and_back(log, tmp_path, call, name, form):
+    bag = tmp_path / "new" / name
+    status, out, err = call("convert", log, bag)
+    assert status == 0
+    assert out.endswith(f"120 scans in the format {form}\n")
+    assert err == f"gridslam: {bag}: lost in the format {form}: {PRECISE}\n"
+    assert [path.name for path in bag.parent.iterdir()] == [name]
+    check_same(bag, log, 1e-7)  # single precision
+    assert call("convert", bag, tmp_path / "back.clf.gz")[0] == 0
+    check_same(tmp_path / "back.clf.gz", log, 1e-3)
+
+
+def test_a_copy_maps_as_the_log_it_is_of(log, tmp_path, call):
+    for name in ("log.csv", "log.bag"):
+        assert call("convert", log, tmp_path / name)[0] == 0
+    for source, out in ((log, "log"), (tmp_path / "log.csv", "csv"), (tmp_path / "log.bag", "bag")):
+        assert call("map", source, "-o", tmp_path / out, "--particles", 1, "--no-loop-closure")[0] == 0
+    files = ["map.pgm", "trajectory.tum", "trajectory_online.tum", "trajectory.csv"]
+    assert [(tmp_path / "csv" / name).read_bytes() for name in files] == [
+        (tmp_path / "log" / name).read_bytes() for name in files
+    ]
+    a, b = (read_tum(tmp_path / out / "trajectory.tum") for out in ("log", "bag"))
+    assert a.stamps_ns.tolist() == b.stamps_ns.tolist()
+    # Walls of simulated rooms lie on edges of cells: single precision decides to which side a hit falls.
+    assert np.abs(a.poses - b.poses)[:, :2].max() < 0.05
+
+
+def test_to_tum_is_the_odometry(log, tmp_path, call):
+    out = tmp_path / "odometry.tum"
+    assert call("convert", log, out) == (
+        0, f"{log}: 120 scans, 24 s\n{out}: 120 poses in the format tum\n",
+        f"gridslam: {out}: lost in the format tum: scans\n",
+    )  # fmt: skip
+    odometry = [measurement.odometry for measurement in CarmenLog(log)]
+    told = read_tum(out)
+    assert told.stamps_ns.tolist() == [o.stamp_ns for o in odometry]
+    np.testing.assert_allclose(told.poses, [o.pose for o in odometry], atol=1e-8)
+
+
+def test_part_of_a_log_and_json(log, tmp_path, call):
+    options = "--start", "4", "--duration", "10", "--every", "2", "--no-odometry", "--json", "--to", "csv"
+    status, out, err = call("convert", log, tmp_path / "part.txt", *options)
+    stamps = [m.scan.stamp_ns for m in CarmenLog(log)]
+    chosen = [stamp for stamp in stamps if 4e9 <= stamp - stamps[0] < 14e9][::2]
+    assert (status, err) == (0, "")
+    assert json.loads(out) == {
+        "schema": "gridslam.conversion/1", "log": str(log), "out": str(tmp_path / "part.txt"), "format": "csv",
+        "scans": len(chosen), "written": len(chosen), "duration_s": (chosen[-1] - chosen[0]) / 1e9, "lost": {},
+        "truncated": False,
+    }  # fmt: skip
+    read = list(open_log(tmp_path / "part.txt"))
+    assert [m.scan.stamp_ns for m in read] == chosen
+    assert {m.odometry for m in read} == {None}
+
+
+def test_a_file_is_replaced(log, tmp_path, call):
+    (tmp_path / "log.csv").write_text("old")
+    assert call("convert", log, tmp_path / "log.csv")[0] == 0
+    assert (tmp_path / "log.csv").read_text().startswith("stamp_s")
+
+
+def test_a_log_that_is_cut_off(log, tmp_path, call):
+    cut = tmp_path / "cut.csv"
+    call("convert", log, cut)
+    cut.write_bytes(cut.read_bytes()[:-1])
+    refused(call, tmp_path, "convert", cut, tmp_path / "out.clf")
+    status, out, err = call("convert", cut, tmp_path / "out.clf", "--keep-truncated")
+    assert status == 0
+    assert err == f"gridslam: {cut}: the log is cut off; 119 scans were there\n"
+    assert out.endswith("119 scans in the format carmen\n")
+
+
+def refused(call, tmp_path, *arguments, status=2) -> str:
+    """Check that a command ends with one line on stderr and leaves nothing behind; return the line."""
+    before = sorted(tmp_path.rglob("*"))
+    got, out, err = call(*arguments)
+    assert (got, out) == (status, "")
+    assert err.startswith("gridslam: ")
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+    return err
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "message"),
+    [
+        ("log.txt", [], "expected a name for a log, which ends in .clf"),
+        ("log.tum.gz", [], "expected a name for a log in the format tum"),
+        ("log.gz", ["--to", "tum"], "expected a name for a log in the format tum"),
+        ("log.clf", ["--to", "ros1"], "expected a name for a log in the format ros1"),
+        ("log.bag", ["--to", "ros2"], "expected a name for a log in the format ros2"),
+        ("log.csv", ["--to", "rosbag"], "Invalid value for '--to'"),
+        (".", [], "got a folder that is there"),
+        ("there", [], "got a folder that is there"),
+        ("taken/log.csv", [], "taken is a file"),
+        ("log.tum", ["--no-odometry"], "cannot be written as tum: it has no odometry"),
+        ("log.csv", ["--start", "1000"], "expected scans 1000 s or more after the first: the log lasts"),
+        ("log.bag", ["--start", "1000"], "expected scans 1000 s or more after the first: the log lasts"),
+        ("log.csv", ["--odom", "/odom"], "chosen in bags alone, and this is a CARMEN log"),
+        ("log.csv", ["--scan", "rear"], "expected scans of rear, got scans of front alone"),
+        ("log.csv", ["--duration", "0"], "--duration: expected a time > 0 s, got 0.0"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_leaves_nothing(log, tmp_path, call, out, options, message):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "taken").write_text("")
+    assert message in refused(call, tmp_path, "convert", log, tmp_path / out, *options)
+
+
+def test_the_log_itself_is_no_place_for_its_copy(log, tmp_path, call):
+    (tmp_path / "log.clf").write_bytes(log.read_bytes())
+    (tmp_path / "link.clf").symlink_to(tmp_path / "log.clf")
+    for name in ("log.clf", "link.clf"):
+        assert "expected another name" in refused(call, tmp_path, "convert", tmp_path / "log.clf", tmp_path / name)
+    with pytest.raises(ArgumentError, match="expected another name"):
+        convert_log(tmp_path / "log.clf", tmp_path / "log.clf")
+
+
+def test_what_a_format_cannot_say_is_refused(tmp_path, call):
+    header = "stamp_s,laser_pitch_rad,angle_min_rad,angle_increment_rad,ranges_m\n"
+    (tmp_path / "tilted.csv").write_text(f"{header}1,0.3,-1,1,1 2 3\n")
+    err = refused(call, tmp_path, "convert", tmp_path / "tilted.csv", tmp_path / "log.clf")
+    assert "cannot be written as carmen: base_from_laser: expected a laser mounted level" in err
+
+
+def test_in_python(log, tmp_path):
+    done = convert_log(log, tmp_path / "log.csv", options=LogOptions(every=10))
+    assert (done.out, done.format.value, done.scans, done.lost) == (tmp_path / "log.csv", "csv", 12, {})
+    parts = islice(CarmenLog(log), 0, None, 10)
+    assert [m.scan.stamp_ns for m in open_log(done.out)] == [m.scan.stamp_ns for m in parts]
+    with pytest.raises(ArgumentError, match="options"):
+        convert_log(CarmenLog(log), tmp_path / "b.csv", options=LogOptions())
+    with pytest.raises(ArgumentError, match="to: expected carmen, csv"):
+        convert_log(log, tmp_path / "b.csv", "rosbag")
