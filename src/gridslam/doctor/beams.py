@@ -11,13 +11,14 @@ from typing import final
 import numpy as np
 
 from gridslam.doctor.examiner import Trace, percent
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.finding import Figure, Finding, Series, Severity
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, IntArray, LaserScan, ScanGeometry
 
 __all__ = ["BeamExaminer", "Sweep"]
 
-_MANY_INVALID = 0.1  # share of beams: the pose's spread grows by 5 %; healthy lasers lose some hundredths
+_MANY_LOST = 0.1  # share of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
+_LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
 _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
 _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
 _ALWAYS = 0.99  # a beam that is invalid this often is blocked, it is not lost by chance
@@ -36,6 +37,7 @@ class Sweep:
     no_return: int = 0
     not_numbers: int = 0
     zeros: int = 0
+    scattered: int = 0
     blind_scans: int = 0
     geometry: ScanGeometry | None = None
     _lost: dict[int, IntArray] = field(default_factory=dict)
@@ -63,6 +65,9 @@ class Sweep:
         readings = scan.ranges[lost]
         self.not_numbers += int(np.count_nonzero(np.isnan(readings)))
         self.zeros += int(np.count_nonzero(readings == 0))
+        edges = np.flatnonzero(np.diff(lost, prepend=False, append=False))
+        runs = edges[1::2] - edges[::2]
+        self.scattered += int(runs[runs <= _LONGEST_LOSS].sum())
         if len(scan) not in self._lost and len(self._lost) < 16:
             self._lost[len(scan)] = np.zeros(len(scan), np.int64)
         if (known := self._lost.get(len(scan))) is not None:
@@ -99,7 +104,7 @@ class Sweep:
     def invalid_figure(self) -> Figure:
         """Share of invalid beams over the log."""
         course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
-        return Figure("Invalid beams", "scan", "share", (course,), (Mark("doubtful from here on", _MANY_INVALID),))
+        return Figure("Invalid beams", "scan", "share", (course,), ())
 
     def counts_figure(self) -> Figure:
         """How many scans have how many beams."""
@@ -148,19 +153,19 @@ def _varies(sensor: str, sweep: Sweep) -> Finding:
 
 
 def _invalid(sensor: str, sweep: Sweep) -> Finding:
-    share = sweep.invalid / sweep.beams
-    blocked = sweep.blocked() / max(sweep.usual, 1)
-    many = share - blocked > _MANY_INVALID
+    share, scattered = sweep.invalid / sweep.beams, sweep.scattered / sweep.beams
+    many = scattered > _MANY_LOST
     kinds = [("not a number", sweep.not_numbers), ("zero", sweep.zeros),
              ("negative or too near", sweep.invalid - sweep.not_numbers - sweep.zeros)]  # fmt: skip
     told = ", ".join(f"{percent(count / sweep.beams)} {kind}" for kind, count in kinds if count)
     says = f"{percent(share)} of the beams are invalid ({told})"
-    if blocked:
-        says += f"; {sweep.blocked()} of {sweep.usual} beams never measure anything, as where the robot hides the view"
-    remedy = (
-        "Clean the laser and look for what disturbs it (sunlight, dark or shining surfaces, a loose cable); a driver "
-        "should say inf, not zero or NaN, where nothing is in reach."
-    )
+    if many:
+        says += f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
+    elif share > _MANY_LOST:
+        says += "; they lie side by side, as where nothing is in reach or the robot hides the view"
+    if blocked := sweep.blocked():
+        says += f"; {blocked} of {sweep.usual} beams never measure anything"
+    remedy = "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
     return Finding(
         "invalid_beams", Severity.DOUBTFUL if many else Severity.INFO, says + ".", share, "share",
         remedy if many else "", sensor, sweep.invalid_figure() if many else None,

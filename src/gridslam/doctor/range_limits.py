@@ -27,7 +27,8 @@ _BEYOND = 0.1  # of the readings there: what is farther is then no wall that is 
 _WIDE = 0.5  # share of the field of view: no wall is equally far in so many directions, from several places
 _SPOILING = 0.05  # share of hits: from one false end in twenty on, arcs remain where robots pass once
 
-_BEYOND_SHARE = 0.01  # of all readings, beyond the stated maximum
+_BEYOND_SHARE = 1e-3  # of all readings, beyond the stated maximum: fewer may be stray
+_MUCH_LOST = 0.1  # of them: the pose's spread grows by 5 %
 _SPREAD_M = 0.5  # codes for "no return" stand close together, ranges do not
 
 
@@ -163,8 +164,9 @@ def _piled(sensor: str, counts: RangeCounts, pile: _Pile) -> Finding:
 
 
 def _too_small(sensor: str, counts: RangeCounts, share: float, farthest_m: float) -> Finding:
+    much = share > _MUCH_LOST
     return Finding(
-        "range_limits", Severity.DOUBTFUL,
+        "range_limits", Severity.DOUBTFUL if much else Severity.INFO,
         f"{percent(share)} of the readings are ranges beyond the stated limit of {counts.range_max_m:g} m, up to "
         f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
         counts.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,

@@ -10,38 +10,41 @@ from gridslam.io.log_statistics import LogStatistics
 
 __all__ = ["reader_findings"]
 
-_LATE = ("is known only until", "is known only from")
-_SPOILING = 0.1  # share of the scans: of fewer, those before and after still show the same walls
+_LATE = "no reading"  # a link that has readings, but none at the scan's time
+_FEW = 0.02  # share of the scans, as at the begin and the end of a recording: their neighbours show the same walls
 _SHOWN = 40
 
 
 def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
     """Tell what the statistics of a log that was read to its end say."""
     for reason, scans in statistics.missing_transforms.most_common():
-        yield _missing(reason, scans, scans + statistics.scan_count)
+        yield _missing(reason, scans, statistics.scan_count)
     if statistics.truncated:
         yield Finding(
             "unreadable", Severity.DOUBTFUL,
             f"The log is cut off: {statistics.scan_count} scans were there, and what came after them is lost.",
             statistics.scan_count, "scans", "Record it again, if the end matters.",
         )  # fmt: skip
+    for remark, count in statistics.remarks.items():
+        times = f" ({count} times)" if count > 1 else ""
+        yield Finding("remark", Severity.INFO, f"{remark[:1].upper()}{remark[1:]}{times}.", count, "times")
     yield _topics(statistics)
 
 
 def _missing(reason: str, scans: int, of: int) -> Finding:
     """A transform that came late for some scans, or never came."""
-    late = any(words in reason for words in _LATE)
-    share = scans / of
+    late = _LATE in reason
+    share = min(scans / max(of, 1), 1.0)
+    few = late and share <= _FEW
     remedy = (
-        "Record transforms from before the first scan until after the last, and stamp them by the scans' clock."
+        "Record transforms and odometry from before the first scan until after the last, by the scans' clock."
         if late
         else "Publish the missing transform (static_transform_publisher) and record /tf and /tf_static, or name the "
         "robot's frames with --base-frame and --odom-frame."
     )
     return Finding(
-        "late_transform" if late else "missing_transform",
-        Severity.SPOILS if share > _SPOILING else Severity.DOUBTFUL,
-        f"{scans} of {of} scans ({percent(share)}) lack a transform: {reason}.", scans, "scans", remedy,
+        "late_transform" if late else "missing_transform", Severity.INFO if few else Severity.DOUBTFUL,
+        f"{scans} of {of} scans ({percent(share)}) lack a transform; {reason}.", scans, "scans", "" if few else remedy,
     )  # fmt: skip
 
 

@@ -120,7 +120,19 @@ def test_invalid_beams(share, severity, value):
     assert {0: "zero", -1: "negative"}.get(value, "not a number") in found.says
 
 
-def test_beams_that_the_robot_hides_are_not_invalid_by_chance():
+def test_beams_that_nothing_is_in_reach_of_are_not_lost():
+    """Some lasers say NaN there; such beams lie side by side, and others at each place."""
+    log = [
+        seen(m.scan.stamp_ns * 1e-9, np.where(m.scan.ranges > 3.2, np.nan, m.scan.ranges), tuple(m.odometry.pose))
+        for m in drive()
+    ]
+    found = findings(log)["invalid_beams"]
+    assert found.size > 0.15
+    assert found.severity is Severity.INFO
+    assert "side by side" in found.says
+
+
+def test_beams_that_the_robot_hides_are_not_lost():
     hidden = np.arange(181) < 40
     log = [seen(m.scan.stamp_ns * 1e-9, np.where(hidden, 0, m.scan.ranges), tuple(m.odometry.pose)) for m in drive()]
     found = findings(log)["invalid_beams"]
@@ -169,16 +181,18 @@ def test_a_wall_before_a_standing_robot_is_no_pile():
     assert "range_limits" not in findings(log)
 
 
-def test_a_limit_that_cuts_off_walls():
+@pytest.mark.parametrize(("limit_m", "severity"), [(8.0, Severity.DOUBTFUL), (14.5, Severity.INFO), (20.0, None)])
+def test_a_limit_that_cuts_off_walls(limit_m, severity):
     rng = np.random.default_rng(0)
     log = [
-        seen(m.scan.stamp_ns * 1e-9, m.scan.ranges * rng.uniform(1, 5, 181), tuple(m.odometry.pose), range_max_m=8.0)
-        for m in drive()
+        seen(k / 5, m.scan.ranges * rng.uniform(1, 5, 181), tuple(m.odometry.pose), range_max_m=limit_m)
+        for k, m in enumerate(drive())
     ]
-    found = findings(log)["range_limits"]
-    farthest = max(float(m.scan.ranges.max()) for m in log)
-    assert found.severity is Severity.DOUBTFUL
-    assert found.size == pytest.approx(8.0 / farthest, rel=0.01)
+    found = findings(log).get("range_limits")
+    assert (found and found.severity) == severity
+    if found:
+        farthest = max(float(m.scan.ranges.max()) for m in log)
+        assert found.size == pytest.approx(limit_m / farthest, rel=0.01)
 
 
 def test_codes_for_no_return_are_not_ranges():
