@@ -18,7 +18,8 @@ _SHOWN = 40
 def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
     """Tell what the statistics of a log that was read to its end say."""
     for reason, scans in statistics.missing_transforms.most_common():
-        yield _missing(reason, scans, statistics.scan_count)
+        chain = f" ({statistics.odometry_source})" if reason.startswith("odometry") else ""
+        yield _missing(reason + chain, scans, statistics.scan_count)
     if statistics.truncated:
         yield Finding(
             "unreadable", Severity.DOUBTFUL,

@@ -132,9 +132,11 @@ def test_several_lasers(place, severity):
 
 def test_the_reader_tells_missing_and_late_transforms_with_their_chain():
     never = "mounting: no transform names laser: taken to be at the robot's base"
-    late, early = "odometry: no reading at or after the scan's stamp", "odometry: no reading at or before the scan's stamp"
+    late, early = (f"odometry: no reading at or {when} the scan's stamp" for when in ("after", "before"))
     missing = Counter({never: 90, late: 5, early: 1})
-    found = list(reader_findings(LogStatistics(scans=Counter({"/scan": 90}), missing_transforms=missing)))[:3]
+    statistics = LogStatistics(scans=Counter({"/scan": 90}), missing_transforms=missing)
+    statistics.odometry_source = "odom to base_link on /tf"
+    found = list(reader_findings(statistics))[:3]
     assert [(finding.code, finding.severity, finding.size) for finding in found] == [
         ("missing_transform", Severity.DOUBTFUL, 90),
         ("late_transform", Severity.DOUBTFUL, 5),
@@ -142,6 +144,7 @@ def test_the_reader_tells_missing_and_late_transforms_with_their_chain():
     ]
     for reason, finding in zip((never, late, early), found, strict=True):
         assert reason in finding.says
+    assert "(odom to base_link on /tf)" in found[1].says
 
 
 def test_the_reader_tells_topics_and_a_log_that_is_cut_off():

@@ -1,0 +1,145 @@
+"""What `gridslam doctor` prints, writes and returns."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam import __version__
+from gridslam.cli.main import main
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.sim.faults import with_fault
+
+LASER_KEYS = {
+    "scans", "rate_hz", "beams", "field_of_view_rad", "direction", "range_min_m", "range_max_m", "invalid_share",
+    "no_return_share", "mounting",
+}  # fmt: skip
+FINDING_KEYS = {"code", "severity", "size", "unit", "says", "remedy", "sensor", "picture"}
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def reflected(simulated, tmp_path_factory) -> Path:
+    """A log that would spoil the map: its beams come the wrong way round."""
+    path = tmp_path_factory.mktemp("reflected") / "reflected.clf.gz"
+    write_carmen(path, with_fault(simulated.measurements[:400], "reflected_laser", np.random.default_rng(0)))
+    return path
+
+
+def test_a_healthy_log_is_said_to_be_healthy(call, log):
+    status, out, err = call("doctor", log)
+    assert status == 0
+    assert out.startswith(f"{log.name}: 120 scans in 24 s, ")
+    assert "This log is healthy" in out.splitlines()[-1]
+    assert "-> " not in out
+    assert err == ""
+
+
+def test_one_json_object_tells_all(call, log):
+    status, out, err = call("doctor", log, "--json")
+    told = json.loads(out)
+    assert (status, err) == (0, "")
+    assert set(told) == {"schema", "version", "log", "worst", "counts", "findings"}
+    assert (told["schema"], told["version"], told["worst"]) == ("gridslam.doctor/1", __version__, "info")
+    assert told["log"]["path"] == str(log)
+    assert told["log"]["scans"] == 120
+    assert told["log"]["duration_s"] == pytest.approx(119 / 5)
+    assert 5 < told["log"]["odometry_length_m"] < 20
+    (laser,) = told["log"]["lasers"].values()
+    assert set(laser) == LASER_KEYS
+    assert (laser["scans"], laser["beams"], laser["direction"]) == (120, 180, "counter-clockwise")
+    assert laser["rate_hz"] == pytest.approx(5.0)
+    assert laser["field_of_view_rad"] == pytest.approx(np.pi)
+    assert laser["mounting"]["x_m"] == pytest.approx(0.1)
+    assert all(set(finding) == FINDING_KEYS for finding in told["findings"])
+    assert told["counts"] == {"info": len(told["findings"]), "doubtful": 0, "spoils": 0}
+    assert {"topics", "expected_cost"} <= {finding["code"] for finding in told["findings"]}
+
+
+def test_what_spoils_the_map_ends_with_status_3(call, reflected, tmp_path):
+    out = tmp_path / "new" / "out"
+    status, printed, _ = call("doctor", reflected, "-o", out)
+    assert status == 3
+    report = json.loads((out / "report.json").read_text())
+    spoiling = [finding for finding in report["findings"] if finding["severity"] == "spoils"]
+    assert [finding["code"] for finding in spoiling] == ["reflected_laser"]
+    assert report["worst"] == "spoils"
+    assert spoiling[0] == report["findings"][0], "the worst come first"
+    assert spoiling[0]["says"] in printed
+    assert f"-> {spoiling[0]['remedy']}" in printed
+    assert f"report: {out / 'report.md'}" in printed
+
+
+def test_the_report_shows_a_picture_where_one_helps(call, reflected, tmp_path):
+    call("doctor", reflected, "-o", tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    pictures = {finding["picture"] for finding in report["findings"]} - {None}
+    assert pictures
+    assert {path.name for path in tmp_path.iterdir()} == {"report.json", "report.md"} | pictures
+    told = (tmp_path / "report.md").read_text()
+    assert set(re.findall(r"!\[\w+\]\(([^)]+)\)", told)) == pictures
+    for finding in report["findings"]:
+        assert finding["says"] in told
+    for name in pictures:
+        with Image.open(tmp_path / name) as picture:
+            assert picture.width == 1400
+            assert len(picture.getcolors(1 << 20)) > 3
+
+
+def test_json_and_folder_tell_the_same(call, reflected, tmp_path):
+    status, out, _ = call("doctor", reflected, "-o", tmp_path, "--json")
+    assert status == 3
+    assert json.loads(out) == json.loads((tmp_path / "report.json").read_text())
+
+
+def test_a_part_of_a_log_is_diagnosed(call, log):
+    _, out, _ = call("doctor", log, "--json", "--start", "5", "--duration", "10")
+    assert json.loads(out)["log"]["scans"] == 50
+    _, out, _ = call("doctor", log, "--json", "--no-odometry")
+    assert "no_odometry" in {finding["code"] for finding in json.loads(out)["findings"]}
+
+
+def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes(call, log, tmp_path):
+    import bz2
+
+    cut = tmp_path / "cut.clf"
+    cut.write_bytes(bz2.decompress(log.read_bytes())[:-500])
+    status, out, _ = call("doctor", cut, "--json")
+    findings = json.loads(out)["findings"]
+    assert status == 3
+    assert (findings[0]["code"], findings[0]["severity"]) == ("unreadable", "spoils")
+    assert "--keep-truncated" in findings[0]["remedy"]
+    status, out, _ = call("doctor", cut, "--json", "--keep-truncated")
+    assert status == 0
+    assert [f["severity"] for f in json.loads(out)["findings"] if f["code"] == "unreadable"] == ["doubtful"]
+
+
+@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02 no log", b"PARAM robot_front_laser_max 81.9 x x 0\n"])
+def test_what_is_no_log_is_refused_in_one_line(call, tmp_path, content):
+    path = tmp_path / "what"
+    path.write_bytes(content)
+    status, out, err = call("doctor", path, "-o", tmp_path / "out")
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(call, log, tmp_path):
+    (tmp_path / "file").write_text("")
+    status, out, err = call("doctor", log, "-o", tmp_path / "file")
+    assert (status, out) == (2, "")
+    assert "expected a folder" in err
