@@ -14,6 +14,7 @@ from gridslam.errors import InputError
 from gridslam.io.bag_source import BagSource
 from gridslam.io.bag_survey import Survey
 from gridslam.io.log import LogOptions
+from gridslam.io.ros_messages import kind_of
 
 __all__ = ["Choice", "choose"]
 
@@ -99,6 +100,9 @@ def _child(seen: Survey, odometry: str, above: list[list[str]], remarks: list[st
 
 
 def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[str]) -> tuple[str, ...]:
+    empty = [name for name, topic in sorted(source.topics.items()) if kind_of(topic.type) == "scan"]
+    if not seen.scans and empty:
+        raise InputError(source.path, f"expected scans on {_listed(empty)}, got no message of it")
     if not seen.scans:
         there = ", ".join(f"{name} ({topic.type})" for name, topic in sorted(source.topics.items())) or "no topics"
         raise InputError(source.path, f"expected scans (sensor_msgs/LaserScan), got {there}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 from gridslam.errors import InputError
 from gridslam.io import zstd
 from gridslam.io.bag_salvage import SalvagedMcap, SalvagedSqlite, SalvagedStorage
-from gridslam.io.bag_source import Message, refuse_cut_off
+from gridslam.io.bag_source import DamageError, Message, refuse_cut_off
 from gridslam.io.log_statistics import Topic
 from gridslam.io.text_source import open_for_reading
 
@@ -127,6 +127,8 @@ class _Storage:
         self.is_ros1 = False
         self._reader = reader
         self._connections = list(reader.connections)
+        if not all(isinstance(name, str) for known in self._connections for name in (known.topic, known.msgtype)):
+            raise DamageError("a topic without a name or a type")
         self.start_ns, self.end_ns = reader.metadata.start_time, reader.metadata.end_time
         self.topics: dict[str, Topic] = {}
         for connection in self._connections:
@@ -155,6 +157,8 @@ class _Storage:
             return
         try:
             for connection, time_ns, data in self._reader.messages(wanted):
+                if not (isinstance(time_ns, int) and isinstance(data, bytes)):
+                    raise DamageError("a message without a time or without data")
                 yield time_ns, connection.topic, zstd.decompress(data) if zstd.is_compressed(data) else data
         except Exception as error:  # as in __init__
             self._cut(f"the file is damaged ({_said(error)})")
@@ -186,4 +190,5 @@ class _Storage:
 
 
 def _said(error: Exception) -> str:
-    return str(error) or f"rosbags fails with {type(error).__name__}"
+    known = isinstance(error, DamageError) or type(error).__name__ == "ReaderError"
+    return str(error) if known else f"rosbags fails with {type(error).__name__}: {error}".removesuffix(": ")

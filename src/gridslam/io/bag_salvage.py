@@ -8,11 +8,11 @@ from __future__ import annotations
 import sqlite3
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from io import BytesIO
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol, final
+from typing import IO, Any, NamedTuple, Protocol, final
 from urllib.parse import quote
 
 from gridslam.io import zstd
@@ -51,6 +51,10 @@ class SalvagedStorage(Protocol):
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, as far as they can be read."""
+
+
+_Numbered = tuple[int, int, bytes]
+"""Time of recording, ns, number of the channel, and data."""
 
 
 class _Channel(NamedTuple):
@@ -93,7 +97,7 @@ class SalvagedMcap:
             for start_ns, messages in self._batches()
         )
 
-    def _batches(self) -> Iterator[tuple[int, list[tuple[int, int, bytes]]]]:
+    def _batches(self) -> Iterator[tuple[int, list[_Numbered]]]:
         """Time of the first message and all messages of each chunk, and of each message that is in none."""
         with self._path.open("rb") as file:
             size = file.seek(0, 2)
@@ -101,55 +105,68 @@ class SalvagedMcap:
             try:
                 for op, content in _records(file, size):
                     if op == _CHUNK:
-                        start_ns, data = _chunk(content)
-                        yield start_ns, list(self._messages(_records(BytesIO(data), len(data))))
-                    else:
-                        for message in self._messages([(op, content)]):
-                            yield message[0], [message]
+                        yield self._chunk(content)
+                    elif (message := self._message(op, content)) is not None:
+                        yield message[0], [message]
             except (DamageError, struct.error) as error:
                 self.problem = str(error)
 
-    def _messages(self, records: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, int, bytes]]:
-        for op, content in records:
-            if op == _MESSAGE:
-                number, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
-                yield time_ns, number, content[_MESSAGE_HEAD.size :]
-            elif op == _SCHEMA:
-                self._schemas[int.from_bytes(content[:2], "little")] = _texts(content, 2, 1)[0]
-            elif op == _CHANNEL:
-                topic, encoding = _texts(content, 4, 2)
-                kind = self._schemas.get(int.from_bytes(content[2:4], "little"), "")
-                self._channels[int.from_bytes(content[:2], "little")] = _Channel(topic, kind, encoding)
+    def _chunk(self, content: bytes) -> tuple[int, list[_Numbered]]:
+        """Time of the first message in a chunk, and its messages as far as they can be read."""
+        found: list[_Numbered] = []
+        start_ns, _, size, _, length = _CHUNK_HEAD.unpack_from(content)
+        begin = _CHUNK_HEAD.size + length
+        compression, packed = content[_CHUNK_HEAD.size : begin], content[begin + 8 :]
+        try:
+            if compression == b"zstd":
+                data = zstd.decompress(packed, size)
+            else:
+                data = chunk_data(compression or b"none", packed, size)
+            for op, record in _records(BytesIO(data), len(data), footer=False):
+                message = self._message(op, record)
+                if message is not None:
+                    found.append(message)
+            if len(data) != size:
+                raise DamageError("a chunk is cut off")
+        except (DamageError, struct.error) as error:
+            self.problem = str(error)
+        return start_ns, found
+
+    def _message(self, op: int, content: bytes) -> _Numbered | None:
+        """The message in a record, or None where it tells of something else, which is taken note of."""
+        if op == _MESSAGE:
+            number, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
+            return time_ns, number, content[_MESSAGE_HEAD.size :]
+        number, kind = struct.unpack_from("<HH", content)
+        if op == _SCHEMA:
+            self._schemas[number] = _texts(content, 2, 1)[0]
+        elif op == _CHANNEL:
+            topic, encoding = _texts(content, 4, 2)
+            self._channels[number] = _Channel(topic, self._schemas.get(kind, ""), encoding)
+        return None
 
 
-def _records(file: IO[bytes], size: int) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of the records up to the footer, or the end of a chunk; only of those that matter here."""
+def _records(file: IO[bytes], size: int, *, footer: bool = True) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of the records up to the `footer`, or the end of a chunk; only of those that matter here.
+
+    Raises DamageError where the file ends before; a chunk that is cut off is given ahead of that.
+    """
     while head := file.read(9):
         if len(head) < 9:
             raise DamageError("a record is cut off")
         op, length = struct.unpack("<BQ", head)
         if op == _FOOTER:
             return
-        if file.tell() + length > size:
-            raise DamageError(f"a record at byte {file.tell() - 9} is cut off")
+        begin = file.tell()
         if op in (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK):
-            yield op, file.read(length)
-        else:
-            file.seek(length, 1)
-    if not isinstance(file, BytesIO):
+            content = file.read(min(length, size - begin))
+            if len(content) == length or op == _CHUNK:
+                yield op, content
+        file.seek(begin + min(length, size))
+        if begin + length > size:
+            raise DamageError(f"a record at byte {begin - 9} is cut off")
+    if footer:
         raise DamageError("the file ends without a footer: it was not closed when it was recorded")
-
-
-def _chunk(content: bytes) -> tuple[int, bytes]:
-    """Time of the first message in a chunk, and its data."""
-    start_ns, _, size, _, length = _CHUNK_HEAD.unpack_from(content)
-    begin = _CHUNK_HEAD.size + length
-    compression = content[_CHUNK_HEAD.size : begin]
-    packed = content[begin + 8 :]
-    data = zstd.decompress(packed) if compression == b"zstd" else chunk_data(compression or b"none", packed, size)
-    if len(data) != size:
-        raise DamageError("a chunk is damaged")
-    return start_ns, data
 
 
 def _texts(content: bytes, begin: int, count: int) -> list[str]:
@@ -174,8 +191,8 @@ class SalvagedSqlite:
         self.topics: dict[str, Topic] = {}
         counts: Counter[int] = Counter()
         self.start_ns, self.end_ns = (1 << 63) - 1, 0
-        types = {row[0]: (str(row[1]), str(row[2])) for row in self._rows("SELECT id, name, type FROM topics")}
-        for number, time_ns in self._rows("SELECT topic_id, timestamp FROM messages"):
+        types = {row[0]: (str(row[1]), str(row[2])) for row in self._rows(1, "SELECT id, name, type FROM topics")}
+        for number, time_ns in self._rows(2, "SELECT topic_id, timestamp FROM messages"):
             counts[number] += 1
             self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
         for number, (name, kind) in types.items():
@@ -184,16 +201,17 @@ class SalvagedSqlite:
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of their rows."""
-        for time_ns, number, data in self._rows("SELECT timestamp, topic_id, data FROM messages"):
+        for time_ns, number, data in self._rows(2, "SELECT timestamp, topic_id, data FROM messages"):
             topic = self._topics.get(number)
             if topic in topics and isinstance(data, bytes):
                 yield time_ns, topic, data
 
-    def _rows(self, query: str) -> Iterator[tuple[int, ...]]:
+    def _rows(self, numbers: int, query: str) -> Iterator[Any]:
+        """Rows whose first columns are `numbers` whole numbers, as they are where nothing is damaged."""
         try:
             with closing(sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro&immutable=1", uri=True)) as connection:
                 for row in connection.execute(query):
-                    if isinstance(row[0], int):
+                    if all(isinstance(value, int) for value in row[:numbers]):
                         yield row
-        except sqlite3.Error as error:
+        except (sqlite3.Error, UnicodeError) as error:  # the latter where a damaged text stands in an error's message
             self.problem = str(error)

@@ -35,7 +35,8 @@ class ScanMaker:
         """
         lower = message.range_min if message.range_min > 0 else 0.0
         upper = message.range_max if message.range_max > lower else math.inf
-        ranges = message.ranges.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of NaNs that signal
+            ranges = message.ranges.astype(np.float64)
         status = (ranges >= upper).view(np.uint8)  # 0 and 1: HIT and NO_RETURN
         status[~(ranges >= (lower or _SMALLEST))] = _INVALID
         ranges.flags.writeable = status.flags.writeable = False

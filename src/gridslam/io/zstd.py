@@ -20,11 +20,14 @@ def is_compressed(data: bytes) -> bool:
     return data.startswith(_MAGIC)
 
 
-def decompress(data: bytes) -> bytes:
-    """Decompress the whole of `data`; raises DamageError where that fails."""
+def decompress(data: bytes, size: int = -1) -> bytes:
+    """Decompress `data`, to `size` bytes at most if that is given, and to less where they are cut off.
+
+    Raises DamageError where they are damaged.
+    """
     zstd = _module()
     try:
-        found: bytes = zstd.decompress(data)
+        found: bytes = zstd.ZstdDecompressor().decompress(data, size)
         return found
     except (zstd.ZstdError, EOFError, ValueError, MemoryError) as error:
         raise DamageError(f"its data cannot be decompressed: {error}") from None
