@@ -203,12 +203,15 @@ class Beams:
         End points in the base frame.
     origin : (2,) float64, m
         The laser's place in the base frame.
+    turn_rate_rps : float, rad/s
+        Turn of the base during the scan that is undone in them; 0 where none is.
     """
 
     scan: LaserScan
     indices: IntArray
     ends: FloatArray
     origin: FloatArray
+    turn_rate_rps: float = 0.0
 
     def __len__(self) -> int:
         """Return the number of usable beams K."""
@@ -249,7 +252,7 @@ class Beams:
         ways, turns = complex(v_x, v_y) * chords * half_turns, half_turns * half_turns
         ends = turns * self.ends.view(np.complex128)[:, 0] + ways
         origin = (turns * complex(*self.origin.tolist()) + ways).mean(keepdims=True)
-        return Beams(self.scan, self.indices, ends.view(np.float64).reshape(-1, 2), origin.view(np.float64))
+        return Beams(self.scan, self.indices, ends.view(np.float64).reshape(-1, 2), origin.view(np.float64), omega)
 
 
 @final

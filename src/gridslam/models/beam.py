@@ -25,6 +25,12 @@ def _normal_cdf(scores: FloatArray) -> FloatArray:
     return probabilities
 
 
+def _turned(vectors: FloatArray, angles: FloatArray) -> FloatArray:
+    """Vectors (K, 2), each turned by its angle (K,) in rad."""
+    (x, y), c, s = vectors.T, np.cos(angles), np.sin(angles)
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+
+
 @final
 @parameters(frozen=True, config=STRICT)
 class BeamRangeFinder:
@@ -104,11 +110,14 @@ class BeamRangeFinder:
         return np.where(ranges < self.range_max_m, density, no_return)
 
     def __call__(self, beams: Beams) -> Weigher:
-        """Condition on the given beams and on the beams of their scan that had no return."""
+        """Condition on the given beams and, where these are not all, on as many of those without return."""
         scan = beams.scan
-        used = np.union1d(beams.indices, np.flatnonzero(scan.status == BeamStatus.NO_RETURN))
+        hits, silent = (np.flatnonzero(scan.status == status) for status in (BeamStatus.HIT, BeamStatus.NO_RETURN))
+        used = np.union1d(beams.indices, silent[:: max(1, round(len(hits) / max(len(beams), 1)))])
         ranges = np.where(scan.status == BeamStatus.NO_RETURN, self.range_max_m, scan.ranges)[used]
         projected = scan.geometry.directions[used]
+        if beams.turn_rate_rps and scan.beam_times_s is not None:
+            projected = _turned(projected, beams.turn_rate_rps * scan.beam_times_s[used])
         level = np.maximum(np.hypot(projected[:, 0], projected[:, 1]), 1e-9)  # 1 unless the laser is tilted
         directions = projected / level[:, None]
         look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none

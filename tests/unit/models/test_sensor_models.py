@@ -147,6 +147,33 @@ def test_a_tilted_laser_measures_slanted_ranges():
     assert math.isclose(value(BeamRangeFinder(), tilted, Walls(2.0)), math.log(density), rel_tol=1e-5)
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_a_scan_taken_while_turning_is_as_likely_as_one_taken_standing(model):
+    """Half a turn before the wall x = 2, within which beams go past it: what hits and what does not, both deskewed."""
+    directions, times = np.linspace(-1.6, 1.6, 81), np.linspace(0.0, 0.1, 81)
+    ranges = np.where(np.abs(directions) < 1.3, 2 / np.cos(directions), 30.0)
+    bearings = directions - 3.0 * times
+    scans = [
+        LaserScan.from_ranges(0, ranges, ScanGeometry(seen), range_max_m=30.0, beam_times_s=times)
+        for seen in (bearings, directions)
+    ]
+    moved, still = (scan.beams(0.05, 30.0) for scan in scans)
+    deskewed = value(model(), moved.deskewed(np.array([0.0, 0.0, 3.0])), Walls(2.0))
+    assert deskewed == pytest.approx(value(model(), still, Walls(2.0)), rel=1e-4)
+    assert value(model(), moved, Walls(2.0)) < deskewed - 0.1
+
+
+def test_of_a_dense_scan_as_many_beams_without_return_are_weighed():
+    """Else they would outweigh the others, tenfold here; their step is a whole number, 7 instead of 6.67."""
+    bearings = np.linspace(-1.2, 1.2, 4001)
+    ranges = np.where(np.arange(4001) % 3 == 0, 30.0, 2 / np.cos(bearings))
+    scan = LaserScan.from_ranges(0, ranges, ScanGeometry(bearings), range_max_m=30.0)
+    thinned, all_of_them = scan.beams(0.05, 30.0), scan.beams(0.05, 30.0, 0.0)
+    shares = [value(BeamRangeFinder(), beams, Walls(2.0)) / len(beams) for beams in (thinned, all_of_them)]
+    assert len(thinned) < 0.2 * len(all_of_them)
+    assert shares[0] == pytest.approx(shares[1], abs=0.1)
+
+
 def test_tempering_scales_the_log_likelihood():
     beams = beams_at([1.9, 2.0], [0.0, 0.0])
     for model in (BeamRangeFinder, LikelihoodField, CauchyAgreement):
