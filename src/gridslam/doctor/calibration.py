@@ -1,0 +1,272 @@
+"""Odometry and mounting calibrated together against the motion of the laser.
+
+A robot whose odometry tells `scale` metres for each metre, `turn_scale` radians for each radian and `drift_rad_per_m`
+radians more for each metre, with a laser at (x, y, yaw) whose scans are stamped `skew_s` s late, gives
+
+    turn told(t)  = turn_scale * turn(t + skew) + drift * metres(t + skew)
+    way told      = scale * (R(yaw) way of the laser - (R(turn) - 1) (x, y))
+
+which is linear but for the skew. The laser is the more exact of the two, so it stands on the right: noise on that side
+would make all factors come out too small.
+
+Source: Censi, Franchi, Marchionni, Oriolo, Simultaneous calibration of odometry and sensor parameters for mobile robots
+(T-RO 2013), with the wheels' radii and distance replaced by what odometry makes of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.doctor.intervals import Intervals, cumulative_headings, intervals, shifted
+from gridslam.doctor.laser_motion import LaserMotion
+from gridslam.doctor.robust_fit import Fit, robust_fit
+from gridslam.geometry.angles import wrap
+from gridslam.types import FloatArray
+
+__all__ = ["Estimate", "MotionCalibration", "calibrate"]
+
+_BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
+_TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
+_WAYS = (0.5, 0.6, 2.0)
+_LAGS_S = np.arange(-1.0, 1.001, 0.05)
+_FEWEST = 8
+_UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or tells no turn rate
+_BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be told
+_UNKNOWN = math.inf
+_VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
+_JITTER_S = 0.005  # of stamps, and what interpolation between them costs
+_SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
+_DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
+"""Greatest standard deviations of what counts as determined: a third or less of what harms a map."""
+
+
+class Estimate(NamedTuple):
+    """A value, its standard deviation (infinite where the log says nothing) and whether that is small enough."""
+
+    value: float
+    sigma: float = _UNKNOWN
+    determined: bool = False
+
+    def differs(self, from_value: float, by: float, sigmas: float = 4.0) -> bool:
+        """Whether the value is determined, and farther than `by` and than so many deviations from another."""
+        return self.determined and abs(self.value - from_value) > max(by, sigmas * self.sigma)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionCalibration:
+    """What the motion of a laser says of odometry and mounting.
+
+    Attributes
+    ----------
+    reflected : bool
+        The beams are read in the wrong direction: laser and odometry turn opposite ways.
+    agreement : float
+        Correlation of the turns of laser and odometry in [-1, 1], negative for a reflected laser; NaN where there are
+        too few turns to tell.
+    scale, turn_scale : Estimate
+        Metres that odometry tells for a metre, radians for a radian.
+    drift_rad_per_m : Estimate, rad/m
+        What odometry turns too much to the left for each metre driven forward.
+    yaw_rad : Estimate, rad
+        How far the laser is turned to the left beyond what the log declares, in [-pi, pi).
+    skew_s : Estimate, s
+        How late scans are stamped on the odometry's clock.
+    x_m, y_m : Estimate, m
+        The laser's place in the base frame.
+    laser_m, laser_rad, odometry_m, odometry_rad : float
+        Way and turns of both, over the intervals that could be compared.
+    mounting : (3,) float64
+        Pose of the laser as declared.
+    intervals : Intervals
+        Of the ways; and
+    residuals : (N, 3) float64
+        what odometry tells beyond what the calibrated laser explains: x and y in m in the base frame, rad.
+    noise : (2,) float64
+        Standard deviations of the residuals of an interval, m and rad.
+    """
+
+    reflected: bool
+    agreement: float
+    scale: Estimate
+    turn_scale: Estimate
+    drift_rad_per_m: Estimate
+    yaw_rad: Estimate
+    skew_s: Estimate
+    x_m: Estimate
+    y_m: Estimate
+    laser_m: float
+    laser_rad: float
+    odometry_m: float
+    odometry_rad: float
+    mounting: FloatArray
+    intervals: Intervals
+    residuals: FloatArray
+    noise: FloatArray
+
+
+class _Turns(NamedTuple):
+    """What turns alone tell."""
+
+    agreement: float
+    turn_scale: Estimate
+    drift: Estimate
+    skew: Estimate
+
+
+def calibrate(motion: LaserMotion) -> MotionCalibration:
+    """Compare a laser's motion with its odometry; parts that the log does not determine say so themselves."""
+    turns = _turns(motion)
+    reflected = bool(turns.agreement < 0)
+    odometry = shifted(motion, turns.skew.value if turns.skew.determined else 0.0)
+    ways = intervals(motion, odometry, _WAYS)
+    sign = -1.0 if reflected else 1.0
+    laser = ways.laser * [1.0, sign, sign]
+    told = _chords(ways, laser)
+    scale, yaw, x, y, predicted = _ways(told, laser, ways.covariances, sign, motion.mounting[2])
+    residuals = np.empty((len(ways), 3))
+    residuals[:, :2] = told - predicted
+    way = np.hypot(ways.odometry[:, 0], ways.odometry[:, 1])
+    turn_told = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
+    residuals[:, 2] = wrap(ways.odometry[:, 2] - turn_told)
+    noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
+    return MotionCalibration(
+        reflected, turns.agreement, scale, turns.turn_scale, turns.drift, yaw, turns.skew, x, y,
+        float(np.hypot(laser[:, 0], laser[:, 1]).sum()), float(np.abs(laser[:, 2]).sum()), float(way.sum()),
+        float(np.abs(ways.odometry[:, 2]).sum()), motion.mounting, ways, residuals, noise,
+    )  # fmt: skip
+
+
+def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
+    """What odometry tells of the ways (N, 2), rid of the wrong turn that bends them."""
+    bend = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
+    c, s, (x, y) = np.cos(bend), np.sin(bend), ways.odometry[:, :2].T
+    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+
+
+def _spread(sizes: FloatArray, of_unit: float) -> float:
+    return float(np.median(sizes)) / of_unit if len(sizes) else math.nan
+
+
+def _estimate(fit: Fit, index: int, limit: float, floor: float = 0.0) -> Estimate:
+    sigma = math.hypot(math.sqrt(max(fit.covariance[index, index], 0.0)), floor)
+    return Estimate(float(fit.parameters[index]), sigma, sigma < limit)
+
+
+def _turns(motion: LaserMotion) -> _Turns:
+    """Fit turns; the skew is first the lag at which they agree best, then that at which its linear term vanishes."""
+    nothing = _Turns(math.nan, Estimate(1.0), Estimate(0.0), Estimate(0.0))
+    if len(motion) < _FEWEST:
+        return nothing
+    jittering = float((np.diff(motion.stamps_ns) < 0).mean()) > _BACKWARD
+    lag, agreement = _best_lag(motion, np.zeros(1) if jittering else _LAGS_S)
+    if math.isnan(agreement):
+        return nothing
+    sign = math.copysign(1.0, agreement)
+    headings = cumulative_headings(motion.poses) * sign
+    rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
+    step = 0.0
+    brief = _fit_turns(motion, headings, rates, lag, _BRIEF)
+    for _ in range(3):
+        if brief is None:
+            return nothing
+        step = float(np.clip(brief.parameters[2] / max(abs(brief.parameters[0]), 0.2), -0.1, 0.1))
+        lag += step
+        brief = _fit_turns(motion, headings, rates, lag, _BRIEF)
+    if brief is None:
+        return nothing
+    limits = _DETERMINED
+    sigma = math.inf if jittering else _estimate(brief, 2, limits["skew"]).sigma
+    skew = Estimate(lag, sigma, sigma < limits["skew"] and abs(step) < 0.01)
+    fit = _fit_turns(motion, headings, rates, lag, _TURNS) or brief
+    drift = _estimate(fit, 1, limits["drift"])
+    return _Turns(agreement, _estimate(fit, 0, limits["turn_scale"]), drift, skew)
+
+
+def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
+    """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
+    best, agreement = 0.0, math.nan
+    for lag in sorted(lags_s.tolist(), key=abs):
+        parts = intervals(motion, shifted(motion, lag), _BRIEF)
+        mine, told = parts.laser[:, 2], parts.odometry[:, 2]
+        if len(parts) < _FEWEST or np.abs(mine).sum() < 1.0:
+            continue
+        found = float(mine @ told / max(math.sqrt(float(mine @ mine) * float(told @ told)), 1e-9))
+        if math.isnan(agreement) or abs(found) > abs(agreement) + 1e-3:
+            best, agreement = lag, found
+    return best, agreement
+
+
+def _rates(motion: LaserMotion) -> FloatArray:
+    """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; NaN where stamps are uneven."""
+    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
+    headings = cumulative_headings(motion.poses)
+    apart = max(1, round(0.15 / max(float(np.median(np.diff(times))), 1e-3)))
+    rates = np.full(len(times), np.nan)
+    passed = times[2 * apart :] - times[: -2 * apart]
+    turned = headings[2 * apart :] - headings[: -2 * apart]
+    even = np.abs(passed / max(float(np.median(passed)), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
+    rates[apart:-apart] = np.where(even, turned / np.maximum(passed, 1e-3), np.nan)
+    return rates
+
+
+def _fit_turns(
+    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
+) -> Fit | None:
+    """Turn scale, drift and what remains of the skew; None where there are too few intervals."""
+    odometry = shifted(motion, lag)
+    parts = intervals(motion, odometry, reach)
+    change = rates[parts.ends] - rates[parts.begins]
+    parts, change = parts[np.isfinite(change)], change[np.isfinite(change)]
+    if len(parts) < _FEWEST:
+        return None
+    turned = headings[parts.ends] - headings[parts.begins]
+    way = np.copysign(np.hypot(parts.odometry[:, 0], parts.odometry[:, 1]), parts.odometry[:, 0])
+    variance = parts.covariances[:, 2, 2] + _VARIANCES[0] * np.abs(way) + _VARIANCES[1] * np.abs(turned)
+    sigma = np.sqrt(variance + np.square(_JITTER_S * change))
+    design = np.stack([turned, way, change], axis=1) / sigma[:, None]
+    told = odometry[parts.ends, 2] - odometry[parts.begins, 2]
+    return robust_fit(design[:, None, :], (told / sigma)[:, None])
+
+
+def _ways(
+    response: FloatArray, laser: FloatArray, covariances: FloatArray, sign: float, declared_yaw: float
+) -> tuple[Estimate, Estimate, Estimate, Estimate, FloatArray]:
+    """Scale, yaw offset and place of the laser, and the ways (N, 2) that they predict."""
+    if len(laser) < _FEWEST:
+        nothing = Estimate(0.0)
+        return Estimate(1.0), nothing, nothing, nothing, response.copy()
+    design, mirror = _design(laser), np.array([1.0, sign])
+    spread = covariances[:, :2, :2] * mirror[:, None] * mirror
+    moved = np.hypot(response[:, 0], response[:, 1]) + np.abs(laser[:, 2])
+    fit = robust_fit(design, response)
+    for _ in range(2):
+        c, s = fit.parameters[:2] / max(math.hypot(*fit.parameters[:2]), 1e-9)
+        turn = np.array([[c, -s], [s, c]])
+        noise = turn @ spread @ turn.T + (_VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
+        whiten = np.linalg.inv(np.linalg.cholesky(noise))
+        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response))
+    a, b = fit.parameters[:2].tolist()
+    scale = max(math.hypot(a, b), 1e-9)
+    along, across = np.array([a, b, 0, 0]) / scale, np.array([-b, a, 0, 0]) / scale**2
+    sigma = [math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across)]
+    sigma[0] = math.hypot(sigma[0], _SCALE_FLOOR)
+    offset = float(wrap(math.atan2(b, a) - declared_yaw))
+    lever = [_estimate(fit, k, _DETERMINED["lever"]) for k in (2, 3)]
+    x, y = (Estimate(e.value / scale, e.sigma / scale, e.determined) for e in lever)
+    factor = Estimate(scale, sigma[0], sigma[0] < _DETERMINED["scale"])
+    yaw = Estimate(offset, sigma[1], sigma[1] < _DETERMINED["yaw"])
+    return factor, yaw, x, y, design @ fit.parameters
+
+
+def _design(laser: FloatArray) -> FloatArray:
+    """Design (N, 2, 4) of the ways: parameters scale cos(yaw), scale sin(yaw), scale x, scale y."""
+    c, s = np.cos(laser[:, 2]), np.sin(laser[:, 2])
+    return np.array([
+        [laser[:, 0], -laser[:, 1], 1 - c, s],
+        [laser[:, 1], laser[:, 0], -s, 1 - c],
+    ]).transpose(2, 0, 1)  # fmt: skip

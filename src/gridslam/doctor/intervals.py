@@ -1,0 +1,127 @@
+"""A log cut into intervals of motion, each seen by the laser and by odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.doctor.laser_motion import LaserMotion
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Intervals", "cumulative_headings", "intervals", "shifted"]
+
+_LONGEST_S = 3.0
+_LEAST_SHARE = 0.5
+_MOVED_M, _MOVED_RAD = 0.03, 0.03
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Intervals:
+    """Increments over N intervals that follow one another.
+
+    Attributes
+    ----------
+    begins, ends : (N,) int64
+        Indices of matched scans.
+    laser : (N, 3) float64
+        Pose of the laser at the end seen from the begin.
+    covariances : (N, 3, 3) float64
+        Of `laser`.
+    odometry : (N, 3) float64
+        Pose of the base at the end seen from the begin, as odometry tells.
+    """
+
+    begins: IntArray
+    ends: IntArray
+    laser: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of intervals N."""
+        return len(self.begins)
+
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Intervals:
+        """The intervals chosen (N,)."""
+        return Intervals(*(getattr(self, name)[chosen] for name in self.__slots__))
+
+
+def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, float, float]) -> Intervals:
+    """Cut where `reach` (metres, radians, seconds) is used up together; keep what was tracked, where something moved.
+
+    `odometry` (K, 3) is the motion's own, or that at other times.
+    """
+    seconds = np.clip(np.diff(motion.stamps_ns) * 1e-9, 0, None)
+    steps = np.abs(between(motion.poses[:-1], motion.poses[1:])) if len(motion) > 1 else np.zeros((0, 3))
+    used = np.hypot(steps[:, 0], steps[:, 1]) / reach[0] + steps[:, 2] / reach[1] + seconds / reach[2]
+    whole = np.floor(np.concatenate([[0.0], np.cumsum(used)]))
+    cuts = np.flatnonzero(np.diff(whole, prepend=-1.0))
+    begins, ends = cuts[:-1], cuts[1:]
+    passed = (motion.stamps_ns[ends] - motion.stamps_ns[begins]) * 1e-9
+    tracked = (motion.tracks[begins] == motion.tracks[ends]) & (passed > 0) & (passed < _LONGEST_S)
+    tracked &= (np.minimum(motion.shares[begins], motion.shares[ends]) > _LEAST_SHARE) | (begins == 0)
+    tracked &= np.isfinite(odometry[begins]).all(axis=1) & np.isfinite(odometry[ends]).all(axis=1)
+    begins, ends = begins[tracked], ends[tracked]
+    laser = between(motion.poses[begins], motion.poses[ends])
+    driven = between(odometry[begins], odometry[ends])
+    told = np.maximum(np.abs(laser), np.abs(driven))
+    moved = (np.hypot(told[:, 0], told[:, 1]) > _MOVED_M) | (told[:, 2] > _MOVED_RAD)
+    covariances = _covariances(motion, laser, begins, ends)
+    return Intervals(begins, ends, laser, covariances, driven)[moved]
+
+
+def _covariances(motion: LaserMotion, laser: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
+    """Covariances (N, 3, 3) of increments (N, 3) between independent poses, in the frame of their begins."""
+    c, s = np.cos(laser[:, 2]), np.sin(laser[:, 2])
+    end, begin = np.zeros((len(laser), 3, 3)), np.tile(np.eye(3), (len(laser), 1, 1))
+    end[:, 0, 0], end[:, 0, 1], end[:, 1, 0], end[:, 1, 1], end[:, 2, 2] = c, -s, s, c, 1
+    begin[:, 0, 2], begin[:, 1, 2] = -laser[:, 1], laser[:, 0]
+    at_begin, at_end = motion.covariances[begins], motion.covariances[ends]
+    spread: FloatArray = begin @ at_begin @ begin.transpose(0, 2, 1) + end @ at_end @ end.transpose(0, 2, 1)
+    return spread
+
+
+def cumulative_headings(poses: FloatArray) -> FloatArray:
+    """Headings (K,) of poses (K, 3) without jumps of a turn; what is not finite counts as no turn."""
+    turns = np.nan_to_num(wrap(np.diff(poses[:, 2])))
+    headings: FloatArray = np.concatenate([[0.0], np.cumsum(turns)])
+    return headings
+
+
+def shifted(motion: LaserMotion, seconds: float) -> FloatArray:
+    """Odometry (K, 3) at times that lie `seconds` before the scans', by cubic interpolation; NaN beyond its ends.
+
+    Headings are not wrapped. Stamps that go backward hold still.
+    """
+    known = np.isfinite(motion.odometry).all(axis=1)
+    poses = motion.odometry.copy()
+    poses[known, 2] = poses[known, 2][:1] + cumulative_headings(poses[known])
+    if seconds == 0.0:
+        return poses
+    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
+    fresh = known & (np.diff(times, prepend=-1.0) > 0)
+    if fresh.sum() < 2:
+        return np.full_like(poses, np.nan)
+    return _hermite(times[fresh], poses[fresh], times - seconds)
+
+
+def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
+    """Cubic interpolation of values (K, D) with the slopes of the parabola through each three; NaN beyond the ends."""
+    width = np.diff(times)
+    steep = np.diff(values, axis=0) / width[:, None]
+    share = (width[:-1] / (width[:-1] + width[1:]))[:, None]
+    slopes = np.concatenate([steep[:1], (1 - share) * steep[:-1] + share * steep[1:], steep[-1:]])
+    left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(width) - 1)
+    h, u = width[left, None], ((at - times[left]) / width[left])[:, None]
+    found: FloatArray = (
+        values[left] * (1 + 2 * u) * (1 - u) ** 2 + values[left + 1] * u**2 * (3 - 2 * u)
+        + h * (slopes[left] * u * (1 - u) ** 2 - slopes[left + 1] * u**2 * (1 - u))
+    )  # fmt: skip
+    found[(at < times[0]) | (at > times[-1])] = np.nan
+    return found

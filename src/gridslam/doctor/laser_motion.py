@@ -1,0 +1,204 @@
+"""The motion of a laser through a log, and what odometry says of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+
+from gridslam.doctor.laser_odometry import LaserOdometry
+from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
+
+__all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
+
+_MOST_BEAMS = 360
+_RANGES_M = (0.05, 30.0)
+_FEWEST_BEAMS = 20
+_RATE_HZ = 21.0  # scans that come faster are thinned out: at 40 Hz every other one is matched
+_STRETCH = 500  # scans that are matched, or passed over, together
+_WHOLE_STRETCHES = 40  # so many are matched without a gap; of later ones ever fewer
+_BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
+_FLOOR_M, _FLOOR_RAD = 0.004, 0.001  # what the grid of the map costs
+_LEAST_INFORMATION = 0.04  # twice what a matcher demands: below, ways along a corridor come out up to a sixth short
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserMotion:
+    """Poses of one laser found by scan matching alone, with the odometry of the same scans.
+
+    The frame is the laser's own as its geometry declares it, level, with x where bearing 0 points; only the direction
+    of its yaw is left out. So a laser that is mounted as declared gives `mounting`, and any other pose is a fault.
+
+    Attributes
+    ----------
+    sensor : str
+    stamps_ns : (K,) int64
+        Of the matched scans, in the log's order.
+    poses : (K, 3) float64
+        Of the laser, in a frame of its own for each track.
+    covariances : (K, 3, 3) float64
+        Of the poses, in the laser's frame at each; 1 m^2 in directions that the scan does not determine.
+    shares : (K,) float64
+        Of beams that agree with the match, in [0, 1].
+    tracks : (K,) int64
+        Increments between poses of different tracks are unknown: the match was lost, or scans were passed over.
+    odometry : (K, 3) float64
+        Of the robot at the scans; NaN where the log has none.
+    mounting : (3,) float64
+        Pose of the laser in the base frame as the log declares it, [x m, y m, yaw rad].
+    upside_down : bool
+        Whether the log declares that the laser's z axis points downwards.
+    scans : int
+        Of this laser in the log, matched or not.
+    """
+
+    sensor: str
+    stamps_ns: IntArray
+    poses: FloatArray
+    covariances: FloatArray
+    shares: FloatArray
+    tracks: IntArray
+    odometry: FloatArray
+    mounting: FloatArray
+    upside_down: bool
+    scans: int
+
+    def __len__(self) -> int:
+        """Return the number of matched scans K."""
+        return len(self.stamps_ns)
+
+
+@final
+@dataclass(slots=True)
+class LaserWitness:
+    """Takes the scans of one laser as they come, and tells its `motion` at any time.
+
+    The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and of a log of more than 20000 such scans the
+    later ones are matched in stretches of 500 that become rare as it grows.
+    """
+
+    _odometry: LaserOdometry = field(default_factory=LaserOdometry)
+    _rows: list[tuple[float, ...]] = field(default_factory=list)
+    _stamps: list[int] = field(default_factory=list)
+    _information: list[FloatArray] = field(default_factory=list)
+    _geometry: ScanGeometry | None = None
+    _directions: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    _first: ScanGeometry | None = None
+    _sensor: str = ""
+    _scans: int = 0
+    _thinned: int = 0
+    _passed_over: bool = True
+
+    def __len__(self) -> int:
+        """Return the number of scans matched so far."""
+        return len(self._stamps)
+
+    def add(self, measurement: Measurement) -> None:
+        """Take the next scan and its odometry."""
+        odometry, scan = measurement
+        self._scans += 1
+        if self._stamps and 0 <= scan.stamp_ns - self._stamps[-1] < 1e9 / _RATE_HZ:
+            return
+        stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
+        if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
+            self._passed_over = True
+            return
+        ends, times_s = self._ends(scan)
+        if len(ends) < _FEWEST_BEAMS:
+            self._passed_over = True
+            return
+        share, information = 0.0, np.zeros((3, 3))
+        if self._passed_over:
+            self._odometry.begin(scan.stamp_ns, ends)
+        else:
+            ends = ends if times_s is None else self._odometry.deskewed(ends, times_s)
+            information, share = self._odometry.step(scan.stamp_ns, ends)
+        self._passed_over = False
+        pose = (math.nan,) * 3 if odometry is None else tuple(odometry.pose.tolist())
+        self._rows.append((*self._odometry.pose.tolist(), share, self._odometry.track, *pose))
+        self._stamps.append(scan.stamp_ns)
+        self._information.append(information)
+
+    def _ends(self, scan: LaserScan) -> tuple[FloatArray, FloatArray | None]:
+        """Ends (K, 2) of at most 360 beams in the laser's frame, and their times (K,) where the scan has them."""
+        if scan.geometry is not self._geometry:
+            self._geometry = scan.geometry
+            self._first = self._first or scan.geometry
+            self._sensor = self._sensor or scan.sensor
+            yaw = _mounting(scan.geometry)[2]
+            c, s = math.cos(yaw), math.sin(yaw)
+            self._directions = scan.geometry.directions @ np.array([[c, -s], [s, c]])
+        used = scan.beams(*_RANGES_M).indices
+        used = used[:: -(-len(used) // _MOST_BEAMS) or 1]
+        times_s = None if scan.beam_times_s is None else scan.beam_times_s[used]
+        return self._directions[used] * scan.ranges[used, None], times_s
+
+    @property
+    def motion(self) -> LaserMotion:
+        """The motion of the laser so far."""
+        rows = np.array(self._rows, np.float64).reshape(-1, 8)
+        information = np.array(self._information, np.float64).reshape(-1, 3, 3)
+        geometry = self._first or ScanGeometry(np.zeros(0))
+        return LaserMotion(
+            self._sensor, np.array(self._stamps, np.int64), rows[:, :3],
+            _covariances(information, rows[:, 2], rows[:, 3], len(self._directions)), rows[:, 3],
+            rows[:, 4].astype(np.int64), rows[:, 5:], _mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0),
+            self._scans,
+        )  # fmt: skip
+
+
+def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None) -> LaserMotion:
+    """Find the motion of one laser from its scans alone.
+
+    Parameters
+    ----------
+    measurements : iterable of Measurement
+        The log, in its order; read once.
+    sensor : str, optional
+        Which laser; that of the first scan if not given.
+
+    Returns
+    -------
+    LaserMotion
+        Empty where there is no scan of that laser.
+    """
+    witness = LaserWitness()
+    for measurement in measurements:
+        sensor = measurement.scan.sensor if sensor is None else sensor
+        if measurement.scan.sensor == sensor:
+            witness.add(measurement)
+    return witness.motion
+
+
+def _mounting(geometry: ScanGeometry) -> FloatArray:
+    """Planar pose (3,) of the laser in the base frame: place, and direction of bearing 0."""
+    mounting = geometry.base_from_laser
+    return np.array([mounting[0, 3], mounting[1, 3], math.atan2(mounting[1, 0], mounting[0, 0])])
+
+
+def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArray, beams: int) -> FloatArray:
+    """Covariances (K, 3, 3) in the laser's frame from normal matrices (K, 3, 3) in the track's frame.
+
+    A direction of the position in which the match kept its guess gets 1 m^2.
+    """
+    c, s = np.cos(headings), np.sin(headings)
+    turn = np.zeros((len(headings), 3, 3))
+    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1
+    local = turn.transpose(0, 2, 1) @ information @ turn
+    by_turn = local[:, :2, 2] / np.maximum(local[:, 2, 2], 1e-9)[:, None]
+    place = local[:, :2, :2] - local[:, :2, 2, None] * by_turn[:, None]
+    strength, directions = np.linalg.eigh(place)
+    agreeing = shares * min(beams, _MOST_BEAMS)
+    held = strength < _LEAST_INFORMATION * agreeing[:, None]
+    weak = np.where(held | (strength <= 0), _BEAM_SIGMA_M**2, 0.0)
+    regular = local.copy()
+    regular[:, :2, :2] += np.einsum("kij,kj,klj->kil", directions, weak, directions)
+    regular[:, 2, 2] = np.maximum(regular[:, 2, 2], 1e-6)
+    regular += 1e-9 * np.eye(3)
+    floor = np.diag([_FLOOR_M**2, _FLOOR_M**2, _FLOOR_RAD**2])
+    return np.asarray(_BEAM_SIGMA_M**2 * np.linalg.inv(regular) + floor, dtype=np.float64)
