@@ -55,13 +55,26 @@ def _input(source: Path, digest: str, log: LogStatistics) -> dict[str, Any]:
         "sha256": digest,
         "bytes": log.total_bytes,
         "truncated": log.truncated,
+        "selection": log.selection,
         "duration_s": log.duration_s,
+        "sensors": {sensor: _sensor(sensor, log) for sensor in log.mountings},
+        "odometry": log.odometry_source,
+        "without_odometry": log.without_odometry,
         "odometry_length_m": log.odometry_length_m,
         "backward_stamps": log.backward_stamps,
         "duplicate_stamps": log.duplicate_stamps,
         "invalid_beams": log.invalid_beams,
         "no_return_beams": log.no_return_beams,
+        "missing_transforms": dict(log.missing_transforms),
+        "remarks": dict(log.remarks),
     }
+
+
+def _sensor(sensor: str, log: LogStatistics) -> dict[str, Any]:
+    """Where a laser is mounted, seen from the base, and how often that was not as at its first scan."""
+    mounting = log.mountings[sensor]
+    moved = log.moving_mountings[sensor]
+    return {"base_from_laser": mounting.pose.tolist(), "source": mounting.source, "moved": moved}
 
 
 def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,10 @@ from gridslam.api.result import MapResult
 from gridslam.api.source import opened_log
 from gridslam.config import Configuration, build, override
 from gridslam.config import preset as preset_of
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
+from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions
-from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
-from gridslam.io.text_source import sha256_of
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.slam.full_slam import FullSlam, full_slam
@@ -72,7 +71,7 @@ def map_log(
         The seed is negative, there is no thread, both `particles` and `configuration` are given, or both `options` and
         a log that is open already.
     InputError
-        The log cannot be read, or has a scan without odometry.
+        The log cannot be read.
     ConfigurationError
         There is no such preset, or the number of particles is out of range.
     """
@@ -83,9 +82,9 @@ def map_log(
     source = opened_log(log, options)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
-    measurements, slam, rng = _with_odometry(source), build(config, threads), np.random.default_rng(seed)
+    slam, rng = build(config, threads), np.random.default_rng(seed)
     watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
-    state = run(measurements, slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    state = run(source, slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
     full = full_slam(
         state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
     )  # fmt: skip
@@ -114,7 +113,7 @@ def _result(
         seed=seed,
         threads=threads,
         source=source.path,
-        digest=sha256_of(source.path),
+        digest=digest_of(source.path),
         record=record,
         stopwatch=watch,
     )
@@ -136,10 +135,3 @@ def _kept_in(record: RecordWriter) -> Observer:
         record.add(report, seconds)
 
     return keep
-
-
-def _with_odometry(log: Log) -> Iterator[Measurement]:
-    for count, measurement in enumerate(log, 1):
-        if measurement.odometry is None:
-            raise InputError(log.path, f"expected odometry with every scan, got none for scan {count}")
-        yield measurement

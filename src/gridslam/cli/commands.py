@@ -114,6 +114,32 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
     convert(**options)
 
 
+@gridslam.group("dataset")
+def dataset_group() -> None:
+    """Get public logs to try things on."""
+
+
+@dataset_group.command("list")
+@_json
+def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
+    """List the logs that there are, with their credit and licence."""
+    from gridslam.cli.dataset import list_datasets
+
+    list_datasets(**options)
+
+
+@dataset_group.command("get")
+@click.argument("name")
+@click.option("-o", "--out", type=_PATH, default=Path("."), help="Folder for the log; made if need be.  [default: .]")
+@click.option("--url", help="Where the files lie, if not at the public place or at GRIDSLAM_DATASETS_URL.")
+@_json
+def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
+    """Get the log NAME, unless it is there already; its SHA-256 is checked."""
+    from gridslam.cli.dataset import get_dataset
+
+    get_dataset(**options)
+
+
 @gridslam.command("demo")
 @click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
 @click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the simulation and of the filter.")

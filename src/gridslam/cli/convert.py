@@ -57,8 +57,10 @@ def _check(log: Path, out: Path, to: str | None) -> None:
 
 def _lost(done: Conversion) -> str:
     """What was lost; in how many scans, where it was not in all."""
-    total = done.log.scan_count
-    return ", ".join(what if count >= total else f"{what} ({count} of {total})" for what, count in done.lost.items())
+    read = done.log.scan_count
+    return ", ".join(
+        what if count >= min(read, done.scans) else f"{what} ({count} of {read})" for what, count in done.lost.items()
+    )
 
 
 def _document(log: Path, done: Conversion) -> dict[str, Any]:

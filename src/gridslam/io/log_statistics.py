@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan
 __all__ = ["LogStatistics", "Mounting", "Topic"]
 
 _BY_SCAN = (
-    "span_read", "scans", "beam_counts", "invalid_beams", "no_return_beams", "without_odometry", "odometry_length_m",
-    "backward_stamps", "duplicate_stamps", "first_stamp_ns", "last_stamp_ns", "_last_sensor", "_last_place",
+    "selection", "span_read", "scans", "beam_counts", "invalid_beams", "no_return_beams", "without_odometry",
+    "odometry_length_m", "backward_stamps", "duplicate_stamps", "first_stamp_ns", "last_stamp_ns", "_last_sensor",
+    "_last_place",
 )  # fmt: skip
 """What is counted of each scan, and not of the file as a whole."""
 
@@ -88,6 +89,8 @@ class LogStatistics:
         Scans, by sensor, whose laser was not mounted as at the first one: it tilts or turns on the robot.
     remarks : Counter of str
         What was decided, left out or doubtful, in sentences, and how often.
+    selection : dict of str to int, float, bool or list of str
+        Which part of the log was asked for, by the names of `LogOptions`; empty where all of it was.
     truncated : bool
         Whether the file is cut off and what is missing was left out on request.
     """
@@ -116,6 +119,7 @@ class LogStatistics:
     odometry_source: str = ""
     moving_mountings: Counter[str] = field(default_factory=Counter)
     remarks: Counter[str] = field(default_factory=Counter)
+    selection: dict[str, Any] = field(default_factory=dict)
     truncated: bool = False
     _last_sensor: str = ""
     _last_place: list[float] | None = None

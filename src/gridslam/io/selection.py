@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 from gridslam.errors import InputError
 from gridslam.io.log import Log, LogOptions
@@ -13,6 +13,8 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
 __all__ = ["SelectedLog", "select"]
+
+_CHOOSING = "scan_topics", "no_odometry", "start_s", "duration_s", "every"
 
 
 def select(log: Log, options: LogOptions) -> Log:
@@ -47,7 +49,7 @@ class SelectedLog:
         """Nothing is read before the iteration."""
         self._log = log
         self._options = options
-        self._counts = LogStatistics()
+        self._counts = LogStatistics(selection=self._selection())
 
     @property
     def path(self) -> Path:
@@ -61,7 +63,7 @@ class SelectedLog:
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
-        counts, options = LogStatistics(), self._options
+        counts, options = LogStatistics(selection=self._selection()), self._options
         self._counts = counts
         seen: Counter[str] = Counter()
         for measurement in self._in_span(counts):
@@ -99,6 +101,11 @@ class SelectedLog:
                     return
                 counts.span_read = max(counts.span_read, into_ns / length_ns)
             yield measurement
+
+    def _selection(self) -> dict[str, Any]:
+        """The options that leave something out."""
+        values = {name: getattr(self._options, name) for name in _CHOOSING}
+        return {name: value for name, value in values.items() if value != getattr(LogOptions(), name)}
 
     def _span(self) -> str:
         start_s, duration_s = self._options.start_s, self._options.duration_s

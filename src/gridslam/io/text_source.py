@@ -61,15 +61,8 @@ def head_of(path: str | Path, size: int) -> bytes:
 
 
 def sha256_of(path: str | Path) -> str:
-    """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal.
-
-    Of a folder it is that of the list of its files, as ``LC_ALL=C; sha256sum * | sha256sum`` within it gives it.
-    """
+    """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal."""
     digest = hashlib.sha256()
-    if (where := Path(path)).is_dir():
-        files = sorted(file for file in where.iterdir() if file.is_file() and not file.name.startswith("."))
-        digest.update("".join(f"{sha256_of(file)}  {file.name}\n" for file in files).encode())
-        return digest.hexdigest()
     with open_for_reading(path) as file:
         while block := file.read(1 << 20):
             digest.update(block)

@@ -10,10 +10,10 @@ import pytest
 from gridslam.errors import InputError
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.csv_log import CsvLog
+from gridslam.io.digest import digest_of
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.log_format import LogFormat, log_format_of
 from gridslam.io.selection import SelectedLog
-from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import CSV_HEADER
 
 CARMEN = b"# a drive\nPARAM robot_length 0.5 host 1.0\nFLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
@@ -111,4 +111,4 @@ def test_the_digest_of_a_folder_is_that_of_its_list(tmp_path):
         (tmp_path / name).write_text(f"{name} holds this")
     command = "LC_ALL=C; sha256sum * | sha256sum"
     told = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert sha256_of(tmp_path) == told.split()[0]
+    assert digest_of(tmp_path) == told.split()[0]

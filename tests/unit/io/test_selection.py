@@ -110,6 +110,7 @@ def test_statistics_are_of_the_chosen_scans_and_of_the_file():
     assert [m.odometry for m in measured] == [None] * 5
     statistics = part.statistics
     assert (statistics.scan_count, statistics.without_odometry, statistics.invalid_beams) == (5, 5, 5)
+    assert statistics.selection == {"start_s": 1, "duration_s": 5, "no_odometry": True}
     assert (statistics.first_stamp_ns, statistics.last_stamp_ns) == (10**9, 5 * 10**9)
     assert (statistics.backward_stamps, statistics.odometry_length_m, statistics.total_bytes) == (1, 0.0, 1000)
     assert statistics.share_read == pytest.approx(0.8)  # the last one chosen is 4 s into the 5 s

@@ -1,0 +1,145 @@
+"""Public logs: what they are, whose they are, and how to get them."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from gridslam.errors import ArgumentError, GridslamError
+from gridslam.io.output import OutputFolder
+from gridslam.io.text_source import sha256_of
+
+__all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "dataset_named", "fetch_dataset"]
+
+PUBLIC = "https://raw.githubusercontent.com/MOLAorg/mola_test_datasets/HEAD/datasets/radish"
+"""Where the files lie, each by its own name."""
+
+MIRROR = "GRIDSLAM_DATASETS_URL"
+"""Variable of the environment that names another place for them."""
+
+_TIMEOUT_S = 30
+_CC_BY = "CC BY 3.0 (https://creativecommons.org/licenses/by/3.0/)"
+_BENCHMARK = "the Freiburg SLAM benchmark, http://ais.informatik.uni-freiburg.de/slamevaluation/"
+
+
+class DatasetError(GridslamError):
+    """A dataset cannot be got: no connection, or not the file that it should be."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A public log.
+
+    Attributes
+    ----------
+    name, file : str
+        What it is asked for by, and the name of its file.
+    sha256 : str
+        Of the file, in hexadecimal.
+    size : int
+        Of the file, bytes.
+    about, credit, licence : str
+        What it is, who is to be named, and under which terms it may be used.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    size: int
+    about: str
+    credit: str
+    licence: str = _CC_BY
+
+
+DATASETS = (
+    Dataset(
+        "intel", "intel.clf.bz2", "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a", 2_277_279,
+        "Intel Research Lab, Seattle: 13631 scans of 180 beams, 45 min, 508 m", f"D. Haehnel; {_BENCHMARK}",
+    ),
+    Dataset(
+        "aces", "aces.clf.bz2", "b663e2976ed0621c2bec0cc20c4e7cc117b88db5bac6f921d3fbaa9685d2232a", 839_027,
+        "ACES building, Austin: 7374 scans of 180 beams, 23 min, 325 m", f"P. Beeson; {_BENCHMARK}",
+    ),
+    Dataset(
+        "mit-csail", "mit-csail.clf.bz2", "e010703e450a20e71a97b0e8de88d9474040c8106e547ff894d885e67a309b47", 539_615,
+        "MIT CSAIL, Cambridge: 1988 scans of 361 beams, 7 min, 374 m", f"C. Stachniss; {_BENCHMARK}",
+    ),
+)  # fmt: skip
+
+
+def dataset_named(name: str) -> Dataset:
+    """The dataset of this name; raises ArgumentError, with the names that there are."""
+    names = [dataset.name for dataset in DATASETS]
+    if name not in names:
+        near = difflib.get_close_matches(name, names, 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ArgumentError("name", ", ".join(names), f"{name!r}{meant}")
+    return DATASETS[names.index(name)]
+
+
+def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None) -> Path:
+    """Get a dataset, unless it is there already; its SHA-256 is checked before it appears under its name.
+
+    Parameters
+    ----------
+    name : str
+        One of those in `DATASETS`.
+    folder : str or Path
+        Where its file is to lie; made if need be.
+    url : str, optional
+        Where the files lie; if not given what the variable `MIRROR` of the environment says, or else `PUBLIC`.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ArgumentError
+        There is no dataset of this name.
+    DatasetError
+        pooch is not installed, the file cannot be got, or it is not the one that it should be.
+    OutputError
+        The folder cannot be written.
+    """
+    dataset, target = dataset_named(name), Path(folder)
+    file = target / dataset.file
+    if file.is_file() and file.stat().st_size == dataset.size and sha256_of(file) == dataset.sha256:
+        return file
+    source = f"{(url or os.environ.get(MIRROR) or PUBLIC).rstrip('/')}/{dataset.file}"
+    with OutputFolder(target) as out:
+        _retrieve(source, dataset, out.file(dataset.file))
+    return file
+
+
+def _retrieve(source: str, dataset: Dataset, file: Path) -> None:
+    """Write the file at an URL, if it is the right one."""
+    try:
+        import pooch  # an extra, and slow to import
+    except ImportError:
+        raise DatasetError("datasets are got by pooch: pip install 'gridslam[datasets]'") from None
+    pooch.get_logger().setLevel("ERROR")
+    try:
+        downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
+        pooch.retrieve(source, f"sha256:{dataset.sha256}", file.name, file.parent, downloader=downloader)
+    except OSError as error:  # those of requests are such
+        raise DatasetError(f"{source}: cannot be got: {_reason(error)}") from None
+    except ValueError as error:
+        wrong = "hash" in str(error).lower()
+        problem = f"expected the file of SHA-256 {dataset.sha256}, got another one" if wrong else str(error)
+        raise DatasetError(f"{source}: {problem}") from None
+
+
+def _reason(error: BaseException) -> str:
+    """The first cause: what requests says of it is a paragraph."""
+    response = getattr(error, "response", None)
+    if response is not None:
+        return f"{response.status_code} {response.reason}"
+    while (cause := error.__cause__ or error.__context__) is not None:
+        error = cause
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
