@@ -119,7 +119,7 @@ class Ros1Bag:
         self._connections.clear()
         self._chunks.clear()
         self._counts.clear()
-        problem = self._walk(file) or problem
+        problem = self._walk(file) or problem or ("" if self._connections else "the bag ends with its first line")
         if problem:
             self._cut(problem)
 

@@ -210,8 +210,10 @@ class SalvagedSqlite:
         """Rows whose first columns are `numbers` whole numbers, as they are where nothing is damaged."""
         try:
             with closing(sqlite3.connect(f"file:{quote(str(self._path))}?mode=ro&immutable=1", uri=True)) as connection:
+                connection.execute("PRAGMA writable_schema=ON")  # else a file that is cut off is refused as a whole
                 for row in connection.execute(query):
-                    if all(isinstance(value, int) for value in row[:numbers]):
-                        yield row
-        except (sqlite3.Error, UnicodeError) as error:  # the latter where a damaged text stands in an error's message
-            self.problem = str(error)
+                    if not all(isinstance(value, int) for value in row[:numbers]):
+                        raise DamageError("a row is damaged")
+                    yield row
+        except (DamageError, sqlite3.Error, UnicodeError) as error:  # the last: a message that quotes damaged text
+            self.problem = self.problem or str(error)

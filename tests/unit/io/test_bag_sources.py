@@ -1,0 +1,200 @@
+"""Bags give the messages that rosbags finds in them, in the order of their recording, whatever form they have."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import sqlite3
+
+import pytest
+import ros_bags
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridslam.errors import InputError
+from gridslam.io.bag_ros1 import Ros1Bag
+from gridslam.io.bag_ros2 import Ros2Bag
+from gridslam.io.bag_source import in_order
+
+FORMS = [
+    *itertools.product(["ros1"], ["", "bz2", "lz4"]),
+    *itertools.product(["db3"], ["", "file", "message"]),
+    *itertools.product(["mcap"], ["", "file", "message", "storage"]),
+]
+
+
+def opened(path, **options):
+    return (Ros1Bag if path.suffix == ".bag" else Ros2Bag)(path, **options)
+
+
+def by_rosbags(path):
+    from rosbags import rosbag1, rosbag2
+
+    with (rosbag1 if path.suffix == ".bag" else rosbag2).Reader(path) as reader:
+        return [(time_ns, connection.topic, bytes(data)) for connection, time_ns, data in reader.messages()]
+
+
+@pytest.mark.parametrize(("kind", "compression"), FORMS)
+def test_messages_are_those_of_rosbags(tmp_path, kind, compression):
+    path = ros_bags.write(tmp_path, kind, ros_bags.drive(40.0), compression)  # several chunks
+    bag = opened(path)
+    for topics in (set(bag.topics), {"/odom"}, {"/scan", "/tf_static"}, set(), {"/none"}):
+        expected = [message for message in by_rosbags(path) if message[1] in topics]
+        assert sorted(bag.messages(topics)) == sorted(expected)
+        assert [time_ns for time_ns, _, _ in bag.messages(topics)] == sorted(time_ns for time_ns, _, _ in expected)
+    assert {name: topic.messages for name, topic in bag.topics.items()} == {"/scan": 400, "/odom": 801, "/tf_static": 1}
+    assert bag.bytes_read == bag.total_bytes > 0
+    assert not bag.cut_off
+
+
+@pytest.mark.parametrize("kind", ["db3", "mcap"])
+@pytest.mark.parametrize("compression", ["", "file"])
+def test_a_single_file_under_any_name_and_a_folder_without_metadata(tmp_path, kind, compression):
+    folder = ros_bags.write(tmp_path, kind, ros_bags.drive(), compression)
+    whole = list(opened(folder).messages({"/scan"}))
+    (file,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    renamed = shutil.copy(file, tmp_path / "log.dat")
+    (folder / "metadata.yaml").unlink()
+    assert list(opened(folder).messages({"/scan"})) == list(opened(renamed).messages({"/scan"})) == whole
+
+
+def test_files_of_one_bag_follow_each_other_by_time(tmp_path):
+    said = ros_bags.drive(3.0)
+    later, earlier = said[len(said) // 2 :], said[: len(said) // 2]
+    for part, name in ((later, "a"), (earlier, "b")):
+        ros_bags.write(tmp_path, "mcap", part, name=name)
+        shutil.move(tmp_path / name / f"{name}.mcap", tmp_path / f"{name}.mcap")
+        shutil.rmtree(tmp_path / name)
+    bag = Ros2Bag(tmp_path)
+    assert [message[:2] for message in bag.messages(bag.topics)] == [(each.time_ns, each.topic) for each in said]
+    assert bag.topics["/odom"].messages == 61
+
+
+def test_topics_written_one_after_another_are_merged(tmp_path):
+    said = sorted(ros_bags.drive(300.0), key=lambda each: each.topic)  # as converters write: all odometry, all scans
+    bag = Ros1Bag(ros_bags.write(tmp_path, "ros1", said))
+    times = [time_ns for time_ns, _, _ in bag.messages(bag.topics)]
+    assert times == sorted(each.time_ns for each in said)
+
+
+@given(st.lists(st.lists(st.integers(0, 20), min_size=1, max_size=5), max_size=6))
+def test_chunks_are_merged_by_time_and_stay_in_order_within_one_time(chunks):
+    messages = [[(time, f"{n}", b"") for time in times] for n, times in enumerate(chunks)]
+    given_chunks = sorted(((min(each)[0], each) for each in messages), key=lambda chunk: chunk[0])
+    expected = sorted((message for _, each in given_chunks for message in each), key=lambda message: message[0])
+    assert list(in_order(given_chunks)) == expected
+
+
+def test_the_index_of_a_ros1_bag_may_be_wrong(tmp_path):
+    path = ros_bags.write(tmp_path, "ros1", ros_bags.drive(40.0), "lz4")
+    bag = Ros1Bag(path)
+    whole, data = list(bag.messages(bag.topics)), path.read_bytes()
+    last_info = data.rindex(b"op=\x06")
+    path.write_bytes(data[:last_info] + b"op=\x09" + data[last_info + 4 :])
+    with pytest.raises(InputError, match="unknown kind 9"):  # at the very end: some of the index is lost
+        Ros1Bag(path)
+    found = Ros1Bag(path, keep_truncated=True)
+    assert list(found.messages(found.topics)) == whole
+    assert found.cut_off
+    place = data.index(b"chunk_pos=")
+    path.write_bytes(data[: place + 10] + bytes(8) + data[place + 18 :])
+    found = Ros1Bag(path)  # all of the file can be walked through: only the index is wrong
+    assert list(found.messages(found.topics)) == whole
+    assert not found.cut_off
+
+
+def test_a_ros1_bag_that_was_not_closed(tmp_path):
+    path = ros_bags.write(tmp_path, "ros1", ros_bags.drive(40.0))
+    data = path.read_bytes()
+    place = data.index(b"index_pos=") + 10
+    path.write_bytes(data[:place] + bytes(8) + data[place + 8 :])
+    with pytest.raises(InputError, match=r"not closed.*--keep-truncated"):
+        Ros1Bag(path)
+    bag = Ros1Bag(path, keep_truncated=True)
+    assert bag.cut_off
+    assert sum(1 for _ in bag.messages(bag.topics)) == 1202
+
+
+@pytest.mark.parametrize("compression", ["", "bz2", "lz4"])
+def test_of_a_ros1_bag_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, compression):
+    path = ros_bags.write(tmp_path, "ros1", ros_bags.drive(200.0), compression)  # four chunks, compressed one by one
+    whole, data = list(Ros1Bag(path).messages({"/odom"})), path.read_bytes()
+    before = 0
+    for share in (0.4, 0.7, 0.95):
+        path.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(InputError, match=r"cut off.*--keep-truncated"):
+            Ros1Bag(path)
+        bag = Ros1Bag(path, keep_truncated=True)
+        kept = list(bag.messages({"/odom"}))
+        assert kept == whole[: len(kept)]
+        assert before < len(kept) < len(whole)
+        before = len(kept)
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression", "share"),
+    # Compressed chunk by chunk, of which there are three; the page of SQLite that leads to all rows lies at 0.86.
+    [("mcap", "", 0.8), ("mcap", "storage", 0.8), ("db3", "", 0.95), ("db3", "file", 0.95)],
+)
+def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kind, compression, share):
+    folder = ros_bags.write(tmp_path, kind, ros_bags.drive(150.0), compression)
+    whole = list(Ros2Bag(folder).messages({"/odom"}))
+    (path,) = (path for path in folder.iterdir() if path.name != "metadata.yaml")
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"--keep-truncated reads what is there"):
+        Ros2Bag(folder)
+    bag = Ros2Bag(folder, keep_truncated=True)
+    kept = list(bag.messages({"/odom"}))
+    assert kept == whole[: len(kept)]
+    assert len(whole) / 3 < len(kept) < len(whole)
+    assert bag.cut_off
+
+
+def test_an_mcap_file_that_rosbags_refuses_but_is_whole_is_read(tmp_path):
+    (path,) = ros_bags.write(tmp_path, "mcap", ros_bags.drive()).glob("*.mcap")
+    whole = list(Ros2Bag(path).messages({"/odom"}))
+    data = path.read_bytes()
+    path.write_bytes(data[:17].replace(b"\4\0\0\0ros2", b"\4\0\0\0????") + data[17:].replace(b"ros2", b"????", 1))
+    bag = Ros2Bag(path)
+    assert list(bag.messages({"/odom"})) == whole
+    assert not bag.cut_off
+
+
+def test_messages_that_sqlite_has_not_merged_are_not_lost_without_a_word(tmp_path):
+    (path,) = ros_bags.write(tmp_path, "db3", ros_bags.drive()).glob("*.db3")
+    path.with_name(f"{path.name}-wal").write_bytes(b"messages")
+    with pytest.raises(InputError, match="-wal"):
+        Ros2Bag(path)
+    assert Ros2Bag(path, keep_truncated=True).cut_off
+
+
+def test_a_database_that_is_no_bag(tmp_path):
+    path = tmp_path / "other.db3"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE things (id INTEGER)")
+    connection.close()
+    with pytest.raises(InputError, match="no such table: topics"):
+        Ros2Bag(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"#ROSBAG V1.2\n" + bytes(100), "version 2.0"), (b"#ROSBAG V2.0\n", "ends with its first line"),
+        (b"#ROSBAG V2.0\n" + b"\xff" * 99, "damaged or cut off at byte 13"),
+    ],
+)  # fmt: skip
+def test_what_is_no_ros1_bag(tmp_path, content, message):
+    path = tmp_path / "log.bag"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        Ros1Bag(path)
+
+
+def test_what_is_no_ros2_bag(tmp_path):
+    with pytest.raises(InputError, match=r"without .db3 or .mcap"):
+        Ros2Bag(tmp_path)
+    (tmp_path / "log.db3").write_bytes(b"something else")
+    with pytest.raises(InputError, match="begins with b'somethin'"):
+        Ros2Bag(tmp_path)
