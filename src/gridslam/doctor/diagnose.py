@@ -19,11 +19,7 @@ from gridslam.errors import InputError
 from gridslam.io.log import Log
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Doctor", "diagnose", "quick_check"]
-
-_QUICK_S, _QUICK_SCANS = 60.0, 300
-"""How much of a log is looked at before it is mapped: 30 ms of work, less than 3 % of mapping as much."""
-
+__all__ = ["Doctor", "diagnose"]
 
 @final
 class Doctor:
@@ -44,20 +40,28 @@ class Doctor:
         self._stamps, self._beams, self._ranges = StampExaminer(), BeamExaminer(), RangeExaminer()
         self._lasers, self._odometry = LaserExaminer(), OdometryExaminer()
         self._examiners: list[Examiner] = [self._stamps, self._beams, self._ranges, self._lasers, self._odometry]
+        self._matched: Examiner | None = None
         if matching:
-            from gridslam.doctor.motion_examiner import MotionExaminer
+            from gridslam.doctor.motion_examiner import MotionExaminer  # who does not match need not pay for it
 
-            self._examiners.append(MotionExaminer())
+            self._matched = MotionExaminer()
 
     def take(self, measurement: Measurement) -> None:
         """Look at the next measurement."""
         for examiner in self._examiners:
             examiner.take(measurement)
+        if self._matched is not None:
+            self._matched.take(measurement)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what was found so far."""
+        """Tell what was found so far; a laser that tilts is no witness of the motion."""
+        tilting = set()
         for examiner in self._examiners:
-            yield from examiner.findings()
+            for finding in examiner.findings():
+                tilting |= {finding.sensor} if finding.code == "tilting_laser" else set()
+                yield finding
+        if self._matched is not None:
+            yield from (finding for finding in self._matched.findings() if finding.sensor not in tilting)
 
     def cost(self) -> Finding:
         """Tell what mapping so many scans costs; without odometry as if each stepped the particles."""
@@ -76,14 +80,12 @@ class Doctor:
         return Diagnosis.of(log.path, list(findings), lasers, log.statistics, odometry.metres, odometry.radians)
 
 
-def diagnose(log: Log, *, quick: bool = False, tick: Callable[[], None] = lambda: None) -> Diagnosis:
+def diagnose(log: Log, *, tick: Callable[[], None] = lambda: None) -> Diagnosis:
     """Read a log once and say what is in it and what is wrong with it.
 
     Parameters
     ----------
     log : Log
-    quick : bool
-        Look at the first minute only (300 scans at the most), and match no scan.
     tick : callable
         Called after each scan, to show how far the reading is.
 
@@ -93,13 +95,9 @@ def diagnose(log: Log, *, quick: bool = False, tick: Callable[[], None] = lambda
         The log has no scan that can be read. One that cannot be read to its end is diagnosed as far as it goes, and
         that is a finding.
     """
-    doctor, broken, scans, first_ns = Doctor(matching=not quick), None, 0, 0
+    doctor, broken, scans = Doctor(), None, 0
     try:
         for measurement in log:
-            stamp_ns = measurement.scan.stamp_ns
-            first_ns = first_ns if scans else stamp_ns
-            if quick and (scans >= _QUICK_SCANS or stamp_ns - first_ns > _QUICK_S * 1e9):
-                break
             doctor.take(measurement)
             scans += 1
             tick()
@@ -107,23 +105,8 @@ def diagnose(log: Log, *, quick: bool = False, tick: Callable[[], None] = lambda
         if not scans:
             raise
         broken = _unreadable(error, scans)
-    findings = [*doctor.findings()] if broken is None else [broken, *doctor.findings()]
-    if not quick:
-        findings += [*reader_findings(log.statistics), doctor.cost()]
-    return doctor.diagnosis(log, findings)
-
-
-def quick_check(log: Log) -> tuple[Finding, ...]:
-    """Tell what the first minute of a log shows that is doubtful or spoils the map, without matching any scan.
-
-    What only a whole log can tell, such as that the robot never moves, is left out, and so is what the reader will
-    raise by itself.
-    """
-    found = diagnose(log, quick=True).faults
-    return tuple(finding for finding in found if finding.code not in _ONLY_WHOLE)
-
-
-_ONLY_WHOLE = ("standing_still", "unreadable")
+    found = [*doctor.findings(), *reader_findings(log.statistics), doctor.cost()]
+    return doctor.diagnosis(log, found if broken is None else [broken, *found])
 
 
 def _unreadable(error: InputError, scans: int) -> Finding:

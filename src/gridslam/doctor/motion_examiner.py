@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.laser_motion import LaserMotion, LaserWitness
 from gridslam.doctor.motion_findings import motion_findings
@@ -19,7 +20,9 @@ from gridslam.types import FloatArray, ScanGeometry
 __all__ = ["MotionExaminer"]
 
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
-_SURE = 4.0  # standard deviations
+_FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
+_SURE, _LIKELY = 4.0, 1.5  # standard deviations: by itself, and where the stamps agree
+_HALF = 0.25  # of half the sweep: how near to it the scans must look late, or early, for the stamps to agree
 _HIDDEN = 0.3  # share of the sweep that matching shows at least
 
 
@@ -61,22 +64,23 @@ class MotionExaminer:
         """Tell what the motion of each laser says."""
         for laser in self._lasers.values():
             motion = laser.witness.motion
-            found = motion_findings(motion)
-            skewed = None
-            if laser.geometry is not None and len(motion) > 1:
-                reflected = any(finding.code == "reflected_laser" for finding in found)
-                skewed = _skewed(motion, laser.geometry, laser.told_s, reflected)
+            if laser.geometry is None or len(motion) < 2:
+                continue
+            calibration = calibrate(motion)
+            skewed = _skewed(motion, calibration, laser.geometry, laser.told_s)
             if skewed is not None:
                 yield skewed
-            for finding in found:
+            for finding in motion_findings(motion, calibration):
                 if not (skewed is not None and skewed.is_fault and finding.code == "clock_skew"):
                     yield finding  # a sweep whose stamp is its first beam's looks late by half of it: told once
 
 
-def _skewed(motion: LaserMotion, geometry: ScanGeometry, told_s: float, reflected: bool) -> Finding | None:
+def _skewed(
+    motion: LaserMotion, calibration: MotionCalibration, geometry: ScanGeometry, told_s: float
+) -> Finding | None:
     """Tell where scans are smeared by turning, and whether the log lets that be undone."""
     rates = np.abs(turn_rates(motion))
-    fast = float(np.quantile(rates, 0.99))
+    fast = float(np.quantile(rates, _FASTEST))
     if not math.isnan(told_s):
         if fast * told_s < _SMEAR_RAD:
             return None
@@ -91,10 +95,7 @@ def _skewed(motion: LaserMotion, geometry: ScanGeometry, told_s: float, reflecte
     sweep_s = float(np.median(seconds)) * span / math.tau
     if fast * sweep_s < _SMEAR_RAD:
         return None
-    falls = len(geometry.bearings) > 1 and geometry.bearings[0] > geometry.bearings[-1]
-    seen = measured_sweep(motion, span, reflected=reflected)
-    seen_s = -seen.value if falls else seen.value
-    if not seen.determined or seen_s < max(_SURE * seen.sigma, _HIDDEN * sweep_s):
+    if not _sweeps(motion, calibration, geometry, sweep_s):
         return None
     return Finding(
         "skewed_while_turning", Severity.DOUBTFUL,
@@ -104,6 +105,20 @@ def _skewed(motion: LaserMotion, geometry: ScanGeometry, told_s: float, reflecte
         "Let the driver state time_increment, so that scans can be straightened; until then turn more slowly.",
         motion.sensor, _figure(motion, rates, sweep_s),
     )  # fmt: skip
+
+
+def _sweeps(motion: LaserMotion, calibration: MotionCalibration, geometry: ScanGeometry, sweep_s: float) -> bool:
+    """Whether turns show that the beams are measured one after the other, as by a mirror that turns once a scan.
+
+    A scan stamped by its first beam then looks half of the sweep early, by its last beam so much late.
+    """
+    span = _field_of_view(geometry.bearings)
+    seen = measured_sweep(motion, span, reflected=calibration.reflected)
+    seen_s = -seen.value if geometry.bearings[0] > geometry.bearings[-1] else seen.value
+    skew = calibration.skew_s
+    agree = skew.determined and abs(abs(skew.value) - 0.5 * sweep_s) < _HALF * 0.5 * sweep_s
+    needed = (_LIKELY if agree else _SURE) * seen.sigma
+    return seen.determined and seen_s > max(needed, _HIDDEN * sweep_s)
 
 
 def _field_of_view(bearings: FloatArray) -> float:
