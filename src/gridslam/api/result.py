@@ -119,6 +119,12 @@ class MapResult:
         out.write_json("run.json", document)
         return document
 
+    @property
+    def driven(self) -> str:
+        """How far the robot was driven, as its odometry has it, in words."""
+        log = self.log
+        return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
+
     def caption(self) -> list[str]:
         """Lines that tell what was mapped."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
@@ -126,7 +132,7 @@ class MapResult:
         loops = 0 if self.loops is None else len(self.loops.closures) + len(self.loops.revisits)
         closed = f", {loops} loop closures" if loops else ""
         return [
-            f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven{closed}",
+            f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {self.driven}{closed}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]

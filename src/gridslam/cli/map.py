@@ -80,7 +80,7 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
     latency, log = document["latency"]["all_scans"], result.log
     lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
     return [
-        f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {log.odometry_length_m:.0f} m driven",
+        f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {result.driven}",
         f"mapped in {seconds:.1f} s: {log.duration_s / seconds:.0f} x real time, "
         f"{scans['read'] / seconds:.0f} scans/s, {document['peak_memory_bytes'] / 1e6:.0f} MB",
         f"{scans['used']} key scans, N_eff {filter_['n_eff_mean']:.1f} of {filter_['particles']} on average, "
