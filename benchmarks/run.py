@@ -21,11 +21,14 @@ from gridslam.config import dumps
 from kernels import kernel_times, record
 from measure import provenance
 from places import place_search
+from reading import reading
 from report import Report
 
 __all__ = ["main"]
 
-_SECTIONS = ("accuracy", "start", "particles", "size", "threads", "beams", "kernels", "places", "graphs", "closures")
+_SECTIONS = (
+    "accuracy", "start", "particles", "size", "threads", "beams", "kernels", "places", "graphs", "closures", "reading",
+)  # fmt: skip
 _WORLDS = ("demo", "rooms", "loop", "hall")
 _ROOT = Path(__file__).resolve().parent.parent
 
@@ -79,6 +82,8 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
         graphs(given.data, report, 3 if quick else 7)
     if "closures" in sections:
         closures(report, range(given.seeds))
+    if "reading" in sections:
+        reading(report, 2000 if quick else 10_000)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,0 +1,137 @@
+"""The real bags do what is known of them, and no damage to a bag is anything but a log or a named error."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_bags
+
+from gridslam.errors import InputError
+from gridslam.io.bag import BagLog
+from gridslam.io.log import LogOptions
+
+
+@pytest.fixture(scope="session")
+def bags(data_dir):
+    return data_dir / "bags"
+
+
+def read(path, **options):
+    log = BagLog(path, LogOptions(**options))
+    return list(log), log
+
+
+def test_p3dx_trace0(bags):
+    measurements, log = read(bags / "p3dx_trace0.bag")
+    assert len(measurements) == 958
+    assert {len(scan) for _, scan in measurements} == {726}
+    assert log.statistics.odometry_source == "/odom"
+    assert log.statistics.odometry_length_m == pytest.approx(31.7, abs=0.05)
+    assert log.statistics.without_odometry == 1  # the last: no odometry comes after it
+    np.testing.assert_allclose(log.statistics.mountings["/base_scan"].pose, [0.135, 0, 0])
+    assert not log.statistics.moving_mountings
+
+
+def test_p3dx_trace0_from_its_transforms_is_the_same(bags):
+    by_topic, _ = read(bags / "p3dx_trace0.bag")
+    by_frames, log = read(bags / "p3dx_trace0.bag", odometry_frame="odom")
+    assert log.statistics.odometry_source == "odom to base_link on /tf"
+    poses = [np.array([odo.pose for odo, _ in each[:-1]]) for each in (by_topic, by_frames)]
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
+
+
+def test_p3dx_sim_truth(bags):
+    measurements, log = read(bags / "p3dx_sim_truth.bag")
+    assert len(measurements) == 634
+    assert log.choice.odometry == "/odom"
+    assert log.choice.base_frame == "base_footprint"
+    assert log.statistics.without_odometry == 0
+    true, _ = read(bags / "p3dx_sim_truth.bag", odometry_topic="/base_pose_ground_truth")
+    assert len(true) == 634
+
+
+def test_turtlebot4_floor(bags):
+    measurements, log = read(bags / "turtlebot4_floor")
+    assert len(measurements) == 357
+    assert log.statistics.odometry_length_m == pytest.approx(8.3, abs=0.1)
+    assert log.statistics.mountings["/scan"].pose[2] == pytest.approx(np.pi / 2)
+    assert log.statistics.without_odometry == 3  # two before the first odometry, the last
+    assert all(scan.beam_times_s is not None for _, scan in measurements)
+    assert log.statistics.no_return_beams > 0
+
+
+def test_handheld_broken_index(bags):
+    measurements, log = read(bags / "handheld_broken_index.bag")
+    assert len(measurements) == 360
+    assert {len(scan) for _, scan in measurements} == {681}
+    assert log.statistics.odometry_source == ""
+    assert log.statistics.without_odometry == 360
+    assert not log.statistics.truncated  # of the index alone something is wrong
+
+
+def test_tilt_laser(bags):
+    measurements, log = read(bags / "tilt_laser.bag")
+    assert len(measurements) == 178
+    assert log.statistics.moving_mountings == {"/scan": 177}
+
+
+@pytest.mark.parametrize("name", ["p3dx_trace0.bag", "turtlebot4_floor/macfirst_floor_take_2_0.db3"])
+def test_real_bags_cut_off(bags, name, tmp_path):
+    data = (bags / name).read_bytes()
+    path = tmp_path / Path(name).name
+    for share in (0.05, 0.3, 0.999):
+        path.write_bytes(data[: int(share * len(data))])
+        outcome(path, keep_truncated=False)
+        outcome(path, keep_truncated=True)
+
+
+def outcome(path, **options):
+    """Number of scans, or -1 where the bag is refused; anything else fails the test."""
+    try:
+        return sum(1 for _ in BagLog(path, LogOptions(**options)))
+    except InputError as error:
+        said = str(error)
+    assert str(path) in said
+    assert said.isprintable()  # one line
+    return -1
+
+
+def mutated(data, rng):
+    """The bytes with something cut off, flipped, blanked, put in or taken out, near the ends as often as anywhere."""
+    size = len(data)
+    place = rng.choice([rng.randrange(size), rng.randrange(min(size, 5000)), size - 1 - rng.randrange(min(size, 5000))])
+    length = rng.choice([1, 4, 50, 1000])
+    kind = rng.randrange(5)
+    if kind == 0:
+        return data[:place]
+    if kind == 1:
+        flipped = bytearray(data)
+        for _ in range(rng.randrange(1, 20)):
+            flipped[rng.randrange(size)] ^= 1 << rng.randrange(8)
+        flipped[place] = rng.randrange(256)
+        return bytes(flipped)
+    put_in = [b"", rng.randbytes(length), bytes(length)][kind - 2]
+    return data[:place] + put_in + data[place + (length if kind != 3 else 0) :]
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [(kind, "") for kind in ros_bags.KINDS]
+    + [("ros1", "bz2"), ("ros1", "lz4"), ("db3", "message"), ("mcap", "storage")],
+)
+def test_damaged_bags(tmp_path, kind, compression):
+    """60 damages of each form: a log or an InputError, never another error."""
+    written = ros_bags.write(tmp_path, kind, ros_bags.drive(8.0), compression)
+    source = written if written.is_file() else next(path for path in written.iterdir() if path.suffix != ".yaml")
+    data, rng = source.read_bytes(), random.Random(f"{kind} {compression}")
+    path = tmp_path / f"damaged{source.suffix}"
+    outcomes = []
+    for _ in range(60):
+        path.write_bytes(mutated(data, rng))
+        strict, lenient = (outcome(path, keep_truncated=keep) for keep in (False, True))
+        outcomes.append((strict, lenient))
+    assert any(strict < 0 for strict, _ in outcomes)
+    assert all(lenient >= strict for strict, lenient in outcomes)

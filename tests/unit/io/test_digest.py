@@ -1,0 +1,38 @@
+"""A file is known by its bytes, a folder by its files and their names."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+
+import pytest
+
+from gridslam.errors import InputError
+from gridslam.io.digest import digest_of
+
+
+def test_a_file(tmp_path):
+    path = tmp_path / "log"
+    path.write_bytes(b"abc")
+    assert digest_of(path) == hashlib.sha256(b"abc").hexdigest()
+
+
+def test_a_folder_is_what_sha256sum_says_of_its_files(tmp_path):
+    folder = tmp_path / "bag"
+    (folder / "below").mkdir(parents=True)
+    for name in ("b.db3", "metadata.yaml", "below/a"):
+        (folder / name).write_bytes(name.encode())
+    said = subprocess.run(
+        ["sha256sum", "b.db3", "below/a", "metadata.yaml"], cwd=folder, capture_output=True, check=True
+    ).stdout
+    assert digest_of(folder) == hashlib.sha256(said).hexdigest()
+    moved = shutil.copytree(folder, tmp_path / "elsewhere")
+    assert digest_of(moved) == digest_of(folder)
+    (moved / "b.db3").rename(moved / "c.db3")
+    assert digest_of(moved) != digest_of(folder)
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        digest_of(tmp_path / "none")
