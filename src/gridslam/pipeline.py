@@ -84,8 +84,8 @@ def run(
 
     Parameters
     ----------
-    source : iterable of (Odometry, LaserScan)
-        Measurements in their true order.
+    source : iterable of (Odometry or None, LaserScan)
+        Measurements in their true order; None where a scan has no odometry.
     slam : GridFastSlam
         The filter.
     particles : int
@@ -108,13 +108,11 @@ def run(
     Raises
     ------
     ArgumentError
-        The source is empty and there is no state, or a measurement has no odometry.
+        The source is empty and there is no state, or a scan has no odometry and the filter's tracker needs it.
     """
     watch = stopwatch or Stopwatch()
     for odometry, scan in source:
         watch.lap("read")
-        if odometry is None:
-            raise ArgumentError("source", "odometry with every scan", f"none with the scan at {scan.stamp_ns} ns")
         if state is None:
             state, report = slam.init(odometry, scan, particles)
         else:

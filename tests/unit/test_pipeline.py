@@ -72,11 +72,13 @@ def test_a_state_without_measurements_stays_as_it_is(measurements, slam):
     assert run([], slam, rng=np.random.default_rng(1), state=state) is state
 
 
-def test_source_must_give_something_and_odometry_with_it(measurements, slam):
+def test_source_must_give_something_and_odometry_where_the_tracker_needs_it(measurements, slam):
     with pytest.raises(ArgumentError, match="at least one measurement"):
         run([], slam, rng=np.random.default_rng(1))
-    with pytest.raises(ArgumentError, match="odometry with every scan, got none with the scan at"):
-        run([(None, measurements[0].scan)], slam, rng=np.random.default_rng(1))
+    without = [(None, scan) for _, scan in measurements[:3]]
+    run(without, slam, particles=PARTICLES, rng=np.random.default_rng(1))
+    with pytest.raises(ArgumentError, match="a pose with every scan"):
+        run(without, build(override(Configuration(), "tracker.kind=OdometryTracker")), rng=np.random.default_rng(1))
 
 
 def fixed_by_the_particle(reports):

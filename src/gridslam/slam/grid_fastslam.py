@@ -51,7 +51,7 @@ class GridFastSlam:
     Attributes
     ----------
     tracker : Tracker
-        Refines the odometry at every scan; its increments are the particles' control.
+        Refines the odometry at every scan, or does without; its increments are the particles' control.
     motion : MotionModel
         p(x_t | u_t, x_{t-1}), conditioned on the control.
     sensor : SensorModel
@@ -63,7 +63,7 @@ class GridFastSlam:
     resampler : Resampler
         Which particles survive.
     when_to_update : UpdatePolicy
-        Which scans are key scans, at which the particles are stepped.
+        Which scans are key scans, at which the particles are stepped: by what moved since the last one of its laser.
     when_to_resample : ResamplingPolicy
         When resampling is worth its loss of diversity.
     confidence : Confidence
@@ -94,14 +94,20 @@ class GridFastSlam:
     threads: int = 1
 
     def init(
-        self, odometry: Odometry, scan: LaserScan, particles: int | FloatArray = 30, pose: ArrayLike = (0.0, 0.0, 0.0)
+        self,
+        odometry: Odometry | None,
+        scan: LaserScan,
+        particles: int | FloatArray = 30,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
     ) -> tuple[GridFastSlamState, StepReport]:
         """Begin with a first scan.
 
         Parameters
         ----------
-        odometry, scan
-            The first measurement; a scan without a usable beam is fine.
+        odometry : Odometry or None
+            None where there is none: here, at any later scan, or at all of them.
+        scan : LaserScan
+            One without a usable beam is fine.
         particles : int or (N, 3) float64
             How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`).
         """
@@ -115,14 +121,15 @@ class GridFastSlam:
         self.mapper(maps, poses, beams)
         equal = np.full(len(poses), -np.log(len(poses)))
         state = GridFastSlamState(
-            tracker, tracker.pose, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)), maps, Ancestry.start(poses)
-        )
+            tracker, tracker.pose, {scan.sensor: tracker.pose}, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)),
+            maps, Ancestry.start(poses),
+        )  # fmt: skip
         if self.loop_closure is not None:
             self.loop_closure.init(state, beams)
         return state, self.confidence.first_scan(state, scan)
 
     def step(
-        self, state: GridFastSlamState, odometry: Odometry, scan: LaserScan, rng: np.random.Generator
+        self, state: GridFastSlamState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[GridFastSlamState, StepReport]:
         """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
 
@@ -130,14 +137,14 @@ class GridFastSlam:
         """
         state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
         tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
-        moved = between(state.key_pose, tracked.pose)
-        if reason := self._skip(moved, beams):
+        beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
+        if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
         motion = self.motion(between(state.key_pose, tracked.predicted))  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
-        state.advance(proposed, tracked.pose)
+        state.advance(proposed, tracked.pose, scan.sensor)
         report = self.confidence.key_scan(state, scan, moved, proposed, beams)
         if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
@@ -152,8 +159,10 @@ class GridFastSlam:
             return state, report
         return state, self.loop_closure(state, state.memory, report, beams, self.mapper, self.threads)
 
-    def _skip(self, moved: FloatArray, beams: Beams) -> SkipReason | None:
-        dx, dy, turn = moved.tolist()
-        if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
-            return SkipReason.BETWEEN_KEY_SCANS
+    def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
+        last = state.sensor_key_poses.get(beams.scan.sensor)
+        if last is not None:
+            dx, dy, turn = between(last, pose).tolist()
+            if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
+                return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM

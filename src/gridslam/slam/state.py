@@ -21,7 +21,7 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/2"
+STATE_SCHEMA = "gridslam.state/3"
 
 
 @final
@@ -35,6 +35,8 @@ class GridFastSlamState:
         The tracker's local maps and pose.
     key_pose : (3,) float64
         The tracker's pose at the last key scan.
+    sensor_key_poses : dict of str to (3,) float64
+        The tracker's pose at the last key scan of each laser; replaced, never written to.
     poses : (N, 3) float64
         The particles at the last key scan, map frame.
     log_weights : (N,) float64, nats
@@ -55,6 +57,7 @@ class GridFastSlamState:
 
     tracker: TrackerState
     key_pose: FloatArray
+    sensor_key_poses: dict[str, FloatArray]
     poses: FloatArray
     log_weights: FloatArray
     log_ancestry: FloatArray
@@ -75,13 +78,14 @@ class GridFastSlamState:
         self._check()
         self.consumed = True
         return GridFastSlamState(
-            self.tracker, self.key_pose, self.poses, self.log_weights, self.log_ancestry, self.covariance, self.maps,
-            self.ancestry, self.lost, self.memory,
+            self.tracker, self.key_pose, self.sensor_key_poses, self.poses, self.log_weights, self.log_ancestry,
+            self.covariance, self.maps, self.ancestry, self.lost, self.memory,
         )  # fmt: skip
 
-    def advance(self, proposed: Proposed, key_pose: FloatArray) -> None:
-        """Move every particle to its proposed pose and weight; `key_pose` (3,) is the tracker's."""
+    def advance(self, proposed: Proposed, key_pose: FloatArray, sensor: str) -> None:
+        """Give every particle its proposed pose and weight; `key_pose` (3,) is the tracker's, of a scan of `sensor`."""
         self.poses, self.key_pose = proposed.poses, key_pose
+        self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
         self.ancestry.extend(proposed.poses)
         self.log_weights = normalize(self.log_weights + proposed.log_weights)
         accumulated = self.log_ancestry + proposed.log_weights
@@ -117,6 +121,8 @@ class GridFastSlamState:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
+        own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))
+        own["sensors"] = np.array(list(self.sensor_key_poses), np.str_)
         parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
         parts.append(("ancestry", self.ancestry.to_arrays()))
         if self.memory is not None:
@@ -141,6 +147,7 @@ class GridFastSlamState:
             memory = part("memory")
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),
+                sensor_key_poses=dict(zip(arrays["sensors"].tolist(), arrays["sensor_key_poses"], strict=True)),
                 maps=mapper.restore(part("maps"), threads),
                 ancestry=Ancestry.from_arrays(part("ancestry")),
                 lost=bool(arrays["lost"]),

@@ -1,110 +1,60 @@
 """The tracker: matches every scan to a sliding local map, and so turns odometry into a smooth, nearly exact one.
 
 It never looks at anything older than its local maps, so it drifts slowly but never jumps when a loop closes. The
-particles take its increments as their control (Haehnel et al. 2003).
+particles take its increments as their control (Haehnel et al. 2003). Where there is no odometry it goes by the robot's
+velocity, and searches more widely.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, inverse
-from gridslam.grid.tiles import TileMaps
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.correlative import Correlative
+from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.types import Beams, FloatArray, Match, Odometry
+from gridslam.slam.tracker_state import Seen, Tracked, TrackerState, pose_of
+from gridslam.slam.tracker_velocity import ConstantVelocity
+from gridslam.types import Beams, FloatArray, Odometry
 
 __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
-_BOTH = np.array([0, 1], np.int32)
-_ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 _LOOK = GaussNewton(max_passes=0)
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
 
 @final
-@dataclass(slots=True, eq=False)
-class TrackerState:
-    """What the tracker remembers; arrays in it are replaced, never written to.
+class _Prediction(NamedTuple):
+    """Where a scan should have been taken, by all that is known without looking at it."""
 
-    Attributes
-    ----------
-    maps : TileMaps
-        Two overlapping local maps.
-    pose, odometry : (3,) float64
-        Of the last scan; the pose is in the tracker's own, slowly drifting frame.
-    stamp_ns : int
-        Of the last scan.
-    matched_pose, matched_odometry : (3,) float64
-        Of the last scan that was matched.
-    inserted_pose : (3,) float64
-        Of the last scan that was inserted.
-    active : int
-        Which local map is matched against.
-    scans : (int, int)
-        Scans that each local map holds.
-    doubt_m2, doubt_rad2 : float
-        Variances of all odometry so far that was taken instead of a match that was not believed.
-    """
+    pose: FloatArray  # (3,)
+    by_odometry: bool  # or by the velocity
+    moved_m: float  # since the last scan that was matched, of any laser
+    turned_rad: float
+    sigma_m: float
+    sigma_rad: float
+    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
 
-    maps: TileMaps
-    pose: FloatArray
-    odometry: FloatArray
-    stamp_ns: int
-    matched_pose: FloatArray
-    matched_odometry: FloatArray
-    inserted_pose: FloatArray
-    active: int = 0
-    scans: tuple[int, int] = (1, 0)
-    doubt_m2: float = 0.0
-    doubt_rad2: float = 0.0
-
-    def snapshot(self) -> TrackerState:
-        """Keep a copy for later, at the cost of the maps' tables."""
-        return replace(self, maps=self.maps.snapshot())
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
-        arrays["counters"] = np.array([self.stamp_ns, self.active, *self.scans], np.int64)
-        arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
-        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
-        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
-        stamp_ns, active, first, second = (int(v) for v in arrays["counters"])
-        doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
-        poses = {name: np.array(arrays[name], np.float64) for name in _POSES}
-        return cls(
-            maps, stamp_ns=stamp_ns, active=active, scans=(first, second), doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
-            **poses,
-        )  # fmt: skip
-
-
-_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "inserted_pose")
+    @property
+    def prior(self) -> FloatArray:
+        """Information (1, 3, 3) of the prediction, beside residuals in m."""
+        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
-    """What the tracker says of one scan: poses (3,) in its frame.
+class _Found(NamedTuple):
+    """Where a scan was taken."""
 
-    `predicted` uses only the scans before this one, `pose` this one too.
-    """
-
-    pose: FloatArray
-    predicted: FloatArray
+    pose: FloatArray  # (3,)
+    matched: bool  # whether the map was asked
+    poor: bool  # nothing that is known of the pose is to be trusted
 
 
 @final
@@ -115,21 +65,23 @@ class Tracker:
     Parameters
     ----------
     still_m, still_rad : float
-        A scan after less odometry than both takes the odometry: there is nothing to learn from it.
+        A scan after less odometry than both takes the odometry: there is nothing to learn from it. Without odometry the
+        robot stands while its matches stay within both.
     insert_m, insert_rad : float
         A scan is inserted after this much motion.
     map_scans : int
-        A second local map is begun when the first holds this many scans, and replaces it when it does itself.
+        A second local map is begun when the first holds so many scans of each laser, and replaces it when it does
+        itself.
     beam_sigma_m : float, m
         Standard deviation of a beam's distance to the map against which the odometry's information is weighed. Far
         below a lidar's noise: beams are many, and odometry slips in ways that no variance tells. With seven times as
         much the Intel log is lost by 0.2 m and more.
     jump_m, jump_rad : float
-        Odometry that moves farther between two scans than this and `speed_mps` (`turn_rps`) allow has jumped: it was
-        reset, or a message was lost. Its increment is not used, and the scan is searched for around the last pose.
+        Odometry that moves farther between two scans than this and the speeds in `velocity` allow has jumped: it was
+        reset, or a message was lost. Its increment is not used, as if there had been no odometry.
     poor_share : float
         A match with which a smaller share of the beams agrees is not believed: the scan sees mostly what is new, or a
-        turn too fast for the scans' rate has led the descent astray. It takes the odometry.
+        turn too fast for the scans' rate has led the descent astray. It takes the prediction.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
         deviations, must convince: the wheels slipped, or a reading came late. Else something misled it (a person
@@ -137,12 +89,15 @@ class Tracker:
         odometry, and only the heading is taken.
     slip_gain : float
         Share of the beams that must agree more after such a match than before it.
-    speed_mps, turn_rps : float
-        Above what an indoor robot drives (m/s, rad/s).
     matcher : GaussNewton
         How a scan is matched.
-    recovery : Correlative
-        How a scan is matched after a jump.
+    velocity : ConstantVelocity
+        What is predicted where there is no odometry.
+    search_share : float
+        Without odometry, where a smaller share of the beams agrees with a match, a better one is searched for all
+        around. On real logs more agree in the right place, and fewer in others.
+    patience : int
+        Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
     """
 
     still_m: float = Field(default=0.005, ge=0)
@@ -156,102 +111,149 @@ class Tracker:
     poor_share: float = Field(default=0.5, ge=0, le=1)
     slip_m: float = Field(default=0.08, gt=0)
     slip_gain: float = Field(default=0.1, ge=0, le=1)
-    speed_mps: float = Field(default=3.0, ge=0)
-    turn_rps: float = Field(default=3.0, ge=0)
     matcher: GaussNewton = GaussNewton()
-    recovery: Correlative = Correlative()
+    velocity: ConstantVelocity = ConstantVelocity()
+    search_share: float = Field(default=0.7, ge=0, le=1)
+    patience: int = Field(default=3, ge=1)
 
-    def init(self, odometry: Odometry, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping) -> TrackerState:
+    def init(
+        self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
+    ) -> TrackerState:
         """Start at the origin of the tracker's frame with the first scan."""
-        maps, pose = mapper.empty(2), np.zeros(3)
-        maps.update(_ROWS[0], pose[None], beams)
-        return TrackerState(maps, pose, odometry.pose, stamp_ns, pose, odometry.pose, pose)
+        state = TrackerState.start(mapper.empty(2), odometry, stamp_ns, beams.scan.sensor)
+        state.maps.update(state.row, state.pose[None], beams)
+        return state
 
-    def step(self, state: TrackerState, odometry: Odometry, stamp_ns: int, beams: Beams) -> Tracked:
+    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
         """Track one scan; updates `state`."""
-        jumped = self._jumped(state, odometry.pose, stamp_ns)
-        if jumped:  # as if the robot had not moved since the last scan
-            driven = between(state.matched_odometry, state.odometry)
-            state.matched_odometry = compose(odometry.pose, inverse(driven))
-        state.odometry, state.stamp_ns = odometry.pose, stamp_ns
-        increment = between(state.matched_odometry, odometry.pose)
-        predicted = compose(state.matched_pose, increment)
-        moved, turned = math.hypot(increment[0], increment[1]), abs(float(increment[2]))
-        if not len(beams) or (moved < self.still_m and turned < self.still_rad and not jumped):
-            state.pose = predicted
-            return Tracked(predicted, predicted)
-        sigma_m, sigma_rad = self._odometry_sigma(moved, turned, state.maps.resolution_m)
-        prior = _NO_PRIOR if jumped else self._prior(sigma_m, sigma_rad)
-        matcher: GaussNewton | Correlative = self.recovery if jumped else self.matcher
-        match = matcher(state.maps, _ROWS[state.active], predicted[None], prior, beams)
-        pose = match.poses[0] if jumped else self._believed(state, match, predicted, sigma_m, beams)
-        state.pose = state.matched_pose = pose
-        state.matched_odometry = odometry.pose
-        poor = bool(match.score[0] < self.poor_share * len(beams))
-        if poor or jumped:
-            state.doubt_m2 += sigma_m**2
-            state.doubt_rad2 += sigma_rad**2
-        if not (poor and turned > self.insert_rad):  # smeared by the turn, or seen at another time than the stamp's
-            self._insert(state, beams)
-        return Tracked(pose, predicted)
+        at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
+        predicted = self._predicted(state, at, stamp_ns, seconds)
+        found = self._found(state, predicted, seconds, beams)
+        self._advance(state, predicted, found, seconds)
+        if found.matched or not predicted.by_odometry:
+            state.matched_pose, state.matched_odometry = found.pose, at
+        state.stamp_ns, state.odometry = stamp_ns, at
+        if found.matched:
+            self._insert(state, predicted, found, beams)
+        return Tracked(found.pose, predicted.pose, beams)
 
-    def _jumped(self, state: TrackerState, pose: FloatArray, stamp_ns: int) -> bool:
-        dx, dy, turn = (pose - state.odometry).tolist()
+    def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> _Prediction:
+        increment, velocity = between(state.matched_odometry, at), self.velocity
+        if math.isnan(increment[0]) or self._jumped(state, at, stamp_ns):
+            pose = velocity.predicted(state, seconds)
+            moved, turned = _motion(between(state.pose, pose))
+            return _Prediction(pose, False, moved, turned, *velocity.sigmas(seconds), velocity.beam_sigma_m)
+        moved, turned = _motion(increment)
+        sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
+        return _Prediction(compose(state.matched_pose, increment), True, moved, turned, *sigmas, self.beam_sigma_m)
+
+    def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
+        dx, dy, turn = (at - state.odometry).tolist()
         seconds = abs(stamp_ns - state.stamp_ns) * 1e-9
-        far = math.hypot(dx, dy) > self.jump_m + self.speed_mps * seconds
-        return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.turn_rps * seconds
+        far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
+        return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
 
-    def _believed(
-        self, state: TrackerState, match: Match, predicted: FloatArray, sigma_m: float, beams: Beams
-    ) -> FloatArray:
-        """Pose of the match or, where that is implausible, the odometry's position with the match's heading."""
-        pose: FloatArray = match.poses[0]
-        score = float(match.score[0])
+    def _found(self, state: TrackerState, predicted: _Prediction, seconds: float, beams: Beams) -> _Found:
+        """Where a scan was taken."""
+        seen = state.sensors.get(beams.scan.sensor)
+        if seen is None:  # the other lasers may look elsewhere
+            return _Found(predicted.pose, matched=len(beams) > 0, poor=False)
+        if len(beams) and not predicted.by_odometry:
+            return self._searched(state, predicted, seconds, beams)
+        if len(beams) and not _within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
+            return self._matched(state, predicted, beams)
+        return _Found(predicted.pose, matched=False, poor=not predicted.by_odometry)
+
+    def _matched(self, state: TrackerState, predicted: _Prediction, beams: Beams) -> _Found:
+        """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
+        match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
+        pose, score = match.poses[0], float(match.score[0])
         if score < self.poor_share * len(beams):
-            return predicted
-        if math.hypot(pose[0] - predicted[0], pose[1] - predicted[1]) <= max(self.slip_m, 4 * sigma_m):
-            return pose
-        stayed = np.array([predicted[0], predicted[1], pose[2]])
-        before = _LOOK(state.maps, _ROWS[state.active], stayed[None], _NO_PRIOR, beams).score[0]
-        return pose if score - float(before) > self.slip_gain * len(beams) else stayed
+            return _Found(predicted.pose, matched=True, poor=True)
+        away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
+        if away > max(self.slip_m, 4 * predicted.sigma_m):
+            stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
+            before = _LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
+            pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
+        return _Found(pose, matched=True, poor=False)
+
+    def _searched(self, state: TrackerState, predicted: _Prediction, seconds: float, beams: Beams) -> _Found:
+        """Match from a prediction by the velocity; where few beams agree, search all around it."""
+        maps, row, count = state.maps, state.row, len(beams)
+        match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
+        if match.score[0] < self.search_share * count:
+            search = self.velocity.search(state, seconds)
+            place = search.search(Pyramid.of(maps, state.active), predicted.pose, None, beams.ends)
+            if place is not None:
+                other = self.matcher(maps, row, place.pose[None], _NO_PRIOR, beams)
+                convinces = other.score[0] - match.score[0] > self.slip_gain * count
+                match = other if convinces and other.score[0] >= self.search_share * count else match
+        if match.score[0] < self.poor_share * count:
+            return _Found(predicted.pose, matched=True, poor=True)
+        stands = _within(state.pose, match.poses[0], self.still_m, self.still_rad)
+        return _Found(state.pose if stands else match.poses[0], matched=True, poor=False)
+
+    def _advance(self, state: TrackerState, predicted: _Prediction, found: _Found, seconds: float) -> None:
+        """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
+        blind = found.poor and not predicted.by_odometry
+        state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, seconds)
+        state.blind_scans = state.blind_scans + 1 if blind else 0
+        state.pose = found.pose
+        if found.poor:
+            state.doubt_m2 += predicted.sigma_m**2
+            state.doubt_rad2 += predicted.sigma_rad**2
 
     def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
         return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
 
-    def _prior(self, sigma_m: float, sigma_rad: float) -> FloatArray:
-        """Information (1, 3, 3) of the odometry, beside residuals in m."""
-        position, heading = (self.beam_sigma_m / sigma_m) ** 2, (self.beam_sigma_m / sigma_rad) ** 2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
-
-    def _insert(self, state: TrackerState, beams: Beams) -> None:
-        dx, dy, turn = (state.pose - state.inserted_pose).tolist()
-        if math.hypot(dx, dy) < self.insert_m and abs(math.remainder(turn, math.tau)) < self.insert_rad:
-            return
-        state.inserted_pose = state.pose
-        scans, active = list(state.scans), state.active
-        rows = _ROWS[active] if scans[active] < self.map_scans else _BOTH
-        for row in rows.tolist():
-            scans[row] += 1
-        state.maps.update(rows, np.repeat(state.pose[None], len(rows), axis=0), beams)
-        if scans[1 - active] >= self.map_scans:
-            state.maps.clear(active)
-            scans[active], state.active = 0, 1 - active
-        state.scans = (scans[0], scans[1])
+    def _insert(self, state: TrackerState, predicted: _Prediction, found: _Found, beams: Beams) -> None:
+        """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
+        seen = state.sensors.get(beams.scan.sensor)
+        state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
+        due = seen is None or not _within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
+        if found.poor and predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
+            due = due and predicted.turned_rad <= self.insert_rad
+        elif found.poor:  # what is seen is new, but one scan does not decide that
+            due = state.blind_scans >= self.patience
+        inserted = found.pose if seen is None or due else seen.inserted_pose
+        state.note(beams.scan.sensor, Seen(state.stamp_ns, found.pose, inserted))
+        if due:
+            state.insert(beams, self.map_scans)
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class OdometryTracker:
-    """Takes the odometry as it is, as GMapping does."""
+    """Takes the odometry as it is, as GMapping does, and so needs it with every scan."""
 
-    def init(self, odometry: Odometry, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping) -> TrackerState:
-        """Start at the origin of the tracker's frame."""
-        pose = np.zeros(3)
-        return TrackerState(mapper.empty(2), pose, odometry.pose, stamp_ns, pose, odometry.pose, pose)
+    def init(
+        self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
+    ) -> TrackerState:
+        """Start at the origin of the tracker's frame; ArgumentError where there is no odometry."""
+        return TrackerState.start(mapper.empty(2), _needed(odometry, stamp_ns), stamp_ns, beams.scan.sensor)
 
-    def step(self, state: TrackerState, odometry: Odometry, stamp_ns: int, beams: Beams) -> Tracked:
-        """Track one scan; updates `state`."""
-        state.pose = compose(state.matched_pose, between(state.matched_odometry, odometry.pose))
-        state.odometry, state.stamp_ns = odometry.pose, stamp_ns
-        return Tracked(state.pose, state.pose)
+    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
+        """Track one scan; updates `state`; ArgumentError where there is no odometry."""
+        state.odometry, state.stamp_ns = _needed(odometry, stamp_ns).pose, stamp_ns
+        state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
+        return Tracked(state.pose, state.pose, beams)
+
+
+def _needed(odometry: Odometry | None, stamp_ns: int) -> Odometry:
+    if odometry is None:
+        expected = "a pose with every scan, as this tracker goes by nothing else"
+        raise ArgumentError("odometry", expected, f"none with the scan at {stamp_ns} ns")
+    return odometry
+
+
+def _motion(increment: FloatArray) -> tuple[float, float]:
+    """Metres and radians of an increment (3,)."""
+    x, y, turn = increment.tolist()
+    return math.hypot(x, y), abs(turn)
+
+
+def _within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
+    """Whether poses (3,) are nearer to each other than both."""
+    dx, dy, turn = (a - b).tolist()
+    return math.hypot(dx, dy) < metres and abs(math.remainder(turn, math.tau)) < radians

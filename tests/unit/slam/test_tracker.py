@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import OdometryTracker, Tracker
-from gridslam.types import LaserScan
+from gridslam.types import LaserScan, Trajectory
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BIASED = OdometryNoise(1.1, 0.85, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -119,6 +121,95 @@ def test_a_jump_between_scans_without_beams_is_not_driven(perfect):
     told, _, _ = track(Tracker(), perfect, log)
     assert (missed(told, perfect).max(axis=0) < BAND + np.array([0.15, 0.2])).all()  # what is driven in 0.2 s
     assert (missed(told, perfect)[80:].max(axis=0) < BAND).all()
+
+
+def without(log, lost=slice(None)):
+    """The log with the odometry of the scans `lost` thrown away."""
+    measurements = list(log.measurements)
+    measurements[lost] = [(None, scan) for _, scan in measurements[lost]]
+    return measurements
+
+
+def test_without_odometry_it_is_as_good(perfect):
+    told, _, state = track(Tracker(), perfect, without(perfect))
+    assert (missed(told, perfect).max(axis=0) < BAND).all()
+    assert state.doubt_m2 == state.doubt_rad2 == 0
+
+
+def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(perfect):
+    """Constant but for the robot's acceleration, 0.6 m/s^2: 2.4 cm in 0.2 s, beside the match's own error."""
+    told, predicted, _ = track(Tracker(), perfect, without(perfect))
+    off = between(told, predicted)
+    assert np.percentile(np.hypot(off[:, 0], off[:, 1]), 95) < 0.05
+    _, _, state = track(Tracker(), perfect, without(perfect)[:100])
+    velocity = between(perfect.truth.poses[98], perfect.truth.poses[99]) / 0.2
+    np.testing.assert_allclose(state.twist, velocity, atol=0.1)
+
+
+def restamped(measurements, shift_ns):
+    """The same scans with other stamps, by so much (N,)."""
+    pairs = zip(measurements, shift_ns.tolist(), strict=True)
+    return [(odometry, replace(scan, stamp_ns=scan.stamp_ns + shift)) for (odometry, scan), shift in pairs]
+
+
+@pytest.mark.parametrize("kind", ["bursts", "jitter", "backward", "seconds", "leap"])
+def test_without_odometry_stamps_need_not_be_true(perfect, kind):
+    """Scans that arrive three at a time, a clock that jitters, goes back, tells whole seconds, or is set by an hour."""
+    n = np.arange(len(perfect))
+    stamps = np.round(n * 2e8).astype(np.int64)
+    noise = np.random.default_rng(4).uniform(-1, 1, len(n))
+    shift = {
+        "bursts": (2 - n % 3) * 199_000_000,
+        "jitter": (90e6 * noise).astype(np.int64),
+        "backward": (600e6 * noise).astype(np.int64),
+        "seconds": -(stamps % 10**9),
+        "leap": np.where(n < 60, 0, 3600 * 10**9),
+    }[kind]
+    told, _, _ = track(Tracker(), perfect, restamped(without(perfect), shift))
+    assert (missed(told, perfect).max(axis=0) < BAND).all()
+
+
+@pytest.mark.parametrize("lost", [slice(0, 1), slice(0, 60), slice(50, 51), slice(50, 120), slice(1, None, 2)])
+def test_odometry_may_be_missing_and_come_back(biased, lost):
+    told, _, _ = track(Tracker(), biased, without(biased, lost))
+    assert (missed(told, biased).max(axis=0) < BAND).all()
+
+
+def test_without_odometry_a_robot_stands_still(perfect):
+    """Noise of the ranges does not carry it away: the map is the first scan's, and no other is inserted."""
+    scan, noise = perfect.measurements[0][1], np.random.default_rng(1)
+    log = [
+        (None, replace(scan, stamp_ns=k * 10**8, ranges=scan.ranges + noise.normal(0, 0.01, len(scan))))
+        for k in range(60)
+    ]
+    told, _, state = track(Tracker(), perfect, log)
+    assert np.abs(told).max() < 0.01
+    assert (told[1:] == told[:-1]).all(axis=1).mean() > 0.8
+    assert state.scans == (1, 0)
+
+
+def test_without_odometry_a_gap_is_searched(perfect):
+    """Two seconds without a scan in the middle of a turn: 1 m and more, and half a radian, from any prediction."""
+    turn = int(np.abs(np.diff(np.unwrap(perfect.truth.poses[:, 2]))).argmax())
+    kept = np.delete(np.arange(len(perfect)), np.s_[turn - 3 : turn + 6])
+    told, predicted, _ = track(Tracker(), perfect, [without(perfect)[k] for k in kept])
+    truth = Trajectory(perfect.truth.stamps_ns[kept], perfect.truth.poses[kept])
+    assert (missed(told, replace(perfect, truth=truth)).max(axis=0) < BAND).all()
+    assert np.hypot(*(predicted - told)[turn - 3, :2]) > 0.3
+
+
+def test_without_odometry_another_place_is_mapped_anew(perfect):
+    """The robot is carried into a room that looks otherwise: a few scans fit nowhere, then the new room does."""
+    here = without(perfect)[:40]
+    scan = here[-1][1]
+    star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
+    there = [
+        (None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)
+    ]
+    told, _, state = track(Tracker(), perfect, [*here, *there])
+    assert state.doubt_m2 > 0
+    assert state.blind_scans == 0
+    np.testing.assert_allclose(told[-5:], told[-5:-4].repeat(5, axis=0), atol=0.02)
 
 
 def test_local_maps_take_turns(perfect):

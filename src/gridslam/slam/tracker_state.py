@@ -1,0 +1,160 @@
+"""What the tracker remembers between two scans, and what it says of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.types import Beams, FloatArray, Odometry
+
+__all__ = ["Seen", "Tracked", "TrackerState", "pose_of"]
+
+_BOTH = np.array([0, 1], np.int32)
+_ROWS = (np.array([0], np.int32), np.array([1], np.int32))
+
+
+@final
+class Seen(NamedTuple):
+    """The last of one laser; several take turns, told apart by their scans' `sensor`."""
+
+    stamp_ns: int  # of its last scan that was matched
+    matched_pose: FloatArray  # (3,), of that scan
+    inserted_pose: FloatArray  # (3,), of its last scan that was inserted
+
+
+@final
+@dataclass(slots=True, eq=False)
+class TrackerState:
+    """What the tracker remembers; arrays in it are replaced, never written to.
+
+    Attributes
+    ----------
+    maps : TileMaps
+        Two overlapping local maps.
+    pose : (3,) float64
+        Of the last scan, in the tracker's own, slowly drifting frame.
+    stamp_ns : int
+        Of the last scan.
+    odometry : (3,) float64
+        Of the last scan; NaN where it had none.
+    matched_pose, matched_odometry : (3,) float64
+        Of the last scan that was matched, from which odometry goes on.
+    sensors : dict of str to Seen
+        The last of each laser.
+    twist : (3,) float64
+        Velocity of the base in its own frame, m/s and rad/s.
+    period_s : float
+        Mean time between scans.
+    even : bool
+        Stamps cannot be true: the time between scans counts as `period_s`.
+    active : int
+        Which local map is matched against.
+    scans : (int, int)
+        Scans that each local map holds.
+    blind_scans : int
+        Scans in a row of whose poses nothing was known, neither by a match nor by odometry.
+    doubt_m2, doubt_rad2 : float
+        Variances of all predictions so far that were taken instead of a match that was not believed.
+    """
+
+    maps: TileMaps
+    pose: FloatArray
+    stamp_ns: int
+    odometry: FloatArray
+    matched_pose: FloatArray
+    matched_odometry: FloatArray
+    sensors: dict[str, Seen]
+    twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    period_s: float = 0.1
+    even: bool = False
+    active: int = 0
+    scans: tuple[int, int] = (1, 0)
+    blind_scans: int = 0
+    doubt_m2: float = 0.0
+    doubt_rad2: float = 0.0
+
+    @classmethod
+    def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
+        """Begin at the origin of the tracker's frame."""
+        pose, at = np.zeros(3), pose_of(odometry)
+        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: Seen(stamp_ns, pose, pose)})
+
+    @property
+    def row(self) -> NDArray[np.int32]:
+        """The local map that is matched against, (1,)."""
+        return _ROWS[self.active]
+
+    def note(self, sensor: str, seen: Seen) -> None:
+        """Keep the last of a laser; copies that were made before do not change."""
+        self.sensors = {**self.sensors, sensor: seen}
+
+    def insert(self, beams: Beams, most: int) -> None:
+        """Insert a scan at the present pose; the local maps take turns by so many scans of each laser."""
+        scans, active, full = list(self.scans), self.active, most * len(self.sensors)
+        rows = _ROWS[active] if scans[active] < full else _BOTH
+        for row in rows.tolist():
+            scans[row] += 1
+        self.maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), beams)
+        if scans[1 - active] >= full:
+            self.maps.clear(active)
+            scans[active], self.active = 0, 1 - active
+        self.scans = (scans[0], scans[1])
+
+    def snapshot(self) -> TrackerState:
+        """Keep a copy for later, at the cost of the maps' tables."""
+        return replace(self, maps=self.maps.snapshot())
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` continues to the same bytes."""
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
+        counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.even]
+        arrays["counters"] = np.array(counters, np.int64)
+        arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
+        arrays["period_s"] = np.array(self.period_s)
+        stamps, matched, inserted = zip(*self.sensors.values(), strict=True)
+        arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
+        arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
+        arrays["sensors.matched_poses"], arrays["sensors.inserted_poses"] = np.array(matched), np.array(inserted)
+        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
+        stamp_ns, active, first, second, blind, even = (int(v) for v in arrays["counters"])
+        doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
+        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", "matched_poses", "inserted_poses")]
+        last = [Seen(int(stamp), *poses) for stamp, *poses in zip(*parts, strict=True)]
+        return cls(
+            maps, stamp_ns=stamp_ns, sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
+            period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
+            blind_scans=blind, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
+            **{name: np.array(arrays[name], np.float64) for name in _POSES},
+        )  # fmt: skip
+
+
+_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist")
+
+
+def pose_of(odometry: Odometry | None) -> FloatArray:
+    """Pose (3,); NaN where there is none."""
+    return np.full(3, np.nan) if odometry is None else odometry.pose
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """What the tracker says of one scan: poses (3,) in its frame, and the beams as they are seen from there.
+
+    `predicted` uses only the scans before this one, `pose` this one too; `beams` are deskewed.
+    """
+
+    pose: FloatArray
+    predicted: FloatArray
+    beams: Beams
