@@ -13,9 +13,9 @@ import numpy as np
 from gridslam.doctor.examiner import Trace, percent
 from gridslam.doctor.finding import Figure, Finding, Series, Severity
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, IntArray, LaserScan, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["BeamExaminer", "Sweep"]
+__all__ = ["BeamExaminer", "Sweep", "field_of_view_rad", "is_clockwise"]
 
 _MANY_LOST = 0.1  # share of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
@@ -23,6 +23,18 @@ _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and cl
 _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
 _ALWAYS = 0.99  # a beam that is invalid this often is blocked, it is not lost by chance
 _INVALID, _NO_RETURN, _HIT = (np.uint8(s) for s in (BeamStatus.INVALID, BeamStatus.NO_RETURN, BeamStatus.HIT))
+
+
+def field_of_view_rad(bearings: FloatArray) -> float:
+    """Angle over which beams with bearings (B,) are spread, one step for each beam, at most a full turn."""
+    if len(bearings) < 2:
+        return 0.0
+    return min(abs(float(bearings[-1] - bearings[0])) * len(bearings) / (len(bearings) - 1), math.tau)
+
+
+def is_clockwise(bearings: FloatArray) -> bool:
+    """Whether bearings (B,) fall from the first to the last."""
+    return len(bearings) > 1 and bool(bearings[0] > bearings[-1])
 
 
 @final
@@ -81,20 +93,12 @@ class Sweep:
     @property
     def field_of_view_rad(self) -> float:
         """Angle over which the beams of the latest scan are spread, at most a full turn."""
-        if self.geometry is None or len(self.geometry.bearings) < 2:
-            return 0.0
-        bearings = self.geometry.bearings
-        span = abs(float(bearings[-1] - bearings[0]))
-        return min(span * len(bearings) / (len(bearings) - 1), math.tau)
+        return 0.0 if self.geometry is None else field_of_view_rad(self.geometry.bearings)
 
     @property
     def clockwise(self) -> bool:
         """Whether bearings fall from the first beam to the last."""
-        return self.geometry is not None and bool(np.ptp(self.geometry.bearings)) and self._falls(self.geometry)
-
-    @staticmethod
-    def _falls(geometry: ScanGeometry) -> bool:
-        return bool(geometry.bearings[0] > geometry.bearings[-1])
+        return self.geometry is not None and is_clockwise(self.geometry.bearings)
 
     def blocked(self) -> int:
         """How many beams of the usual scan never measure anything."""

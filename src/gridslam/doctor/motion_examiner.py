@@ -9,6 +9,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.doctor.beams import field_of_view_rad, is_clockwise
 from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.laser_motion import LaserMotion, LaserWitness
@@ -91,7 +92,7 @@ def _skewed(
             fast * told_s, "rad", "", motion.sensor,
         )  # fmt: skip
     seconds = np.diff(motion.stamps_ns) * 1e-9
-    span = _field_of_view(geometry.bearings)
+    span = field_of_view_rad(geometry.bearings)
     sweep_s = float(np.median(seconds)) * span / math.tau
     if fast * sweep_s < _SMEAR_RAD:
         return None
@@ -112,19 +113,13 @@ def _sweeps(motion: LaserMotion, calibration: MotionCalibration, geometry: ScanG
 
     A scan stamped by its first beam then looks half of the sweep early, by its last beam so much late.
     """
-    span = _field_of_view(geometry.bearings)
+    span = field_of_view_rad(geometry.bearings)
     seen = measured_sweep(motion, span, reflected=calibration.reflected)
-    seen_s = -seen.value if geometry.bearings[0] > geometry.bearings[-1] else seen.value
+    seen_s = -seen.value if is_clockwise(geometry.bearings) else seen.value
     skew = calibration.skew_s
     agree = skew.determined and abs(abs(skew.value) - 0.5 * sweep_s) < _HALF * 0.5 * sweep_s
     needed = (_LIKELY if agree else _SURE) * seen.sigma
     return seen.determined and seen_s > max(needed, _HIDDEN * sweep_s)
-
-
-def _field_of_view(bearings: FloatArray) -> float:
-    if len(bearings) < 2:
-        return 0.0
-    return min(abs(float(bearings[-1] - bearings[0])) * len(bearings) / (len(bearings) - 1), math.tau)
 
 
 def _figure(motion: LaserMotion, rates: FloatArray, sweep_s: float) -> Figure:

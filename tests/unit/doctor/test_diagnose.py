@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_logs import drive, findings, seen
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from gridslam.doctor import CheckedLog, Doctor, Finding, Severity, diagnose, quick_check
 from gridslam.doctor.diagnosis import Diagnosis
@@ -22,6 +24,8 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate, simulate_stream
 from gridslam.sim.faults import FAULTS, with_fault
+from gridslam.types import ScanGeometry
+from gridslam.viz.chart import draw_chart
 
 
 class Memory:
@@ -189,3 +193,28 @@ def test_pictures_are_named_by_number_and_code():
     (gap,) = (f for f in findings([m for m in drive() if not 9 < m.scan.stamp_ns * 1e-9 < 15]).values())
     assert picture_name(3, gap) == "03_gaps.png"
     assert picture_name(3, replace(gap, figure=None)) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_whatever_a_reader_gives_is_diagnosed(data):
+    """Any number of beams, stamps in any order, ranges of any kind, odometry that comes and goes, lasers anywhere."""
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    counts = data.draw(st.lists(st.integers(0, 60), min_size=1, max_size=3))
+    clumsy = data.draw(st.sampled_from([1.0, 1e3, 1e9]))
+    geometries = [ScanGeometry.planar(np.sort(rng.uniform(-3, 3, n)), rng.uniform(-1, 1, 3)) for n in counts]
+
+    def one(k):
+        geometry = geometries[rng.integers(len(geometries))]
+        ranges = rng.choice([np.nan, np.inf, 0.0, -1.0, 1e-3, 3.0, 5.0, 1e6], len(geometry.bearings))
+        pose = None if rng.random() < 0.2 else tuple(clumsy * rng.standard_normal(3))
+        sensor = "ab"[rng.integers(2)]
+        return seen(clumsy * rng.choice([0.0, 0.1 * k, rng.normal()]), ranges, pose, geometry, sensor=sensor)
+
+    diagnosis = diagnose(Memory(one(k) for k in range(data.draw(st.sampled_from([1, 2, 40])))))
+    json.dumps(document(diagnosis), allow_nan=False)
+    assert text(diagnosis)
+    assert markdown(diagnosis)
+    for finding in diagnosis.findings:
+        if finding.figure is not None:
+            draw_chart(finding.figure)
