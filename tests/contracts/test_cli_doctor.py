@@ -11,8 +11,11 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
+from gridslam.cli.doctor import checked
 from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault
 
 LASER_KEYS = {
@@ -143,3 +146,20 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(call, log, t
     status, out, err = call("doctor", log, "-o", tmp_path / "file")
     assert (status, out) == (2, "")
     assert "expected a folder" in err
+
+
+def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
+    path = tmp_path / "a.clf"
+    write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))
+    assert len(list(checked(open_log(path), LogOptions()))) == 60
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith(f"gridslam: {path}: no_odometry: There is no odometry")
+    assert "--no-odometry" in line
+
+
+def test_what_was_asked_for_or_is_healthy_is_not_told(log, capsys):
+    for options in (LogOptions(), LogOptions(no_odometry=True)):
+        assert len(list(checked(open_log(log, options), options))) == 120
+    assert capsys.readouterr() == ("", "")

@@ -9,12 +9,12 @@ import click
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import reading_progress
-from gridslam.doctor import Diagnosis, Severity, diagnose
+from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
 from gridslam.doctor.report import document, markdown, picture_name, text
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
 
-__all__ = ["SPOILED", "doctor_log"]
+__all__ = ["SPOILED", "checked", "doctor_log"]
 
 SPOILED = 3
 """Exit status where something would spoil the map."""
@@ -34,6 +34,21 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     else:
         click.echo("\n".join([*text(diagnosis), *([f"report: {out / 'report.md'}"] if out else [])]))
     return SPOILED if diagnosis.worst is Severity.SPOILS else 0
+
+
+def checked(log: Log, options: LogOptions) -> CheckedLog:
+    """A log that says on stderr, one line each, what is wrong in its first minute as it is read.
+
+    That there is no odometry is no news to who asked for it.
+    """
+    known = {"no_odometry"} if options.no_odometry else set()
+
+    def tell(found: tuple[Finding, ...]) -> None:
+        for finding in found:
+            if finding.code not in known:
+                click.echo(f"gridslam: {log.path}: {finding.code}: {finding.says} {finding.remedy}".rstrip(), err=True)
+
+    return CheckedLog(log, tell)
 
 
 def _shown(source: Log, shown: bool) -> Diagnosis:
