@@ -38,6 +38,7 @@ _UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most
 _BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be told
 _UNKNOWN = math.inf
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
+_LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
 _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
 _DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
@@ -110,7 +111,7 @@ class MotionCalibration:
 
 
 class _Turns(NamedTuple):
-    """What turns alone tell."""
+    """What turns alone tell; the drift is that for each metre of odometry."""
 
     agreement: float
     turn_scale: Estimate
@@ -133,9 +134,11 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     way = np.hypot(ways.odometry[:, 0], ways.odometry[:, 1])
     turn_told = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
     residuals[:, 2] = wrap(ways.odometry[:, 2] - turn_told)
+    told_drift = turns.drift
+    drift = Estimate(scale.value * told_drift.value, scale.value * told_drift.sigma, told_drift.determined)
     noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
     return MotionCalibration(
-        reflected, turns.agreement, scale, turns.turn_scale, turns.drift, yaw, turns.skew, x, y,
+        reflected, turns.agreement, scale, turns.turn_scale, drift, yaw, turns.skew, x, y,
         float(np.hypot(laser[:, 0], laser[:, 1]).sum()), float(np.abs(laser[:, 2]).sum()), float(way.sum()),
         float(np.abs(ways.odometry[:, 2]).sum()), motion.mounting, ways, residuals, noise,
     )  # fmt: skip
@@ -190,11 +193,14 @@ def _turns(motion: LaserMotion) -> _Turns:
 def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
     """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
     best, agreement = 0.0, math.nan
+    parts = intervals(motion, shifted(motion, 0.0), _BRIEF)
+    if len(parts) < _FEWEST or np.abs(parts.laser[:, 2]).sum() < 1.0:
+        return best, agreement
     for lag in sorted(lags_s.tolist(), key=abs):
-        parts = intervals(motion, shifted(motion, lag), _BRIEF)
-        mine, told = parts.laser[:, 2], parts.odometry[:, 2]
-        if len(parts) < _FEWEST or np.abs(mine).sum() < 1.0:
-            continue
+        headings = shifted(motion, lag)[:, 2]
+        told = headings[parts.ends] - headings[parts.begins]
+        known = np.isfinite(told)
+        mine, told = parts.laser[known, 2], told[known]
         found = float(mine @ told / max(math.sqrt(float(mine @ mine) * float(told @ told)), 1e-9))
         if math.isnan(agreement) or abs(found) > abs(agreement) + 1e-3:
             best, agreement = lag, found
@@ -230,7 +236,7 @@ def _fit_turns(
     sigma = np.sqrt(variance + np.square(_JITTER_S * change))
     design = np.stack([turned, way, change], axis=1) / sigma[:, None]
     told = odometry[parts.ends, 2] - odometry[parts.begins, 2]
-    return robust_fit(design[:, None, :], (told / sigma)[:, None])
+    return robust_fit(design[:, None, :], (told / sigma)[:, None], _LEAST_SPREAD)
 
 
 def _ways(
@@ -249,15 +255,16 @@ def _ways(
         turn = np.array([[c, -s], [s, c]])
         noise = turn @ spread @ turn.T + (_VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
-        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response))
+        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response), _LEAST_SPREAD)
     a, b = fit.parameters[:2].tolist()
-    scale = max(math.hypot(a, b), 1e-9)
-    along, across = np.array([a, b, 0, 0]) / scale, np.array([-b, a, 0, 0]) / scale**2
+    scale, angle = max(math.hypot(a, b), 1e-6), math.atan2(b, a)
+    c, s = math.cos(angle), math.sin(angle)
+    along, across = np.array([c, s, 0, 0]), np.array([-s, c, 0, 0]) / scale
     sigma = [math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across)]
     sigma[0] = math.hypot(sigma[0], _SCALE_FLOOR)
-    offset = float(wrap(math.atan2(b, a) - declared_yaw))
-    lever = [_estimate(fit, k, _DETERMINED["lever"]) for k in (2, 3)]
-    x, y = (Estimate(e.value / scale, e.sigma / scale, e.determined) for e in lever)
+    offset = float(wrap(angle - declared_yaw))
+    x, y = (_estimate(fit, k, _DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
+    x, y = (Estimate(e.value / scale, e.sigma / scale, e.determined) for e in (x, y))
     factor = Estimate(scale, sigma[0], sigma[0] < _DETERMINED["scale"])
     yaw = Estimate(offset, sigma[1], sigma[1] < _DETERMINED["yaw"])
     return factor, yaw, x, y, design @ fit.parameters

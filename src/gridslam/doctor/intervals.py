@@ -95,20 +95,22 @@ def cumulative_headings(poses: FloatArray) -> FloatArray:
 
 
 def shifted(motion: LaserMotion, seconds: float) -> FloatArray:
-    """Odometry (K, 3) at times that lie `seconds` before the scans', by cubic interpolation; NaN beyond its ends.
+    """Odometry (K, 3) at times that lie `seconds` before the poses', by cubic interpolation; NaN beyond its ends.
 
     Headings are not wrapped. Stamps that go backward hold still.
     """
     known = np.isfinite(motion.odometry).all(axis=1)
     poses = motion.odometry.copy()
     poses[known, 2] = poses[known, 2][:1] + cumulative_headings(poses[known])
-    if seconds == 0.0:
+    if seconds == 0.0 and np.array_equal(motion.stamps_ns, motion.odometry_stamps_ns):
         return poses
-    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
-    fresh = known & (np.diff(times, prepend=-1.0) > 0)
-    if fresh.sum() < 2:
+    first_ns = motion.odometry_stamps_ns[:1]
+    told = np.maximum.accumulate((motion.odometry_stamps_ns - first_ns) * 1e-9)
+    fresh = known & (np.diff(told, prepend=-1.0) > 0)
+    if fresh.sum() < 3:
         return np.full_like(poses, np.nan)
-    return _hermite(times[fresh], poses[fresh], times - seconds)
+    seen = np.maximum.accumulate((motion.stamps_ns - first_ns) * 1e-9)
+    return _hermite(told[fresh], poses[fresh], seen - seconds)
 
 
 def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import final
@@ -38,7 +39,7 @@ class LaserMotion:
     ----------
     sensor : str
     stamps_ns : (K,) int64
-        Of the matched scans, in the log's order.
+        Of the poses, in the log's order: of the scan, or the mean time of its beams where each has one.
     poses : (K, 3) float64
         Of the laser, in a frame of its own for each track.
     covariances : (K, 3, 3) float64
@@ -48,7 +49,9 @@ class LaserMotion:
     tracks : (K,) int64
         Increments between poses of different tracks are unknown: the match was lost, or scans were passed over.
     odometry : (K, 3) float64
-        Of the robot at the scans; NaN where the log has none.
+        Pose of the robot as the log has it for the scan; NaN where there is none.
+    odometry_stamps_ns : (K,) int64
+        The stamps of `odometry`.
     mounting : (3,) float64
         Pose of the laser in the base frame as the log declares it, [x m, y m, yaw rad].
     upside_down : bool
@@ -64,6 +67,7 @@ class LaserMotion:
     shares: FloatArray
     tracks: IntArray
     odometry: FloatArray
+    odometry_stamps_ns: IntArray
     mounting: FloatArray
     upside_down: bool
     scans: int
@@ -83,46 +87,47 @@ class LaserWitness:
     """
 
     _odometry: LaserOdometry = field(default_factory=LaserOdometry)
-    _rows: list[tuple[float, ...]] = field(default_factory=list)
-    _stamps: list[int] = field(default_factory=list)
-    _information: list[FloatArray] = field(default_factory=list)
+    _rows: array[float] = field(default_factory=lambda: array("d"))  # pose, share, track, odometry, information
+    _stamps: array[int] = field(default_factory=lambda: array("q"))  # of the pose, of the odometry
     _geometry: ScanGeometry | None = None
     _directions: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     _first: ScanGeometry | None = None
     _sensor: str = ""
     _scans: int = 0
     _thinned: int = 0
+    _last_ns: int = 0
     _passed_over: bool = True
 
     def __len__(self) -> int:
         """Return the number of scans matched so far."""
-        return len(self._stamps)
+        return len(self._stamps) // 2
 
     def add(self, measurement: Measurement) -> None:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
         self._scans += 1
-        if self._stamps and 0 <= scan.stamp_ns - self._stamps[-1] < 1e9 / _RATE_HZ:
+        if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / _RATE_HZ:
             return
         stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
         if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
             self._passed_over = True
             return
         ends, times_s = self._ends(scan)
+        middle_s = 0.0 if times_s is None or not len(times_s) else float(times_s.mean())
+        stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
         if len(ends) < _FEWEST_BEAMS:
             self._passed_over = True
             return
         share, information = 0.0, np.zeros((3, 3))
         if self._passed_over:
-            self._odometry.begin(scan.stamp_ns, ends)
+            self._odometry.begin(stamp_ns, ends)
         else:
-            ends = ends if times_s is None else self._odometry.deskewed(ends, times_s)
-            information, share = self._odometry.step(scan.stamp_ns, ends)
+            information, share = self._odometry.step(stamp_ns, ends, None if times_s is None else times_s - middle_s)
         self._passed_over = False
-        pose = (math.nan,) * 3 if odometry is None else tuple(odometry.pose.tolist())
-        self._rows.append((*self._odometry.pose.tolist(), share, self._odometry.track, *pose))
-        self._stamps.append(scan.stamp_ns)
-        self._information.append(information)
+        told = (math.nan,) * 3 if odometry is None else odometry.pose
+        self._rows.extend((*self._odometry.pose, share, self._odometry.track, *told, *information.ravel()))
+        self._stamps.extend((stamp_ns, scan.stamp_ns if odometry is None else odometry.stamp_ns))
+        self._last_ns = scan.stamp_ns
 
     def _ends(self, scan: LaserScan) -> tuple[FloatArray, FloatArray | None]:
         """Ends (K, 2) of at most 360 beams in the laser's frame, and their times (K,) where the scan has them."""
@@ -141,14 +146,13 @@ class LaserWitness:
     @property
     def motion(self) -> LaserMotion:
         """The motion of the laser so far."""
-        rows = np.array(self._rows, np.float64).reshape(-1, 8)
-        information = np.array(self._information, np.float64).reshape(-1, 3, 3)
+        rows = np.array(self._rows, np.float64).reshape(-1, 17)
+        stamps = np.array(self._stamps, np.int64).reshape(-1, 2)
         geometry = self._first or ScanGeometry(np.zeros(0))
+        covariances = _covariances(rows[:, 8:].reshape(-1, 3, 3), rows[:, 2], rows[:, 3], len(self._directions))
         return LaserMotion(
-            self._sensor, np.array(self._stamps, np.int64), rows[:, :3],
-            _covariances(information, rows[:, 2], rows[:, 3], len(self._directions)), rows[:, 3],
-            rows[:, 4].astype(np.int64), rows[:, 5:], _mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0),
-            self._scans,
+            self._sensor, stamps[:, 0], rows[:, :3], covariances, rows[:, 3], rows[:, 4].astype(np.int64), rows[:, 5:8],
+            stamps[:, 1], _mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0), self._scans,
         )  # fmt: skip
 
 

@@ -70,18 +70,16 @@ class LaserOdometry:
         self.track += 1
         self._draw(ends)
 
-    def deskewed(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
-        """Ends (K, 2) as seen at the scan's stamp, if the laser moves on as before; `times_s` (K,) from the stamp."""
-        vx, vy, omega = self._twist.tolist()
-        moved = np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
-        aligned: FloatArray = ends + times_s[:, None] * moved
-        return aligned
-
-    def step(self, stamp_ns: int, ends: FloatArray) -> tuple[FloatArray, float]:
+    def step(self, stamp_ns: int, ends: FloatArray, times_s: FloatArray | None = None) -> tuple[FloatArray, float]:
         """Match a scan; return the information (3, 3) of the match (see `Match`) and the share of agreeing beams.
 
-        The share is 0 where the track was lost and this scan begins another.
+        `times_s` (K,) are those of the ends relative to `stamp_ns`. They must have a mean of 0: a scan moved to its
+        begin or end by the twist would in turn change the twist, from scan to scan by ever more. The share is 0 where
+        the track was lost and this scan begins another.
         """
+        if times_s is not None:
+            vx, vy, omega = self._twist.tolist()
+            ends = ends + times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
         seconds = self._passed(stamp_ns)
         predicted = compose(self.pose, exp(self._twist * seconds))
         match = self._match(_ROUGH, predicted[None], ends)

@@ -153,9 +153,9 @@ class _Odometer:
         if self._told is None:
             self._pose = odometry.pose
         else:
-            x, y, turn = log(between(self._told, odometry.pose)).tolist()
+            x, y, turn = (log(between(self._told, odometry.pose)) / [repair.scale, repair.scale, 1.0]).tolist()
             turn = (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale
-            self._pose = compose(self._pose, exp([x / repair.scale, y / repair.scale, turn]))
+            self._pose = compose(self._pose, exp([x, y, turn]))
         self._told = odometry.pose
         return Odometry(odometry.stamp_ns, self._pose, odometry.covariance)
 

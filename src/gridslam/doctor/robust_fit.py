@@ -24,12 +24,13 @@ class Fit(NamedTuple):
     scores: FloatArray
 
 
-def robust_fit(design: FloatArray, response: FloatArray) -> Fit:
+def robust_fit(design: FloatArray, response: FloatArray, least_spread: float = 1e-9) -> Fit:
     """Fit response (N, D) = design (N, D, P) x parameters, D = 1 or 2, by Cauchy's M-estimator.
 
-    The noise of each of the N terms has unit variance up to a common factor, which the residuals tell (by their median
-    norm). The covariance sums the scores of consecutive terms before it squares them, in `_BLOCKS` blocks, so that it
-    holds whatever the true variances are and however neighbours correlate.
+    The noise of each of the N terms has unit variance up to a common factor, which the residuals tell by their median
+    norm; it is `least_spread` at the least, or what a first bad guess leaves out might stay out. The covariance sums
+    the scores of consecutive terms before it squares them, in `_BLOCKS` blocks, so that it holds whatever the true
+    variances are and however neighbours correlate; what no term tells of has the variance of `least_spread`.
 
     Source: Huber and Ronchetti, Robust Statistics (2009), section 7; the sandwich with clusters is Liang and Zeger's
     (1986).
@@ -42,11 +43,12 @@ def robust_fit(design: FloatArray, response: FloatArray) -> Fit:
         parameters = np.linalg.solve(regular, np.einsum("n,ndp,nd->p", weights, design, response))
         residuals = response - design @ parameters
         norms = np.sqrt(np.square(residuals).sum(axis=1))
-        spread = max(float(np.median(norms)) / _MEDIAN_NORM[width - 1], 1e-9)
+        spread = max(float(np.median(norms)) / _MEDIAN_NORM[width - 1], least_spread)
         scores = norms / spread
         weights = 1 / (1 + np.square(scores / _CAUCHY))
     pulls = np.einsum("n,ndp,nd->np", weights, design, residuals)
     blocks = np.add.reduceat(pulls, np.arange(0, count, max(1, count // _BLOCKS)))
     flatter = max(float((weights * (2 * weights - 1)).sum() / weights.sum()), 0.3)
     inverse = np.linalg.inv(regular * flatter)
-    return Fit(parameters, inverse @ (blocks.T @ blocks) @ inverse, scores)
+    sandwich = inverse @ (blocks.T @ blocks) @ inverse
+    return Fit(parameters, sandwich + least_spread**2 * np.linalg.inv(regular), scores)
