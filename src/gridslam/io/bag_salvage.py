@@ -202,7 +202,7 @@ class SalvagedSqlite:
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of their rows."""
         for time_ns, number, data in self._rows(2, "SELECT timestamp, topic_id, data FROM messages"):
-            topic = self._topics.get(number)
+            topic = self._topics.get(number, "")
             if topic in topics and isinstance(data, bytes):
                 yield time_ns, topic, data
 

@@ -60,6 +60,7 @@ class ScanMaker:
         increment = message.time_increment
         if not 0 < increment < math.inf:
             return None
-        times: FloatArray = increment * np.arange(len(message.ranges))
+        times: FloatArray = np.arange(len(message.ranges), dtype=np.float64)
+        times *= increment
         times.flags.writeable = False
         return times
