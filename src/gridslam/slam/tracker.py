@@ -8,7 +8,7 @@ velocity, and searches more widely.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -19,7 +19,8 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.tracker_state import Seen, Tracked, TrackerState, pose_of
+from gridslam.slam.tracker_deskew import Deskew
+from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, pose_of
 from gridslam.slam.tracker_velocity import ConstantVelocity
 from gridslam.types import Beams, FloatArray, Odometry
 
@@ -27,34 +28,6 @@ __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
 _LOOK = GaussNewton(max_passes=0)
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
-
-
-@final
-class _Prediction(NamedTuple):
-    """Where a scan should have been taken, by all that is known without looking at it."""
-
-    pose: FloatArray  # (3,)
-    by_odometry: bool  # or by the velocity
-    moved_m: float  # since the last scan that was matched, of any laser
-    turned_rad: float
-    sigma_m: float
-    sigma_rad: float
-    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
-
-    @property
-    def prior(self) -> FloatArray:
-        """Information (1, 3, 3) of the prediction, beside residuals in m."""
-        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
-
-
-@final
-class _Found(NamedTuple):
-    """Where a scan was taken."""
-
-    pose: FloatArray  # (3,)
-    matched: bool  # whether the map was asked
-    poor: bool  # nothing that is known of the pose is to be trusted
 
 
 @final
@@ -98,6 +71,8 @@ class Tracker:
         around. On real logs more agree in the right place, and fewer in others.
     patience : int
         Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
+    deskew : Deskew or None
+        How scans with beam times are deskewed; None: they are taken as they are.
     """
 
     still_m: float = Field(default=0.005, ge=0)
@@ -115,6 +90,7 @@ class Tracker:
     velocity: ConstantVelocity = ConstantVelocity()
     search_share: float = Field(default=0.7, ge=0, le=1)
     patience: int = Field(default=3, ge=1)
+    deskew: Deskew | None = Deskew()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
@@ -128,7 +104,13 @@ class Tracker:
         """Track one scan; updates `state`."""
         at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
         predicted = self._predicted(state, at, stamp_ns, seconds)
-        found = self._found(state, predicted, seconds, beams)
+        if self.deskew is None or beams.scan.beam_times_s is None:
+            found = self._found(state, predicted, seconds, beams)
+        else:
+            found, beams = self.deskew(
+                state, predicted, lambda pose: self.velocity.twist(state, pose, seconds), beams,
+                lambda sharp: self._found(state, predicted, seconds, sharp),
+            )  # fmt: skip
         self._advance(state, predicted, found, seconds)
         if found.matched or not predicted.by_odometry:
             state.matched_pose, state.matched_odometry = found.pose, at
@@ -137,15 +119,15 @@ class Tracker:
             self._insert(state, predicted, found, beams)
         return Tracked(found.pose, predicted.pose, beams)
 
-    def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> _Prediction:
+    def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         increment, velocity = between(state.matched_odometry, at), self.velocity
         if math.isnan(increment[0]) or self._jumped(state, at, stamp_ns):
             pose = velocity.predicted(state, seconds)
             moved, turned = _motion(between(state.pose, pose))
-            return _Prediction(pose, False, moved, turned, *velocity.sigmas(seconds), velocity.beam_sigma_m)
+            return Prediction(pose, False, moved, turned, *velocity.sigmas(seconds), velocity.beam_sigma_m)
         moved, turned = _motion(increment)
         sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
-        return _Prediction(compose(state.matched_pose, increment), True, moved, turned, *sigmas, self.beam_sigma_m)
+        return Prediction(compose(state.matched_pose, increment), True, moved, turned, *sigmas, self.beam_sigma_m)
 
     def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
         dx, dy, turn = (at - state.odometry).tolist()
@@ -153,31 +135,31 @@ class Tracker:
         far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
         return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
 
-    def _found(self, state: TrackerState, predicted: _Prediction, seconds: float, beams: Beams) -> _Found:
+    def _found(self, state: TrackerState, predicted: Prediction, seconds: float, beams: Beams) -> Found:
         """Where a scan was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         if seen is None:  # the other lasers may look elsewhere
-            return _Found(predicted.pose, matched=len(beams) > 0, poor=False)
+            return Found(predicted.pose, matched=len(beams) > 0, poor=False)
         if len(beams) and not predicted.by_odometry:
             return self._searched(state, predicted, seconds, beams)
         if len(beams) and not _within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return self._matched(state, predicted, beams)
-        return _Found(predicted.pose, matched=False, poor=not predicted.by_odometry)
+        return Found(predicted.pose, matched=False, poor=not predicted.by_odometry)
 
-    def _matched(self, state: TrackerState, predicted: _Prediction, beams: Beams) -> _Found:
+    def _matched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         pose, score = match.poses[0], float(match.score[0])
         if score < self.poor_share * len(beams):
-            return _Found(predicted.pose, matched=True, poor=True)
+            return Found(predicted.pose, matched=True, poor=True)
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = _LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
-        return _Found(pose, matched=True, poor=False)
+        return Found(pose, matched=True, poor=False, share=score / len(beams))
 
-    def _searched(self, state: TrackerState, predicted: _Prediction, seconds: float, beams: Beams) -> _Found:
+    def _searched(self, state: TrackerState, predicted: Prediction, seconds: float, beams: Beams) -> Found:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         maps, row, count = state.maps, state.row, len(beams)
         match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
@@ -189,11 +171,12 @@ class Tracker:
                 convinces = other.score[0] - match.score[0] > self.slip_gain * count
                 match = other if convinces and other.score[0] >= self.search_share * count else match
         if match.score[0] < self.poor_share * count:
-            return _Found(predicted.pose, matched=True, poor=True)
-        stands = _within(state.pose, match.poses[0], self.still_m, self.still_rad)
-        return _Found(state.pose if stands else match.poses[0], matched=True, poor=False)
+            return Found(predicted.pose, matched=True, poor=True)
+        pose, share = match.poses[0], float(match.score[0]) / count
+        stands = _within(state.pose, pose, self.still_m, self.still_rad)
+        return Found(state.pose if stands else pose, matched=True, poor=False, share=share)
 
-    def _advance(self, state: TrackerState, predicted: _Prediction, found: _Found, seconds: float) -> None:
+    def _advance(self, state: TrackerState, predicted: Prediction, found: Found, seconds: float) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         blind = found.poor and not predicted.by_odometry
         state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, seconds)
@@ -207,7 +190,7 @@ class Tracker:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
         return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
 
-    def _insert(self, state: TrackerState, predicted: _Prediction, found: _Found, beams: Beams) -> None:
+    def _insert(self, state: TrackerState, predicted: Prediction, found: Found, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
@@ -216,8 +199,10 @@ class Tracker:
             due = due and predicted.turned_rad <= self.insert_rad
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
-        inserted = found.pose if seen is None or due else seen.inserted_pose
-        state.note(beams.scan.sensor, Seen(state.stamp_ns, found.pose, inserted))
+        last = (seen or Seen.first(state.stamp_ns, found.pose))._replace(
+            stamp_ns=state.stamp_ns, matched_pose=found.pose
+        )
+        state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
 

@@ -13,7 +13,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.types import Beams, FloatArray, Odometry
 
-__all__ = ["Seen", "Tracked", "TrackerState", "pose_of"]
+__all__ = ["Found", "Prediction", "Seen", "Tracked", "TrackerState", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
@@ -26,6 +26,12 @@ class Seen(NamedTuple):
     stamp_ns: int  # of its last scan that was matched
     matched_pose: FloatArray  # (3,), of that scan
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
+    orders: FloatArray  # (3,), what its scans told of the order of their beams; see `Deskew`
+
+    @classmethod
+    def first(cls, stamp_ns: int, pose: FloatArray) -> Seen:
+        """After its first scan, from `pose` (3,)."""
+        return cls(stamp_ns, pose, pose, np.zeros(3))
 
 
 @final
@@ -83,7 +89,7 @@ class TrackerState:
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
         """Begin at the origin of the tracker's frame."""
         pose, at = np.zeros(3), pose_of(odometry)
-        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: Seen(stamp_ns, pose, pose)})
+        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: Seen.first(stamp_ns, pose)})
 
     @property
     def row(self) -> NDArray[np.int32]:
@@ -117,10 +123,10 @@ class TrackerState:
         arrays["counters"] = np.array(counters, np.int64)
         arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
         arrays["period_s"] = np.array(self.period_s)
-        stamps, matched, inserted = zip(*self.sensors.values(), strict=True)
+        stamps, *parts = zip(*self.sensors.values(), strict=True)
         arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
         arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
-        arrays["sensors.matched_poses"], arrays["sensors.inserted_poses"] = np.array(matched), np.array(inserted)
+        arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
@@ -129,8 +135,8 @@ class TrackerState:
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
         stamp_ns, active, first, second, blind, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
-        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", "matched_poses", "inserted_poses")]
-        last = [Seen(int(stamp), *poses) for stamp, *poses in zip(*parts, strict=True)]
+        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
+        last = [Seen(int(stamp), *seen) for stamp, *seen in zip(*parts, strict=True)]
         return cls(
             maps, stamp_ns=stamp_ns, sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
             period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
@@ -139,12 +145,42 @@ class TrackerState:
         )  # fmt: skip
 
 
+_OF_SENSORS = ("matched_poses", "inserted_poses", "orders")
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist")
 
 
 def pose_of(odometry: Odometry | None) -> FloatArray:
     """Pose (3,); NaN where there is none."""
     return np.full(3, np.nan) if odometry is None else odometry.pose
+
+
+@final
+class Prediction(NamedTuple):
+    """Where a scan should have been taken, by all that is known without looking at it."""
+
+    pose: FloatArray  # (3,)
+    by_odometry: bool  # or by the velocity
+    moved_m: float  # since the last scan that was matched, of any laser
+    turned_rad: float
+    sigma_m: float
+    sigma_rad: float
+    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
+
+    @property
+    def prior(self) -> FloatArray:
+        """Information (1, 3, 3) of the prediction, beside residuals in m."""
+        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
+
+
+@final
+class Found(NamedTuple):
+    """Where a scan was taken."""
+
+    pose: FloatArray  # (3,)
+    matched: bool  # whether the map was asked
+    poor: bool  # nothing that is known of the pose is to be trusted
+    share: float = 0.0  # of the beams that agree with the map; 0 where the match is not believed
 
 
 @final

@@ -232,7 +232,7 @@ def test_no_odometry_is_as_good(drive, play):
 def test_a_tracker_that_needs_odometry_says_so_at_the_first_scan(drive):
     slam = GridFastSlam(tracker=OdometryTracker())
     (odometry, first), (_, second), *_ = drive.measurements
-    with pytest.raises(ArgumentError, match="odometry: expected a pose with every scan.* none with the scan at 0 ns"):
+    with pytest.raises(ArgumentError, match=r"odometry: expected a pose with every scan.* none with the scan at 0 ns"):
         slam.init(None, first)
     with pytest.raises(ArgumentError, match=f"none with the scan at {second.stamp_ns} ns"):
         slam.step(slam.init(odometry, first)[0], None, second, np.random.default_rng(0))
@@ -242,15 +242,16 @@ def two_lasers(measurements):
     """Each scan as two, of lasers that see 90 degrees to the left and to the right, a millisecond apart."""
     log = []
     for odometry, scan in measurements:
-        for k, (sensor, side) in enumerate([("left", scan.geometry.bearings > 0), ("right", scan.geometry.bearings <= 0)]):
-            status = np.where(side, scan.status, np.uint8(BeamStatus.INVALID))
+        left = scan.geometry.bearings > 0
+        for k, (sensor, sees) in enumerate([("left", left), ("right", ~left)]):
+            status = np.where(sees, scan.status, np.uint8(BeamStatus.INVALID))
             log.append((odometry, replace(scan, status=status, sensor=sensor, stamp_ns=scan.stamp_ns + k * 10**6)))
     return log
 
 
 @pytest.mark.parametrize(("with_odometry", "band_m"), [(True, BAND_M), (False, 3 * BAND_M)])
 def test_two_lasers_draw_one_map(drive, play, usual, with_odometry, band_m):
-    """Each has its key scans, however near in time to the other's: the map is that of one laser that sees both sides."""
+    """Each has its key scans, however near to the other's: the map is that of one laser that sees both sides."""
     log = [(odometry if with_odometry else None, scan) for odometry, scan in two_lasers(drive.measurements)]
     state, reports = play(GridFastSlam(), log)
     assert worst_error(reports[::2], drive.truth) < band_m
