@@ -65,7 +65,8 @@ def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, flo
     begins, ends = cuts[:-1], cuts[1:]
     passed = (motion.stamps_ns[ends] - motion.stamps_ns[begins]) * 1e-9
     tracked = (motion.tracks[begins] == motion.tracks[ends]) & (passed > 0) & (passed < _LONGEST_S)
-    tracked &= (np.minimum(motion.shares[begins], motion.shares[ends]) > _LEAST_SHARE) | (begins == 0)
+    share = np.where(motion.shares == 0, 1.0, motion.shares)
+    tracked &= np.minimum(share[begins], share[ends]) > _LEAST_SHARE
     tracked &= np.isfinite(odometry[begins]).all(axis=1) & np.isfinite(odometry[ends]).all(axis=1)
     begins, ends = begins[tracked], ends[tracked]
     laser = between(motion.poses[begins], motion.poses[ends])

@@ -12,6 +12,7 @@ import numpy as np
 
 from gridslam.doctor.laser_odometry import LaserOdometry
 from gridslam.io.measurement import Measurement
+from gridslam.matching.gauss_newton import LEAST_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
 __all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
@@ -24,7 +25,6 @@ _STRETCH = 500  # scans that are matched, or passed over, together
 _WHOLE_STRETCHES = 40  # so many are matched without a gap; of later ones ever fewer
 _BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
 _FLOOR_M, _FLOOR_RAD = 0.004, 0.001  # what the grid of the map costs
-_LEAST_INFORMATION = 0.04  # twice what a matcher demands: below, ways along a corridor come out up to a sixth short
 
 
 @final
@@ -45,7 +45,7 @@ class LaserMotion:
     covariances : (K, 3, 3) float64
         Of the poses, in the laser's frame at each; 1 m^2 in directions that the scan does not determine.
     shares : (K,) float64
-        Of beams that agree with the match, in [0, 1].
+        Of beams that agree with the match, in [0, 1]; 0 where a track begins.
     tracks : (K,) int64
         Increments between poses of different tracks are unknown: the match was lost, or scans were passed over.
     odometry : (K, 3) float64
@@ -188,7 +188,7 @@ def _mounting(geometry: ScanGeometry) -> FloatArray:
 def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArray, beams: int) -> FloatArray:
     """Covariances (K, 3, 3) in the laser's frame from normal matrices (K, 3, 3) in the track's frame.
 
-    A direction of the position in which the match kept its guess gets 1 m^2.
+    A direction of the position in which the match kept its guess gets 1 m^2. The first pose of a track is certain.
     """
     c, s = np.cos(headings), np.sin(headings)
     turn = np.zeros((len(headings), 3, 3))
@@ -198,11 +198,12 @@ def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArr
     place = local[:, :2, :2] - local[:, :2, 2, None] * by_turn[:, None]
     strength, directions = np.linalg.eigh(place)
     agreeing = shares * min(beams, _MOST_BEAMS)
-    held = strength < _LEAST_INFORMATION * agreeing[:, None]
-    weak = np.where(held | (strength <= 0), _BEAM_SIGMA_M**2, 0.0)
+    held = strength < LEAST_INFORMATION * agreeing[:, None]
+    weak = np.where(held, _BEAM_SIGMA_M**2 - strength, 0.0)
     regular = local.copy()
     regular[:, :2, :2] += np.einsum("kij,kj,klj->kil", directions, weak, directions)
     regular[:, 2, 2] = np.maximum(regular[:, 2, 2], 1e-6)
     regular += 1e-9 * np.eye(3)
     floor = np.diag([_FLOOR_M**2, _FLOOR_M**2, _FLOOR_RAD**2])
-    return np.asarray(_BEAM_SIGMA_M**2 * np.linalg.inv(regular) + floor, dtype=np.float64)
+    matched = (shares > 0)[:, None, None]
+    return np.asarray(matched * _BEAM_SIGMA_M**2 * np.linalg.inv(regular) + floor, dtype=np.float64)

@@ -52,7 +52,7 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
     found: list[Slip] = []
     short = 0
     for first, last in _runs(suspect, times, until):
-        amount = residuals[first : last + 1].sum(axis=0)
+        amount = residuals[max(first - 1, 0) : last + 2].sum(axis=0)  # it begins and ends within an interval
         around = (times > times[first] - _AROUND_S) & (until < until[last] + _AROUND_S)
         net = residuals[around].sum(axis=0)
         large = (np.abs(amount) > _EPISODE) & (net / np.where(amount == 0, 1.0, amount) > _KEPT)

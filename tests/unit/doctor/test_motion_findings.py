@@ -1,0 +1,142 @@
+"""Single faults are named with their size, and nothing else is; what no motion tells is not said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from laser_drives import log, perfect
+
+from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.finding import Severity
+from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.motion_findings import motion_findings
+from gridslam.doctor.wheel_slip import wheel_slips
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose, exp
+from gridslam.sim.faults import FAULTS, with_fault
+
+
+def faults(motion):
+    return {finding.code: finding for finding in motion_findings(motion) if finding.is_fault}
+
+
+def test_a_clean_log_has_no_fault():
+    assert faults(laser_motion(log()[0])) == {}
+
+
+@pytest.mark.parametrize(
+    "name", ["yaw_offset", "clock_skew", "odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"]
+)
+def test_a_fault_is_named_with_its_size(name):
+    found = faults(laser_motion(with_fault(log()[0], name, np.random.default_rng(0))))
+    assert list(found) == [name]
+    apart = found[name].size - FAULTS[name].size
+    assert abs(wrap(apart) if name == "yaw_offset" else apart) < 0.2 * FAULTS[name].size
+    assert found[name].sensor == "laser"
+    assert found[name].remedy
+
+
+def test_a_reflected_laser_is_named():
+    found = faults(laser_motion(with_fault(log()[0], "reflected_laser", np.random.default_rng(0))))
+    assert list(found) == ["reflected_laser"]
+    assert found["reflected_laser"].severity is Severity.SPOILS
+
+
+def test_a_laser_declared_and_mounted_upside_down_is_none():
+    """Beams of an upside-down laser run clockwise in the base frame; the log says so, and all agrees."""
+    measurements = with_fault(log()[0], "reflected_laser", np.random.default_rng(0))
+    upside = np.diag([1.0, -1.0, -1.0, 1.0])
+    geometries = {}
+
+    def declared(scan):
+        if scan.geometry not in geometries:
+            mounting = scan.geometry.base_from_laser @ upside
+            geometries[scan.geometry] = type(scan.geometry)(scan.geometry.bearings, mounting)
+        return replace(scan, geometry=geometries[scan.geometry])
+
+    motion = laser_motion(m._replace(scan=declared(m.scan)) for m in measurements)
+    assert motion.upside_down
+    assert faults(motion) == {}
+
+
+@pytest.mark.parametrize(("yaw", "severity"), [(0.1, Severity.DOUBTFUL), (-0.6, Severity.SPOILS)])
+def test_a_yaw_matters_by_its_size(yaw, severity):
+    found = faults(perfect(60.0, mounting=(0.1, 0.0, yaw), declared_yaw=0.0))
+    assert found["yaw_offset"].severity is severity
+    assert found["yaw_offset"].size == pytest.approx(yaw, abs=0.01)
+    assert ("left" in found["yaw_offset"].says) == (yaw > 0)
+
+
+def test_what_every_robot_has_is_information():
+    noise = np.random.default_rng(0)
+    found = motion_findings(perfect(120.0, scale=1.015, drift=0.007, turn_scale=0.98, noise=(1e-3, 1e-3), rng=noise))
+    assert {finding.code for finding in found} == {"odometry_scale", "odometry_drift", "odometry_rotation_bias"}
+    assert not any(finding.is_fault for finding in found)
+
+
+def test_odometry_of_another_robot_is_unrelated():
+    motion = perfect(120.0)
+    other = np.cumsum(np.random.default_rng(0).normal(0, [0.02, 0.0, 0.05], motion.odometry.shape), axis=0)
+    found = motion_findings(replace(motion, odometry=other))
+    assert [finding.code for finding in found] == ["odometry_unrelated"]
+    assert found[0].severity is Severity.SPOILS
+
+
+def test_without_odometry_or_motion_nothing_is_said():
+    motion = perfect(30.0)
+    assert motion_findings(replace(motion, odometry=np.full_like(motion.odometry, np.nan))) == []
+    still = replace(motion, poses=np.zeros_like(motion.poses), odometry=np.zeros_like(motion.odometry))
+    assert motion_findings(still) == []
+    assert motion_findings(laser_motion([])) == []
+
+
+def test_a_track_that_is_lost_again_and_again_is_no_witness():
+    motion = perfect(30.0, reflected=True)
+    assert motion_findings(motion)
+    assert motion_findings(replace(motion, tracks=np.arange(len(motion)) // 10)) == []
+
+
+def slipped(motion, at, metres, radians=0.0, scans=10):
+    """Odometry tells more over `scans` scans from `at` on."""
+    odometry = motion.odometry.copy()
+    for k in range(at, at + scans):
+        before, rest = odometry[k].copy(), odometry[k:].copy()
+        moved = compose(before, exp([metres / scans, 0.0, radians / scans]))
+        odometry[k:] = compose(moved, compose(_inverse(before), rest))
+    odometry[:, 2] = np.unwrap(odometry[:, 2])
+    return replace(motion, odometry=odometry)
+
+
+def _inverse(pose):
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return np.array([-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]])
+
+
+def test_slips_are_found_where_they_are():
+    rng = np.random.default_rng(0)
+    motion = slipped(slipped(perfect(90.0, noise=(0.004, 0.001), rng=rng), 300, 0.4), 700, 0.25)
+    first, second = wheel_slips(motion, calibrate(motion))
+    assert first.metres == pytest.approx(0.4, abs=0.05)
+    assert second.metres == pytest.approx(0.25, abs=0.05)
+    assert first.stamp_ns * 1e-9 == pytest.approx(30.0, abs=1.2)
+    assert second.stamp_ns * 1e-9 == pytest.approx(70.0, abs=1.2)
+    assert 0.5 < first.duration_s < 3.0
+
+
+def test_odometry_that_comes_late_and_catches_up_is_no_slip():
+    motion = perfect(90.0)
+    odometry = motion.odometry.copy()
+    for begin in range(100, 800, 100):
+        odometry[begin : begin + 8] = odometry[begin]
+    late = replace(motion, odometry=odometry)
+    assert wheel_slips(late, calibrate(late)) == []
+
+
+def test_a_robot_that_is_pushed_is_no_slip():
+    """Odometry that tells too little, again and again, is no wheel that spins."""
+    motion = perfect(90.0)
+    pushed = slipped(slipped(motion, 300, -0.4), 700, -0.4)
+    assert wheel_slips(pushed, calibrate(pushed)) == []

@@ -1,0 +1,130 @@
+"""A repaired log is the log without its fault, and what needs no repair is left alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from laser_drives import log, perfect
+
+from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
+from gridslam.evaluation import absolute_errors
+from gridslam.geometry.se2 import between
+from gridslam.io.measurement import Measurement
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.sim.faults import with_fault
+from gridslam.slam.grid_fastslam import GridFastSlam
+from gridslam.types import Trajectory
+
+EXACT_REPAIRS = {
+    "yaw_offset": lambda size: Repair(yaw_rad=size),
+    "odometry_scale": lambda size: Repair(scale=1 + size),
+    "odometry_rotation_bias": lambda size: Repair(turn_scale=1 + size),
+    "odometry_drift": lambda size: Repair(drift_rad_per_m=size),
+}
+
+
+def steps(measurements):
+    poses = np.array([odometry.pose for odometry, _ in measurements])
+    return between(poses[:-1], poses[1:])
+
+
+@pytest.mark.parametrize("name", EXACT_REPAIRS)
+@pytest.mark.parametrize("size", [0.05, -0.3])
+def test_a_fault_and_its_repair_leave_the_log_as_it_was(name, size):
+    measurements = log(scans=120)[0]
+    faulty = with_fault(measurements, name, np.random.default_rng(0), size)
+    mended = list(repaired(faulty, EXACT_REPAIRS[name](size)))
+    np.testing.assert_allclose(steps(mended), steps(measurements), atol=1e-9)
+    for one, other in zip(mended[::30], measurements[::30], strict=True):
+        assert one.scan.stamp_ns == other.scan.stamp_ns
+        np.testing.assert_allclose(one.scan.beams(0.1, 20).ends, other.scan.beams(0.1, 20).ends, atol=1e-9)
+
+
+def test_a_reflected_laser_sees_the_world_again():
+    """Ranges in reverse order at bearings of the other sign: the same ends in reverse, one beam's step aside."""
+    measurements = log(scans=10)[0]
+    mended = repaired(with_fault(measurements, "reflected_laser", np.random.default_rng(0)), Repair(reflected=True))
+    for one, other in zip(mended, measurements, strict=True):
+        ends, true = one.scan.beams(0.1, 20).ends[::-1], other.scan.beams(0.1, 20).ends
+        assert np.hypot(*(ends - true).T).max() < 20 * np.pi / 180 * 1.01
+
+
+@pytest.mark.parametrize("skew", [0.03, 0.25, -0.25])
+def test_a_skew_is_taken_out_by_the_odometry_of_the_right_time(skew):
+    measurements = log(scans=200)[0]
+    faulty = list(with_fault(measurements, "clock_skew", np.random.default_rng(0), skew))
+    mended = list(repaired(faulty, Repair(skew_s=skew)))
+    assert [scan.stamp_ns for _, scan in mended] == [scan.stamp_ns for _, scan in faulty]
+    true = {scan.ranges.tobytes(): odometry.pose for odometry, scan in measurements}
+    off = [np.abs(between(true[scan.ranges.tobytes()], odometry.pose)) for odometry, scan in mended[3:-3]]
+    before = [np.abs(between(true[scan.ranges.tobytes()], odometry.pose)) for odometry, scan in faulty[3:-3]]
+    assert np.mean(off) < 0.35 * np.mean(before)
+
+
+def test_reading_ahead_is_bounded():
+    """With a skew below 0 as many scans are waited for as it spans, else none."""
+    for skew, ahead in ((0.1, 1), (-0.5, 4)):
+        read = []
+        source = (read.append(measurement) or measurement for measurement in log(scans=40)[0])
+        next(repaired(source, Repair(skew_s=skew)))
+        assert len(read) == ahead
+
+
+def test_scans_without_odometry_pass():
+    scans = [Measurement(None, scan) for _, scan in log(scans=5)[0]]
+    for repair in (Repair(), Repair(scale=1.1), Repair(skew_s=0.1)):
+        assert [m.odometry for m in repaired(scans, repair)] == [None] * 5
+
+
+@pytest.mark.parametrize(("name", "size"), [("reflected_laser", None), ("yaw_offset", np.pi), ("yaw_offset", -1.0)])
+def test_the_begin_of_a_log_tells_what_must_be_repaired(name, size):
+    repair = needed_repair(early_calibration(with_fault(log()[0], name, np.random.default_rng(0), size)))
+    assert repair.reflected == (name == "reflected_laser")
+    assert abs(np.remainder(repair.yaw_rad - (size or 0.0) + np.pi, 2 * np.pi) - np.pi) < 0.03
+
+
+@pytest.mark.parametrize("name", [None, "clock_skew", "odometry_scale", "odometry_drift", "wheel_slip"])
+def test_what_matching_makes_up_for_is_not_repaired_unasked(name):
+    measurements = log()[0] if name is None else with_fault(log()[0], name, np.random.default_rng(0))
+    assert not needed_repair(early_calibration(measurements))
+
+
+def test_early_calibration_reads_no_more_than_it_needs():
+    read = []
+    early_calibration(read.append(measurement) or measurement for measurement in log()[0])
+    assert len(read) < 300
+
+
+def test_a_full_repair_takes_out_all_that_is_certain():
+    found = calibrate(perfect(60.0, scale=1.1, turn_scale=0.95, skew_s=0.08, reflected=True))
+    repair = full_repair(found)
+    assert repair.reflected
+    assert repair.scale == pytest.approx(1.1, abs=0.005)
+    assert repair.turn_scale == pytest.approx(0.95, abs=0.005)
+    assert repair.skew_s == pytest.approx(0.08, abs=0.003)
+    assert repair.yaw_rad == pytest.approx(0.0, abs=0.005)
+
+
+def test_the_map_of_a_reflected_log_is_right_once_it_is_repaired():
+    measurements, truth = log(scans=300)
+    faulty = tuple(with_fault(measurements, "reflected_laser", np.random.default_rng(0)))
+    repair = needed_repair(early_calibration(faulty))
+    clean, spoiled, mended = (error_m(m, truth) for m in (measurements, faulty, repaired(faulty, repair)))
+    assert spoiled > 10 * clean
+    assert mended < clean + 0.03
+
+
+def error_m(measurements, truth):
+    recorder = TrajectoryRecorder()
+    run(measurements, GridFastSlam(), particles=4, rng=np.random.default_rng(0), observers=[recorder])
+    online = recorder.online()
+    return absolute_errors(online, Trajectory(online.stamps_ns, truth)).trans_rmse_m
+
+
+def test_the_second_look_finds_nothing_left():
+    faulty = tuple(with_fault(log()[0], "odometry_scale", np.random.default_rng(0), 0.1))
+    mended = tuple(repaired(faulty, full_repair(calibrate(laser_motion(faulty)))))
+    assert calibrate(laser_motion(mended)).scale.value == pytest.approx(1.0, abs=0.005)
