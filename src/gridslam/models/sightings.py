@@ -1,0 +1,93 @@
+"""What a log of landmarks tells step by step: how the robot moved, and which landmarks it then saw where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError
+from gridslam.scan import frozen
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["NOTHING_SEEN", "LandmarkStep", "SightingKind", "Sightings"]
+
+
+class SightingKind(Enum):
+    """What the two numbers of a sighting are."""
+
+    RANGE_BEARING = "range (m) and bearing (rad)"
+    POSITION = "x and y in the robot's frame (m)"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Landmarks seen at one time: z_t, and c_t where it is known.
+
+    Attributes
+    ----------
+    values : (K, 2) float64
+        What was measured of each, as its `SightingKind` says, in the robot's frame.
+    landmarks : (K,) int64 or None
+        The signature of each, by which it is known again; None where nothing is known. No two are the same.
+    covariances : (K, 2, 2) float64 or None
+        Of each measurement, where the log tells them; they go before the measurement model's own.
+    """
+
+    values: FloatArray
+    landmarks: IntArray | None = None
+    covariances: FloatArray | None = None
+
+    @classmethod
+    def of(
+        cls, values: ArrayLike, landmarks: ArrayLike | None = None, covariances: ArrayLike | None = None
+    ) -> Sightings:
+        """Validate and copy; raises ArgumentError for a wrong shape, a value that is not finite, a landmark twice."""
+        z = frozen(values, np.float64, (None, 2), "values")
+        count = len(z)
+        names = None if landmarks is None else frozen(landmarks, np.int64, (count,), "landmarks")
+        spread = None if covariances is None else frozen(covariances, np.float64, (count, 2, 2), "covariances")
+        if not np.isfinite(z).all() or (spread is not None and not np.isfinite(spread).all()):
+            raise ArgumentError("sightings", "finite numbers", "a value that is not")
+        if names is not None and len(np.unique(names)) < count:
+            raise ArgumentError("landmarks", "each landmark once at a time", names.tolist())
+        return cls(z, names, spread)
+
+    def __len__(self) -> int:
+        """Return the number K of sightings."""
+        return len(self.values)
+
+    def anonymous(self) -> Sightings:
+        """Return the same sightings of nobody knows which landmarks."""
+        return Sightings(self.values, None, self.covariances)
+
+
+NOTHING_SEEN = Sightings.of(np.empty((0, 2)), np.empty(0, np.int64))
+"""The sightings of a step at which no landmark was seen."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkStep:
+    """One step of a log: u_t and z_t.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Of the sightings, or of the end of the motion where nothing was seen.
+    increment : (3,) float64
+        The robot now, seen from where it was at the step before, by its odometry [x m, y m, theta rad].
+    covariance : (3, 3) float64 or None
+        Of the increment, in the frame of the pose before, where the log tells it; None leaves it to the motion model.
+    sightings : Sightings
+        Landmarks seen now; perhaps none.
+    """
+
+    stamp_ns: int
+    increment: FloatArray
+    covariance: FloatArray | None
+    sightings: Sightings
