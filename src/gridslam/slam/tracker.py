@@ -38,8 +38,8 @@ class Tracker:
     Parameters
     ----------
     still_m, still_rad : float
-        A scan after less odometry than both takes the odometry: there is nothing to learn from it. Without odometry the
-        robot stands while its matches stay within both.
+        A scan after less odometry than both takes the odometry, unless fewer of its beams agree than before: there is
+        nothing to learn from it. Without odometry the robot stands while its matches stay within both.
     insert_m, insert_rad : float
         A scan is inserted after this much motion.
     map_scans : int
@@ -67,8 +67,8 @@ class Tracker:
     velocity : ConstantVelocity
         What is predicted where there is no odometry.
     search_share : float
-        Without odometry, where a smaller share of the beams agrees with a match, a better one is searched for all
-        around. On real logs more agree in the right place, and fewer in others.
+        Where a smaller share of the beams agrees with a match, a better one is searched for from the velocity's
+        prediction and all around: on real logs more agree in the right place, and fewer in others.
     patience : int
         Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
     deskew : Deskew or None
@@ -105,29 +105,33 @@ class Tracker:
         at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
         predicted = self._predicted(state, at, stamp_ns, seconds)
         if self.deskew is None or beams.scan.beam_times_s is None:
-            found = self._found(state, predicted, seconds, beams)
+            found = self._found(state, predicted, beams)
         else:
             found, beams = self.deskew(
                 state, predicted, lambda pose: self.velocity.twist(state, pose, seconds), beams,
-                lambda sharp: self._found(state, predicted, seconds, sharp),
+                lambda sharp: self._found(state, predicted, sharp),
             )  # fmt: skip
-        self._advance(state, predicted, found, seconds)
-        if found.matched or not predicted.by_odometry:
+        self._advance(state, found)
+        if found.matched or not found.predicted.by_odometry:
             state.matched_pose, state.matched_odometry = found.pose, at
         state.stamp_ns, state.odometry = stamp_ns, at
         if found.matched:
-            self._insert(state, predicted, found, beams)
-        return Tracked(found.pose, predicted.pose, beams)
+            self._insert(state, found, beams)
+        return Tracked(found.pose, found.predicted.pose, beams)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
-        increment, velocity = between(state.matched_odometry, at), self.velocity
+        increment = between(state.matched_odometry, at)
         if math.isnan(increment[0]) or self._jumped(state, at, stamp_ns):
-            pose = velocity.predicted(state, seconds)
-            moved, turned = _motion(between(state.pose, pose))
-            return Prediction(pose, False, moved, turned, *velocity.sigmas(seconds), velocity.beam_sigma_m)
+            return self._by_velocity(state, seconds)
         moved, turned = _motion(increment)
         sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
-        return Prediction(compose(state.matched_pose, increment), True, moved, turned, *sigmas, self.beam_sigma_m)
+        pose = compose(state.matched_pose, increment)
+        return Prediction(pose, True, seconds, turned, *sigmas, self.beam_sigma_m)
+
+    def _by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
+        velocity = self.velocity
+        pose, sigmas = velocity.predicted(state, seconds), velocity.sigmas(seconds)
+        return Prediction(pose, False, seconds, abs(float(state.twist[2])) * seconds, *sigmas, velocity.beam_sigma_m)
 
     def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
         dx, dy, turn = (at - state.odometry).tolist()
@@ -135,51 +139,66 @@ class Tracker:
         far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
         return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
 
-    def _found(self, state: TrackerState, predicted: Prediction, seconds: float, beams: Beams) -> Found:
+    def _found(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Where a scan was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         if seen is None:  # the other lasers may look elsewhere
-            return Found(predicted.pose, matched=len(beams) > 0, poor=False)
-        if len(beams) and not predicted.by_odometry:
-            return self._searched(state, predicted, seconds, beams)
-        if len(beams) and not _within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
-            return self._matched(state, predicted, beams)
-        return Found(predicted.pose, matched=False, poor=not predicted.by_odometry)
+            return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
+        if not len(beams):
+            return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
+        if not predicted.by_odometry:
+            return self._searched(state, predicted, beams)
+        if self._still(state, seen, predicted, beams):
+            return Found(predicted.pose, predicted, matched=False, poor=False)
+        found = self._matched(state, predicted, beams)
+        if found.share < self.search_share:  # it may be the odometry that is wrong: a reading came late
+            other = self._searched(state, self._by_velocity(state, predicted.seconds), beams)
+            convinces = other.share >= self.search_share and other.share - found.share > self.slip_gain
+            found = other if convinces else found
+        return found
+
+    def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: Beams) -> bool:
+        """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
+        if not _within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
+            return False
+        share = _LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        return bool(share > seen.share - self.slip_gain)
 
     def _matched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         pose, score = match.poses[0], float(match.score[0])
         if score < self.poor_share * len(beams):
-            return Found(predicted.pose, matched=True, poor=True)
+            return Found(predicted.pose, predicted, matched=True, poor=True)
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = _LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
-        return Found(pose, matched=True, poor=False, share=score / len(beams))
+        return Found(pose, predicted, matched=True, poor=False, share=score / len(beams))
 
-    def _searched(self, state: TrackerState, predicted: Prediction, seconds: float, beams: Beams) -> Found:
+    def _searched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         maps, row, count = state.maps, state.row, len(beams)
         match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
         if match.score[0] < self.search_share * count:
-            search = self.velocity.search(state, seconds)
+            search = self.velocity.search(state, predicted.seconds)
             place = search.search(Pyramid.of(maps, state.active), predicted.pose, None, beams.ends)
             if place is not None:
                 other = self.matcher(maps, row, place.pose[None], _NO_PRIOR, beams)
                 convinces = other.score[0] - match.score[0] > self.slip_gain * count
                 match = other if convinces and other.score[0] >= self.search_share * count else match
         if match.score[0] < self.poor_share * count:
-            return Found(predicted.pose, matched=True, poor=True)
+            return Found(predicted.pose, predicted, matched=True, poor=True)
         pose, share = match.poses[0], float(match.score[0]) / count
         stands = _within(state.pose, pose, self.still_m, self.still_rad)
-        return Found(state.pose if stands else pose, matched=True, poor=False, share=share)
+        return Found(state.pose if stands else pose, predicted, matched=True, poor=False, share=share)
 
-    def _advance(self, state: TrackerState, predicted: Prediction, found: Found, seconds: float) -> None:
+    def _advance(self, state: TrackerState, found: Found) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
+        predicted = found.predicted
         blind = found.poor and not predicted.by_odometry
-        state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, seconds)
+        state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, predicted.seconds)
         state.blind_scans = state.blind_scans + 1 if blind else 0
         state.pose = found.pose
         if found.poor:
@@ -190,18 +209,17 @@ class Tracker:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
         return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
 
-    def _insert(self, state: TrackerState, predicted: Prediction, found: Found, beams: Beams) -> None:
+    def _insert(self, state: TrackerState, found: Found, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
         due = seen is None or not _within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
-        if found.poor and predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
-            due = due and predicted.turned_rad <= self.insert_rad
+        if found.poor and found.predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
+            due = due and found.predicted.turned_rad <= self.insert_rad
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
-        last = (seen or Seen.first(state.stamp_ns, found.pose))._replace(
-            stamp_ns=state.stamp_ns, matched_pose=found.pose
-        )
+        last = seen or Seen.first(state.stamp_ns, found.pose)
+        last = last._replace(stamp_ns=state.stamp_ns, matched_pose=found.pose, share=found.share)
         state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)

@@ -25,13 +25,14 @@ class Seen(NamedTuple):
 
     stamp_ns: int  # of its last scan that was matched
     matched_pose: FloatArray  # (3,), of that scan
+    share: float  # of the beams that agreed with the map then; 0 where it was not believed
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
     orders: FloatArray  # (3,), what its scans told of the order of their beams; see `Deskew`
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> Seen:
         """After its first scan, from `pose` (3,)."""
-        return cls(stamp_ns, pose, pose, np.zeros(3))
+        return cls(stamp_ns, pose, 0.0, pose, np.zeros(3))
 
 
 @final
@@ -136,7 +137,7 @@ class TrackerState:
         stamp_ns, active, first, second, blind, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
-        last = [Seen(int(stamp), *seen) for stamp, *seen in zip(*parts, strict=True)]
+        last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, strict=True)]
         return cls(
             maps, stamp_ns=stamp_ns, sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
             period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
@@ -145,7 +146,7 @@ class TrackerState:
         )  # fmt: skip
 
 
-_OF_SENSORS = ("matched_poses", "inserted_poses", "orders")
+_OF_SENSORS = ("matched_poses", "shares", "inserted_poses", "orders")
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist")
 
 
@@ -160,8 +161,8 @@ class Prediction(NamedTuple):
 
     pose: FloatArray  # (3,)
     by_odometry: bool  # or by the velocity
-    moved_m: float  # since the last scan that was matched, of any laser
-    turned_rad: float
+    seconds: float  # since the last scan
+    turned_rad: float  # since the last scan that was matched
     sigma_m: float
     sigma_rad: float
     beam_sigma_m: float  # that of a beam, against which the prediction is weighed
@@ -178,6 +179,7 @@ class Found(NamedTuple):
     """Where a scan was taken."""
 
     pose: FloatArray  # (3,)
+    predicted: Prediction  # from which it was found
     matched: bool  # whether the map was asked
     poor: bool  # nothing that is known of the pose is to be trusted
     share: float = 0.0  # of the beams that agree with the map; 0 where the match is not believed

@@ -175,6 +175,18 @@ def test_odometry_may_be_missing_and_come_back(biased, lost):
     assert (missed(told, biased).max(axis=0) < BAND).all()
 
 
+@pytest.mark.parametrize("scans", [1, 4, 30])
+def test_odometry_that_comes_late_is_overruled(perfect, scans):
+    """It says nothing of the motion for a while, and then all at once, as where messages are held up."""
+    poses = perfect.odometry.poses.copy()
+    for begin in range(40, len(poses) - scans, 3 * scans + 10):
+        poses[begin : begin + scans] = poses[begin]
+    pairs = zip(poses, perfect.measurements, strict=True)
+    log = [(type(odometry).at(odometry.stamp_ns, pose), scan) for pose, (odometry, scan) in pairs]
+    told, _, _ = track(Tracker(), perfect, log)
+    assert (missed(told, perfect).max(axis=0) < BAND).all()
+
+
 def test_without_odometry_a_robot_stands_still(perfect):
     """Noise of the ranges does not carry it away: the map is the first scan's, and no other is inserted."""
     scan, noise = perfect.measurements[0][1], np.random.default_rng(1)
