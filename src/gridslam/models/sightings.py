@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError
+from gridslam.models.motion import GaussianIncrement
 from gridslam.scan import frozen
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
 __all__ = ["NOTHING_SEEN", "LandmarkStep", "SightingKind", "Sightings"]
 
@@ -91,3 +92,15 @@ class LandmarkStep:
     increment: FloatArray
     covariance: FloatArray | None
     sightings: Sightings
+
+    def motion(self, model: MotionModel) -> MotionSampler:
+        """p(x_t | u_t, x_{t-1}): with the increment's own covariance, where the log tells one, else by the model."""
+        if self.covariance is None:
+            return model(self.increment)
+        variances, axes = np.linalg.eigh(self.covariance)
+        root = axes * np.sqrt(np.maximum(variances, 0.0))
+
+        def to_increment(noise: FloatArray) -> FloatArray:
+            return np.asarray(self.increment + noise @ root.T)
+
+        return GaussianIncrement(np.zeros(3), np.ones(3), self.increment, root, to_increment)
