@@ -33,7 +33,7 @@ def test_jacobians_are_the_derivatives(model, pose, offset):
                 for s in (change, -change)
             ]
             slope = model.residual(*ends) / (2 * step)
-            # Central differences err by step^2 / 6 times a third derivative, at most 2 / range^3 = 16, which is 3e-10, and by
+            # Central differences err by step^2 / 6 times a third derivative, at most 2 / range^3 = 16: by 3e-10, and by
             # rounding: some 1e-14 of coordinates up to 80 over the step, 1e-7.
             np.testing.assert_allclose(jacobian[:, k], slope, atol=2e-7)
     assert isinstance(model, LandmarkModel)
