@@ -12,7 +12,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
 
-__all__ = ["FALSE_CLOSURE_M", "FALSE_CLOSURE_RAD", "closure_errors", "false_closures"]
+__all__ = ["FALSE_CLOSURE_M", "FALSE_CLOSURE_RAD", "OPEN_M", "closure_errors", "false_closures"]
 
 FALSE_CLOSURE_M = 0.5
 """Farther than this from the truth a closure is false: it is ten cells, which no matcher errs by where it is right."""
@@ -21,7 +21,13 @@ FALSE_CLOSURE_RAD = math.radians(5.0)
 """Turned more than this from the truth a closure is false."""
 
 
-def closure_errors(truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike) -> tuple[FloatArray, FloatArray]:
+OPEN_M = 1.0
+"""A direction in which the standard deviation is greater was left open: nothing is said of half a metre there."""
+
+
+def closure_errors(
+    truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike, information: ArrayLike | None = None
+) -> tuple[FloatArray, FloatArray]:
     """How far measured relative poses of pairs of scans are from the true ones.
 
     Parameters
@@ -32,11 +38,14 @@ def closure_errors(truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike) 
         For each closure its two scans, as places in `truth`: from, to.
     measurements : (M, 3) array_like
         The pose `to` seen from the pose `from`, as in a `PoseGraph`.
+    information : (M, 3, 3) array_like, optional
+        As in a `PoseGraph`. Where it is given, an error in a direction that the measurement leaves open is none: along
+        a bare corridor a match says nothing.
 
     Returns
     -------
     metres : (M,) float64, m
-        Distance of the measured place of `to` from the true one.
+        Distance of the measured place of `to` from the true one, in the directions that count.
     radians : (M,) float64, rad, [0, pi]
         Difference of the heading.
 
@@ -53,13 +62,26 @@ def closure_errors(truth: ArrayLike, edges: ArrayLike, measurements: ArrayLike) 
     if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(poses)):
         raise ArgumentError("edges", f"places in [0, {len(poses)})", [int(pairs.min()), int(pairs.max())])
     away = measured - between(poses[pairs[:, 0]], poses[pairs[:, 1]])
-    return np.hypot(away[:, 0], away[:, 1]), np.abs(wrap(away[:, 2]))
+    metres = np.hypot(away[:, 0], away[:, 1])
+    if information is not None:
+        metres = _determined_m(away, measured, np.asarray(information, np.float64).reshape(-1, 3, 3))
+    return metres, np.abs(wrap(away[:, 2]))
+
+
+def _determined_m(away: FloatArray, measured: FloatArray, information: FloatArray) -> FloatArray:
+    """Length (M,) of position errors (M, 3) in the directions in which the information is more than next to none."""
+    c, s = np.cos(measured[:, 2]), np.sin(measured[:, 2])  # the information is of the frame where a measurement ends
+    seen = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+    known, axes = np.linalg.eigh(information[:, :2, :2])
+    along = np.einsum("mij,mi->mj", axes, seen)
+    return np.asarray(np.sqrt((np.square(along) * (known >= OPEN_M**-2)).sum(axis=1)))
 
 
 def false_closures(
     truth: ArrayLike,
     edges: ArrayLike,
     measurements: ArrayLike,
+    information: ArrayLike | None = None,
     *,
     tolerance_m: float = FALSE_CLOSURE_M,
     tolerance_rad: float = FALSE_CLOSURE_RAD,
@@ -68,6 +90,6 @@ def false_closures(
 
     Arguments and errors are those of `closure_errors`.
     """
-    metres, radians = closure_errors(truth, edges, measurements)
+    metres, radians = closure_errors(truth, edges, measurements, information)
     false: NDArray[np.bool_] = (metres > tolerance_m) | (radians > tolerance_rad)
     return false

@@ -109,7 +109,7 @@ def chunk_data(compression: bytes, data: bytes, size: int) -> bytes:
         if compression == b"bz2":
             return bz2.BZ2Decompressor().decompress(data, size)
         if compression == b"lz4":
-            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+            from lz4.frame import LZ4FrameDecompressor
 
             found: bytes = LZ4FrameDecompressor().decompress(data, size)
             return found

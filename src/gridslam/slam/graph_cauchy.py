@@ -14,6 +14,7 @@ from gridslam.slam.graph_descent import Descent, descend, squared_errors
 from gridslam.slam.graph_linear import BlockSystem
 from gridslam.slam.graph_robust import RobustEstimate
 from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
 __all__ = ["Cauchy"]
@@ -46,13 +47,14 @@ class Cauchy:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> RobustEstimate:
+    ) -> Work[RobustEstimate]:
         """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
         poses = next(iter(starts))
         system = BlockSystem(graph.edges, len(graph.poses), 3)
         weights, iterations = self._weights(graph, poses), 0
         for _ in range(self.passes):
-            found: Descent = descend(_weighted(graph, weights), poses, system, min(2, max_iterations), tolerance)
+            weighted, passes = _weighted(graph, weights), min(2, max_iterations)
+            found: Descent = yield from descend(weighted, poses, system, passes, tolerance)
             iterations += found.iterations
             moved = float(np.abs(found.poses - poses)[:, :2].max())
             poses, weights = found.poses, self._weights(graph, found.poses)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gridslam.slam.graph_linear import BlockSystem, linearize
 from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
 __all__ = ["Descent", "descend", "squared_errors"]
@@ -40,8 +41,10 @@ def squared_errors(graph: PoseGraph, errors: FloatArray) -> FloatArray:
     return np.asarray((errors * weighted).sum(axis=1))
 
 
-def descend(graph: PoseGraph, poses: FloatArray, system: BlockSystem, max_iterations: int, tolerance: float) -> Descent:
-    """Minimize chi2 from poses (N, 3), by steps on `system` (three unknowns for each pose).
+def descend(
+    graph: PoseGraph, poses: FloatArray, system: BlockSystem, max_iterations: int, tolerance: float
+) -> Work[Descent]:
+    """Minimize chi2 from poses (N, 3), by steps on `system` (three unknowns for each pose), one linear system a step.
 
     Gauss-Newton steps are taken as long as they find a lower chi2, now and then after some that raise it (the watchdog
     technique of Chamberlain et al. 1982). If they do not, the search goes on from the best poses with Levenberg and
@@ -71,4 +74,5 @@ def descend(graph: PoseGraph, poses: FloatArray, system: BlockSystem, max_iterat
             poses, errors, rises, damping = best.poses, best_errors, 0, max(10 * damping, _LIGHT)
         if least or damping > _HOPELESS:
             return replace(best, iterations=iteration, converged=least)
+        yield
     return replace(best, iterations=max_iterations)

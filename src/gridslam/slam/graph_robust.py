@@ -15,6 +15,7 @@ from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, is_connected
 from gridslam.slam.graph_marginals import Marginals
 from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.work import Work
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
@@ -80,23 +81,23 @@ class GraduatedNonConvexity:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> RobustEstimate:
+    ) -> Work[RobustEstimate]:
         """Find poses and weights from one or more guesses (N, 3); the rest is as for `descend`."""
         search = _Search(graph, self.bound, self.growth)
         best = RobustEstimate(Descent(graph.poses, np.inf, 0, False), np.ones(len(graph.edges)), np.inf)
         for start in starts:
-            found = search.round(start)
+            found = yield from search.round(start)
             agreed = abs(found.cost - best.cost) <= _SAME * found.cost
             best = min(best, found, key=lambda estimate: estimate.cost)
             if agreed:
                 break
         else:
             for _ in range(_ROUNDS):
-                found = search.round(best.solution.poses)
+                found = yield from search.round(best.solution.poses)
                 if found.cost >= (1.0 - _SAME) * best.cost:
                     break
                 best = found
-        return search.finish(search.readmit(best), max_iterations, tolerance)
+        return (yield from search.finish((yield from search.readmit(best)), max_iterations, tolerance))
 
 
 @final
@@ -107,21 +108,22 @@ class _Search:
         self.graph, self.bound, self.growth = graph, bound, growth
         self.iterations = 0
 
-    def round(self, poses: FloatArray) -> RobustEstimate:
+    def round(self, poses: FloatArray) -> Work[RobustEstimate]:
         """Graduate from poses (N, 3), then fit what is held for true until the cost falls no more."""
-        poses, weights = self._graduate(poses)
-        return self._settle(weights, poses)
+        poses, weights = yield from self._graduate(poses)
+        return (yield from self._settle(weights, poses))
 
-    def readmit(self, best: RobustEstimate) -> RobustEstimate:
+    def readmit(self, best: RobustEstimate) -> Work[RobustEstimate]:
         """Take back what was rejected but can be followed at less than c^2, all or the likeliest, if the cost falls."""
         while True:
+            yield
             rejected = np.flatnonzero(best.weights == 0.0)
             squared = self._innovations(best, rejected)
             likely = rejected[squared < self.bound]
             for chosen in (likely, rejected[np.argsort(squared)[:1]]) if len(likely) else ():
                 weights = best.weights.copy()
                 weights[chosen] = 1.0
-                found = self._settle(weights, best.solution.poses)
+                found = yield from self._settle(weights, best.solution.poses)
                 if found.cost < (1.0 - _SAME) * best.cost:
                     best = found
                     break
@@ -136,11 +138,11 @@ class _Search:
         graph = self.graph
         return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
-    def _settle(self, weights: FloatArray, poses: FloatArray) -> RobustEstimate:
+    def _settle(self, weights: FloatArray, poses: FloatArray) -> Work[RobustEstimate]:
         """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""
         best = RobustEstimate(Descent(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
-            found = self._refit(weights, best)
+            found = yield from self._refit(weights, best)
             if found.cost >= best.cost:
                 break
             best = found
@@ -149,22 +151,22 @@ class _Search:
                 break
         return best
 
-    def _refit(self, weights: FloatArray, best: RobustEstimate) -> RobustEstimate:
+    def _refit(self, weights: FloatArray, best: RobustEstimate) -> Work[RobustEstimate]:
         """Fit what is held for true, from its own first guess; from the best poses yet where that does not help."""
         found = best
         for start in (initial_guess(scaled(self.graph, weights)), best.solution.poses):
-            solution = self._fit(weights, start, _ENOUGH, _FINE)
+            solution = yield from self._fit(weights, start, _ENOUGH, _FINE)
             found = RobustEstimate(solution, weights, self._cost(solution.poses))
             if found.cost < best.cost:
                 break
         return found
 
-    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> RobustEstimate:
+    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> Work[RobustEstimate]:
         """Descend to the minimum, with the weights as they are."""
-        solution = self._fit(found.weights, found.solution.poses, max_iterations, tolerance)
+        solution = yield from self._fit(found.weights, found.solution.poses, max_iterations, tolerance)
         return replace(found, solution=replace(solution, iterations=self.iterations))
 
-    def _graduate(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _graduate(self, poses: FloatArray) -> Work[tuple[FloatArray, FloatArray]]:
         """Return poses (N, 3) and weights (M,), almost all 0 or 1, at the end of the family of costs."""
         doubted, weights = ~self.graph.trusted, np.ones(len(self.graph.edges))
         squared = self._squared(poses)[doubted]
@@ -175,14 +177,15 @@ class _Search:
         while ((weights > 0.0) & (weights < 1.0)).any() or degree == self.bound / worst:
             scale = np.sqrt(self.bound * degree * (degree + 1.0) / np.maximum(squared, 1e-300))
             weights[doubted] = np.clip(scale - degree, 0.0, 1.0)
-            poses = self._fit(weights, poses, _PASSES, _ROUGH).poses
+            poses = (yield from self._fit(weights, poses, _PASSES, _ROUGH)).poses
             squared = self._squared(poses)[doubted]
             degree *= self.growth
         return poses, weights
 
-    def _fit(self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float) -> Descent:
+    def _fit(self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float) -> Work[Descent]:
+        yield
         counted = scaled(self.graph, weights)
-        found = descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)
+        found = yield from descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)
         self.iterations += found.iterations
         return found
 

@@ -22,7 +22,7 @@ from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
-from gridslam.slam.ties import Source, Tie
+from gridslam.slam.ties import Source, Tie, surveyed
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["JointMatching", "LastWord"]
@@ -175,7 +175,7 @@ class JointMatching:
             for key in members:
                 beams = memory.scans.key(key)
                 guess = between(poses[anchor], poses[key])
-                match = self.matcher(maps, ROW, guess[None], loose, beams)
+                match = surveyed(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
                 moved = between(guess, match.poses[0])
                 score = float(match.score[0])
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -18,6 +18,12 @@ from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["BLOCK", "Drift", "KeyGraph", "Nearby"]
+
+_Crossing = tuple[int, FloatArray] | None
+"""The block that a tie leads from, and its first key scan seen from that of the block that it leads to."""
+
+_Moments = tuple[float, ...]
+"""See `_moments`."""
 
 BLOCK = 10
 """Key scans of a submap: about 5 m of driving."""
@@ -84,7 +90,7 @@ class KeyGraph:
     Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
-    __slots__ = ("_links", "_sums", "poses", "ties", "tracked", "variances")
+    __slots__ = ("_links", "_steps", "_sums", "poses", "ties", "tracked", "variances")
 
     def __init__(self) -> None:
         """Begin without any key scan."""
@@ -93,6 +99,7 @@ class KeyGraph:
         self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
         self.ties: list[Tie] = []
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
+        self._steps: list[_Moments] = []  # from each submap's first key scan to the next one's
         # block -> block -> the first seen from the second (3,), and the moments (7,), of the best tie
         self._links: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
 
@@ -112,6 +119,7 @@ class KeyGraph:
         self.variances.append(variances)
         moments = _moments(np.array([pose]), np.array([variances]))[0]
         self._sums.append(moments + self._sums[-1] if self._sums else moments)
+        self._add_steps()
 
     def add(self, tie: Tie) -> None:
         """Add a measurement between two key scans."""
@@ -122,9 +130,15 @@ class KeyGraph:
         """Let all poses be poses (T, 3)."""
         self.poses = list(poses)
         self._sums = list(np.cumsum(_moments(poses, np.array(self.variances)), axis=0))
-        self._links = {}
+        self._links, self._steps = {}, []
+        self._add_steps()
         for tie in self.ties:
             self._link(tie)
+
+    def continued(self, poses: FloatArray) -> FloatArray:
+        """Poses (T, 3) of all key scans: the first ones as given, (K, 3), the rest as tracked from there."""
+        last = len(poses) - 1
+        return np.concatenate([poses, compose(poses[-1], self.tracked_from(last, np.arange(last + 1, len(self))))])
 
     def local_poses(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
@@ -132,7 +146,7 @@ class KeyGraph:
 
     def tracked_from(self, anchor: int, keys: IntArray) -> FloatArray:
         """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
-        return between(self.tracked[anchor], np.array([self.tracked[k] for k in keys.tolist()]))
+        return between(self.tracked[anchor], np.array([self.tracked[k] for k in keys.tolist()]).reshape(-1, 3))
 
     def local(self, anchor: int, key: int) -> FloatArray:
         """Pose (3,) of a key scan seen from another: as tracked where they are near in time, else as the map has it."""
@@ -145,51 +159,66 @@ class KeyGraph:
         The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
         """
         newest = len(self) - 1
-        here = newest // BLOCK
-        start = self._sums[newest] - self._sums[here * BLOCK]
-        queue: list[tuple[float, int, int]] = [(0.0, 0, here)]  # the second number keeps the order of equals
-        ways = [(between(self.tracked[here * BLOCK], self.tracked[newest]), start)]
-        done = dict[int, tuple[FloatArray, FloatArray]]()
+        here, tracked = newest // BLOCK, self.tracked
+        x, y, _ = self.poses[-1].tolist()
+        away = x * x + y * y
+        ends = [tracked[newest]]  # the newest key scan as the tracker would have it, had it come by certain ties
+        start: _Moments = tuple((self._sums[newest] - self._sums[here * BLOCK]).tolist())
+        queue: list[tuple[float, int, int, _Moments, int, _Crossing]] = [(0.0, 0, here, start, 0, None)]
+        pushed = 0  # keeps the order of equals
+        done = dict[int, tuple[_Moments, int]]()
         while queue and len(done) < most:
-            cost, way, block = heapq.heappop(queue)
+            cost, _, block, moments, end, crossing = heapq.heappop(queue)
             if block in done:
                 continue
-            done[block] = pose, moments = ways[way]
+            if crossing is not None:
+                last, step = crossing
+                ends.append(compose(tracked[block * BLOCK], compose(step, between(tracked[last * BLOCK], ends[end]))))
+                end = len(ends) - 1
+            done[block] = moments, end
             for other, there, more in self._neighbours(block):
                 if other not in done:
-                    total = moments + more
-                    spread = max(cost, self._position_variance(total))
+                    a, b = moments, more
+                    total = a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6]
+                    position, s, sx, sy, sxx, _, syy = total
+                    across = s * away - 2 * (sx * x + sy * y) + sxx + syy
+                    spread = max(cost, 2 * position + max(across, 0.0))  # of the position, the covariance's trace
                     if spread < limit_m**2:
-                        ways.append((compose(there, pose), total))
-                        heapq.heappush(queue, (spread, len(ways) - 1, other))
-        return [Nearby(block, pose, self._covariance(moments)) for block, (pose, moments) in done.items()]
+                        pushed += 1
+                        way = None if there is None else (block, there)
+                        heapq.heappush(queue, (spread, pushed, other, total, end, way))
+        firsts = np.array([tracked[block * BLOCK] for block in done])
+        poses = between(firsts, np.array([ends[end] for _, end in done.values()]))
+        covariances = self._covariances(np.array([moments for moments, _ in done.values()]))
+        return [Nearby(*found) for found in zip(done, poses, covariances, strict=True)]
 
-    def graph(self, increments: FloatArray | None = None) -> PoseGraph:
+    def graph(
+        self, increments: FloatArray | None = None, keys: int | None = None, ties: int | None = None
+    ) -> PoseGraph:
         """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the ties.
 
-        The increments are the tracked ones if not given.
+        The increments are the tracked ones if not given. With `keys` and `ties` it is the graph of the first so many.
         """
-        poses, tracked = np.array(self.poses), np.array(self.tracked)
-        count = len(poses)
+        poses, tracked = np.array(self.poses[:keys]), np.array(self.tracked[:keys])
+        count, known = len(poses), self.ties[:ties]
         steps = np.zeros((count - 1, 3, 3))
-        spread = np.array(self.variances[1:]).reshape(-1, 2)
+        spread = np.array(self.variances[1:count]).reshape(-1, 2)
         steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
         steps[:, 2, 2] = 1 / spread[:, 1]
         chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-        ties = self.ties
-        tied = np.array([t.measurement for t in ties]).reshape(-1, 3)
+        tied = np.array([t.measurement for t in known]).reshape(-1, 3)
         return PoseGraph(
             poses,
-            np.concatenate([chain, np.array([(t.from_, t.to) for t in ties], np.int64).reshape(-1, 2)]),
+            np.concatenate([chain, np.array([(t.from_, t.to) for t in known], np.int64).reshape(-1, 2)]),
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, tied]),
-            np.concatenate([steps, np.array([t.information for t in ties]).reshape(-1, 3, 3)]),
-            np.arange(count - 1 + len(ties)) < count - 1,
+            np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
+            np.arange(count - 1 + len(known)) < count - 1,
         )
 
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
-        for name in ("tracked", "poses", "variances", "ties", "_sums"):
+        for name in ("tracked", "poses", "variances", "ties", "_sums", "_steps"):
             setattr(twin, name, getattr(self, name).copy())
         twin._links = {block: links.copy() for block, links in self._links.items()}
         return twin
@@ -213,37 +242,36 @@ class KeyGraph:
         self = cls()
         self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
         self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
+        self._add_steps()
         self.ties = ties_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
             self._links.setdefault(a, {})[b] = moments[:3], moments[3:]
         return self
 
-    def _position_variance(self, moments: FloatArray) -> float:
-        """Trace of the position's covariance at the newest key scan."""
-        position, s, sx, sy, sxx, _, syy = moments.tolist()
-        x, y, _ = self.poses[-1].tolist()
-        across = s * (x * x + y * y) - 2 * (sx * x + sy * y) + sxx + syy
-        return float(2 * position + max(across, 0.0))
-
-    def _covariance(self, moments: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of the newest pose: a heading error in q moves it across, by the distance from q."""
-        position, s, sx, sy, sxx, sxy, syy = moments.tolist()
+    def _covariances(self, moments: FloatArray) -> FloatArray:
+        """Covariances (K, 3, 3) of the newest pose: a heading error in q moves it across, by the distance from q."""
+        position, s, sx, sy, sxx, sxy, syy = moments.T
         x, y, _ = self.poses[-1].tolist()
         xx = s * y * y - 2 * sy * y + syy + position
         yy = s * x * x - 2 * sx * x + sxx + position
         xy = -(s * x * y - sx * y - sy * x + sxy)
         xt, yt = -(s * y - sy), s * x - sx
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, s]])
+        return np.stack([xx, xy, xt, xy, yy, yt, xt, yt, s], axis=1).reshape(-1, 3, 3)
 
-    def _neighbours(self, block: int) -> list[tuple[int, FloatArray, FloatArray]]:
-        """Submaps one step away: this one's first key scan seen from theirs, and the moments of the way."""
-        sums, tracked, first = self._sums, self.tracked, block * BLOCK
-        found = [(other, *link) for other, link in self._links.get(block, {}).items()]
-        for other in (first - BLOCK, first + BLOCK):
-            if 0 <= other < len(self):
-                between_them = sums[max(first, other)] - sums[min(first, other)]
-                found.append((other // BLOCK, between(tracked[other], tracked[first]), between_them))
-        return found
+    def _neighbours(self, block: int) -> Iterator[tuple[int, FloatArray | None, _Moments]]:
+        """Submaps one step away: this one's first key scan seen from theirs, None if as tracked, and the moments."""
+        for other, (there, more) in self._links.get(block, {}).items():
+            yield other, there, tuple(more.tolist())
+        if block:
+            yield block - 1, None, self._steps[block - 1]
+        if block < len(self._steps):
+            yield block + 1, None, self._steps[block]
+
+    def _add_steps(self) -> None:
+        """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""
+        sums = self._sums
+        for first in range(len(self._steps) * BLOCK, len(sums) - BLOCK, BLOCK):
+            self._steps.append(tuple((sums[first + BLOCK] - sums[first]).tolist()))
 
     def _link(self, tie: Tie) -> None:
         """Note the way that a tie opens between two submaps, if it is the best so far."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from threading import Thread
 from typing import final
 
 import numpy as np
@@ -14,13 +15,14 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import Drift
-from gridslam.slam.memory import Correction, Memory, Rejection
+from gridslam.slam.key_graph import BLOCK, Drift
+from gridslam.slam.memory import Correction, Memory, Rejection, Weighing
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import draw
 from gridslam.slam.ties import Tie
-from gridslam.types import BeamEnds, FloatArray, StepReport
+from gridslam.slam.work import worked
+from gridslam.types import BeamEnds, StepReport
 
 __all__ = ["LoopClosure"]
 
@@ -37,8 +39,9 @@ class LoopClosure:
     matcher's basin (the closure was matched), and the motion model spreads the particles again. Particles that differ
     only in how they would have closed this loop have nothing left to be weighed by, hence equal weights.
 
-    The corrected map is drawn aside, `scans_per_step` key scans at each new one, so that no scan waits for it: it is
-    merged a number of key scans after the closure was found that depends on their count alone, never on time.
+    The graph is solved aside, some linear systems at each new scan, and then the corrected map is drawn aside,
+    `scans_per_step` key scans at each new one, so that no scan waits for either: the map is merged a number of scans
+    after the closure was found that depends on counts alone, never on time.
 
     Parameters
     ----------
@@ -51,7 +54,9 @@ class LoopClosure:
     disagree_m, disagree_rad : float
         Where the filter has the recognized places within this it closed the loop itself, and is left alone.
     scans_per_step : int
-        Key scans of the corrected map drawn at each new key scan, 50 us each.
+        Key scans of the corrected map drawn at each new key scan, 0.3 ms each.
+    poses_per_scan : int
+        Poses solved for at each new scan, 1 us each; never less than one linear system of them all.
     """
 
     recognition: PlaceRecognition = PlaceRecognition()
@@ -60,6 +65,7 @@ class LoopClosure:
     disagree_m: float = Field(default=0.5, gt=0)
     disagree_rad: float = Field(default=0.05, gt=0)
     scans_per_step: int = Field(default=60, ge=2)
+    poses_per_scan: int = Field(default=8000, ge=1)
 
     def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
         """Begin with the filter's first scan."""
@@ -79,16 +85,19 @@ class LoopClosure:
     ) -> StepReport:
         """Take note of a scan that the filter has taken; may correct `state`, and says so in the report."""
         memory.scans.append(beams, is_key=report.skipped is None)
+        ties = [] if memory.weighing is None else self._weigh(memory, memory.weighing, mapper, threads)
         if report.skipped is not None:
-            return report
+            return replace(report, closures=_ends(ties)) if ties else report
         self._remember(memory, state)
-        ties = self.recognition(memory, mapper)
-        if ties and memory.correction is None and self._disagrees(memory, ties, state):
-            ties = self._solved(memory, ties, mapper, threads)
+        if len(memory.graph) == BLOCK:  # long before a place can be an old one
+            Thread(target=self.solver.prepare).start()
+        found = self.recognition(memory, mapper)
+        if found and memory.weighing is None and memory.correction is None and self._disagrees(memory, found, state):
+            memory.weighing = Weighing(len(memory.graph), len(memory.graph.ties), len(found))
+        else:
+            ties = ties + found
         corrected = memory.correction is not None and self._draw(memory, memory.correction, state)
-        return replace(
-            report, pose=state.poses[state.best], closures=tuple((t.from_, t.to) for t in ties), corrected=corrected
-        )
+        return replace(report, pose=state.poses[state.best], closures=_ends(ties), corrected=corrected)
 
     def _remember(self, memory: Memory, state: GridFastSlamState) -> None:
         """Add the newest key scan, where it was tracked to."""
@@ -110,32 +119,47 @@ class LoopClosure:
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
-    def _solved(self, memory: Memory, ties: list[Tie], mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
-        """Solve the graph, and begin to draw the corrected past; returns the new ties, none if they are doubted."""
+    def _weigh(self, memory: Memory, weighing: Weighing, mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
+        """Solve the graph a little more; at the end begin to draw the corrected past, and return the new ties.
+
+        None are returned before the end, and none if the graph doubts them.
+        """
         graph = memory.graph
-        solution = self.solver.solve(graph.graph())
-        if solution.weights[-len(ties) :].min() < 0.5:  # what else is known speaks against the closure
-            del graph.ties[-len(ties) :]
+        if weighing.work is None:
+            weighing.work = self.solver.solving(graph.graph(keys=weighing.keys, ties=weighing.ties))
+            worked(weighing.work, weighing.steps)
+        steps = max(1, min(8, self.poses_per_scan // weighing.keys))
+        weighing.steps += steps
+        solution = worked(weighing.work, steps)
+        if solution is None:
+            return []
+        memory.weighing = None
+        poses = graph.continued(solution.poses)
+        new = slice(weighing.ties - weighing.new, weighing.ties)
+        ties = graph.ties[new]
+        if solution.weights[-weighing.new :].min() < 0.5:  # what else is known speaks against the closure
+            del graph.ties[new]
             memory.rejected[Rejection.IMPLAUSIBLE] += 1
             ties = []
         else:
-            memory.correction = Correction(list(solution.poses), mapper.empty(1, threads))
-        memory.correct(solution.poses)
+            memory.correction = Correction(poses, mapper.empty(1, threads))
+        memory.correct(poses)
         return ties
 
     def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
         """Draw on; when all is drawn, merge. Returns whether it was merged."""
-        graph, poses = memory.graph, correction.poses
-        if len(poses) < len(graph):
-            poses.append(compose(poses[-1], between(graph.tracked[-2], graph.tracked[-1])))
+        correction.poses = poses = memory.graph.continued(correction.poses)
         last = min(correction.drawn + self.scans_per_step, len(poses))
         draw(correction.maps, memory.scans, range(correction.drawn, last), poses[correction.drawn : last])
         correction.drawn = last
         if last < len(poses):
             return False
-        corrected: FloatArray = np.array(poses)
-        memory.correct(corrected)
-        memory.said = list(corrected)
-        state.reseed(corrected, correction.maps)
+        memory.correct(poses)
+        memory.said = list(poses)
+        state.reseed(poses, correction.maps)
         memory.correction = None
         return True
+
+
+def _ends(ties: list[Tie]) -> tuple[tuple[int, int], ...]:
+    return tuple((tie.from_, tie.to) for tie in ties)

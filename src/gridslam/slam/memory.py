@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.graph_slam import GraphSolution
 from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import Submaps
 from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
+from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
-__all__ = ["Correction", "Memory", "Rejection"]
+__all__ = ["Correction", "Memory", "Rejection", "Weighing"]
 
 
 class Rejection(Enum):
@@ -38,9 +40,33 @@ class Rejection(Enum):
 class Correction:
     """A corrected past that is being drawn: poses of the key scans, and the map of the first `drawn` of them."""
 
-    poses: list[FloatArray]
+    poses: FloatArray
     maps: TileMaps
     drawn: int = 0
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Weighing:
+    """New ties that the graph is being solved with.
+
+    Attributes
+    ----------
+    keys, ties : int
+        The graph is that of the first so many key scans and ties.
+    new : int
+        The last so many of these ties are in question.
+    steps : int
+        Steps of work done.
+    work : Work of GraphSolution or None
+        What does them; None where it has to be begun again, up to `steps`.
+    """
+
+    keys: int
+    ties: int
+    new: int
+    steps: int = 0
+    work: Work[GraphSolution] | None = None
 
 
 @final
@@ -64,8 +90,11 @@ class Memory:
         Variances of the odometry that the tracker took instead of a match, up to the newest key scan.
     failures, next_search : int
         Searches in a row that found nothing, and the key scan at which to search next.
-    area : tuple of int
-        Submaps in which was searched last; while they are the ones to search in, their map is drawn once.
+    area, wide : tuple of int
+        Submaps in which was searched last, and from which the place found there must be told; while they are the ones
+        to search in, their map is drawn once.
+    weighing : Weighing or None
+        Places just recognized, of which is not known yet what the graph says.
     correction : Correction or None
         A corrected past on its way into the filter.
     """
@@ -80,22 +109,25 @@ class Memory:
     failures: int = 0
     next_search: int = 0
     area: tuple[int, ...] = ()
+    wide: tuple[int, ...] = ()
+    weighing: Weighing | None = None
     submaps: Submaps = field(default_factory=Submaps)
 
     def correct(self, poses: FloatArray) -> None:
         """Let the key scans be at poses (T, 3): what was drawn from others is drawn anew."""
         self.graph.correct(poses)
-        self.area = ()
+        self.area = self.wide = ()
         self.submaps.forget()
 
     def snapshot(self) -> Memory:
         """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
         pending = self.correction
         if pending is not None:
-            pending = replace(pending, poses=pending.poses.copy(), maps=pending.maps.snapshot())
+            pending = replace(pending, maps=pending.maps.snapshot())
         return Memory(
             self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending,
-            self.said.copy(), self.doubts, self.failures, self.next_search, self.area,
+            self.said.copy(), self.doubts, self.failures, self.next_search, self.area, self.wide,
+            None if self.weighing is None else replace(self.weighing, work=None),
         )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -104,6 +136,7 @@ class Memory:
             "said": np.array(self.said, np.float64).reshape(-1, 3),
             "doubts": np.array(self.doubts),
             "search": np.array([self.failures, self.next_search, *self.area], np.int64),
+            "wide": np.array(self.wide, np.int64),
             "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
@@ -111,8 +144,10 @@ class Memory:
             ("scans", self.scans.to_arrays()),
             ("graph", self.graph.to_arrays()),
         ]  # fmt: skip
+        if (weighing := self.weighing) is not None:
+            arrays["weighing"] = np.array([weighing.keys, weighing.ties, weighing.new, weighing.steps], np.int64)
         if self.correction is not None:
-            arrays["correction.poses"] = np.array(self.correction.poses)
+            arrays["correction.poses"] = self.correction.poses
             arrays["correction.drawn"] = np.array(self.correction.drawn, np.int64)
             parts.append(("correction.maps", self.correction.maps.to_arrays()))
         return arrays | {f"{name}.{key}": array for name, part in parts for key, array in part.items()}
@@ -129,7 +164,7 @@ class Memory:
         correction = None
         if "correction.drawn" in arrays:
             maps = mapper.restore(part("correction.maps"), threads)
-            correction = Correction(list(arrays["correction.poses"]), maps, int(arrays["correction.drawn"]))
+            correction = Correction(arrays["correction.poses"], maps, int(arrays["correction.drawn"]))
         return cls(
             ScanArchive.from_arrays(part("scans")),
             KeyGraph.from_arrays(part("graph")),
@@ -141,4 +176,6 @@ class Memory:
             failures,
             next_search,
             tuple(area),
+            tuple(arrays["wide"].tolist()),
+            Weighing(*arrays["weighing"].tolist()) if "weighing" in arrays else None,
         )

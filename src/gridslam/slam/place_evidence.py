@@ -14,7 +14,10 @@ from gridslam.slam.submaps import ROW, anchor_of
 from gridslam.slam.ties import Tie
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["disagreement", "missed_by", "recent_points", "through_walls"]
+__all__ = ["agreement", "disagreement", "missed_by", "plausible", "recent_points", "through_walls"]
+
+_MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
+"""Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 
 _WALL_M = 0.3
 """A beam that ends so much behind what the map knows has passed through it."""
@@ -27,6 +30,20 @@ def recent_points(memory: Memory, scans: int) -> FloatArray:
     tracked = graph.tracked_from(newest, keys)
     points = [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)]
     return np.concatenate(points)
+
+
+def agreement(maps: TileMaps, pose: FloatArray, points: FloatArray, overlap: float, cauchy_m: float) -> float:
+    """How well points (B, 2), seen from a pose, agree with what the map knows; 0 if it knows a lesser share of them."""
+    known = maps.known(0, transform_points(pose, points))
+    if np.mean(known) < overlap:
+        return 0.0
+    away = maps.distances(ROW, pose[None], points)[0, known]
+    return float(np.mean(1 / (1 + np.square(away / cauchy_m))))
+
+
+def plausible(covariance: FloatArray, missed: FloatArray, gate: float) -> bool:
+    """Whether the drift explains what a match differs by (3,) from where the robot should be, map frame."""
+    return float(missed @ np.linalg.solve(covariance + _MATCHING, missed)) < gate**2
 
 
 def through_walls(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:

@@ -9,16 +9,16 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Found, thinned
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam import place_evidence as evidence
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
 from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_evidence import disagreement, missed_by, recent_points, through_walls
-from gridslam.slam.submaps import ROW, anchor_of, joint_map
-from gridslam.slam.ties import Source, Tie
+from gridslam.slam.submaps import ROW, anchor_of
+from gridslam.slam.ties import Source, Tie, surveyed
 from gridslam.types import FloatArray
 
 __all__ = ["PlaceRecognition"]
@@ -26,9 +26,6 @@ __all__ = ["PlaceRecognition"]
 
 _FEW, _MOST_SUBMAPS = 12, 24
 """Submaps in which a place is searched for, and those from which it must be told."""
-
-_MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
-"""Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 
 
 @final
@@ -54,6 +51,9 @@ class PlaceRecognition:
         Where the position relative to a submap is this certain (standard deviation), its scans are tied without search.
     follow : int
         Key scans for which the robot is followed from one that was tied in all directions.
+    follow_m : float, m
+        A match farther from where the robot was followed to is not believed, since it contradicts the motion from tie
+        to tie: what it fits has moved, or it slid along a wall.
     believed_m : float, m
         Where the filter has the robot farther than this from where it was tracked to, its belief is not taken over: a
         map that repeats itself may have drawn it there.
@@ -88,6 +88,7 @@ class PlaceRecognition:
     share: float = Field(default=0.75, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
     follow: int = Field(default=12, ge=1)
+    follow_m: float = Field(default=0.2, gt=0)
     believed_m: float = Field(default=1.2, gt=0)
     every: int = Field(default=6, ge=1)
     query: int = Field(default=16, ge=1)
@@ -98,7 +99,7 @@ class PlaceRecognition:
     confirmations: int = Field(default=3, ge=1)
     agree_m: float = Field(default=0.25, gt=0)
     agree_rad: float = Field(default=0.05, gt=0)
-    least_information: float = Field(default=0.1, ge=0)
+    least_information: float = Field(default=0.06, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
     search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.5, floor=0.45)
     matcher: GaussNewton = GaussNewton()
@@ -135,9 +136,8 @@ class PlaceRecognition:
     def _reject(self, memory: Memory, reason: Rejection) -> None:
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
         memory.rejected[reason] += 1
-        if reason is Rejection.POOR:
-            memory.failures += 1
-        else:
+        memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
+        if reason is not Rejection.POOR:
             memory.hypotheses.clear()
         memory.next_search = len(memory.graph) - 1 + self.every * max(1, min(memory.failures, 4))
 
@@ -149,15 +149,16 @@ class PlaceRecognition:
         guess = followed or self._believed(memory, oldest)
         if guess is None:
             return False
-        tie = self._match(memory, mapper, *guess, Source.KNOWN)
+        most_m = 3 * self.known_m if followed is None else self.follow_m
+        tie = self._match(memory, mapper, *guess, most_m, Source.KNOWN)
         if isinstance(tie, Rejection):
             return False
         if followed is None:
             way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == guess[0]), None)
             if way is None:
                 return False
-            missed = missed_by(graph, way, tie)
-            if math.hypot(missed[0], missed[1]) > self.believed_m or not self._plausible(way.covariance, missed):
+            missed, gate = evidence.missed_by(graph, way, tie), self.search.gate
+            if math.hypot(missed[0], missed[1]) > self.believed_m or not evidence.plausible(way.covariance, missed, gate):
                 return False
             if way.sigma_m > self.known_m:
                 if not tie.determined and way.sigma_m > 2 * self.known_m:
@@ -165,10 +166,6 @@ class PlaceRecognition:
                 tie = tie._replace(source=Source.BELIEVED)
         graph.add(tie)
         return tie.source is Source.KNOWN
-
-    def _plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
-        """Whether the drift explains what a match differs by from where the robot should be, map frame."""
-        return float(missed @ np.linalg.solve(covariance + _MATCHING, missed)) < self.search.gate**2
 
     def _beyond(self) -> FloatArray:
         """What widens the search to all places that must be unlike the one found."""
@@ -197,57 +194,74 @@ class PlaceRecognition:
         return (block, between(anchors[block], here)) if away[block] < self.near_m else None
 
     def _match(
-        self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray, source: Source
+        self, memory: Memory, mapper: OccupancyGridMapping, block: int, guess: FloatArray, most_m: float, source: Source
     ) -> Tie | Rejection:
-        """Match the newest key scan to a submap, from a guess (3,) in its frame."""
+        """Match the newest key scan to a submap, within `most_m` of a guess (3,) in its frame."""
         newest = len(memory.graph) - 1
         beams = memory.scans.key(newest)
         maps = memory.submaps(block, mapper, memory.scans, memory.graph)
         match = self.matcher(maps, ROW, guess[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
+        match = surveyed(match, maps, ROW, beams)
         pose = match.poses[0]
         moved = between(guess, pose)
-        if math.hypot(moved[0], moved[1]) > 3 * self.known_m or not self._agrees(maps, pose, beams.ends):
+        if math.hypot(moved[0], moved[1]) > most_m or not self._agrees(maps, pose, beams.ends):
             return Rejection.POOR
         return Tie.of(anchor_of(block), newest, guess, match, self.beam_sigma_m, self.least_information, source)
 
     def _agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
-        known = maps.known(0, transform_points(pose, points))
-        if np.mean(known) < self.overlap:
-            return False
-        away = maps.distances(ROW, pose[None], points)[0, known]
-        return float(np.mean(1 / (1 + np.square(away / self.matcher.cauchy_m)))) >= self.share
+        return evidence.agreement(maps, pose, points, self.overlap, self.matcher.cauchy_m) >= self.share
 
     def _recognize(self, memory: Memory, mapper: OccupancyGridMapping) -> Tie | Rejection | None:
-        """Search the newest key scans in the old submaps where the robot may be."""
+        """Search the newest key scans in the old submaps where the robot may be, and then in all it must be told from.
+
+        Where the map to search in has to be drawn first, that is all for now: no scan shall wait for both.
+        """
         graph = memory.graph
         candidates = self._candidates(graph)
         if not candidates:
             return None
-        way, points = candidates[0], thinned(recent_points(memory, self.query), self.search.points)
+        way, blocks = candidates[0], tuple(n.block for n in candidates)
         guess = compose(graph.poses[way.block * BLOCK], way.pose)
+        points = thinned(evidence.recent_points(memory, self.query), self.search.points)
+        if set(blocks[:_FEW]) <= set(memory.wide):
+            found = self._told_apart(memory, mapper, guess, way.covariance, points)
+            memory.wide = () if isinstance(found, Rejection) else memory.wide
+            return found
         near = [n.block for n in candidates if self._away(n) < self.search.gate][:_FEW]
         if not set(near[:6]) <= set(memory.area):
             oldest = (len(graph) - 1) // BLOCK - self.gap
             seen_too = {b for block in near for b in range(block - 1, block + 2)}  # what is seen reaches farther
             memory.area = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
-        maps, pyramid = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
-        found = self.search.search(pyramid, guess, way.covariance, points)
-        if found is None or not self._agrees(maps, found.pose, points):
+            memory.submaps.joint(memory.area, mapper, memory.scans, graph)
+            return None
+        pyramid = memory.submaps.pyramid(memory.area, mapper, memory.scans, graph)
+        maps = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
+        near_place = self.search.search(pyramid, guess, way.covariance, points)
+        if near_place is None or not self._agrees(maps, near_place.pose, points):
             return Rejection.POOR
-        blocks = tuple(sorted(n.block for n in candidates))
-        maps, pyramid = joint_map(blocks, mapper, memory.scans, graph)
-        found = self.search.search(pyramid, guess, way.covariance + self._beyond(), points)
+        memory.wide = tuple(sorted(blocks))
+        memory.submaps.joint(memory.wide, mapper, memory.scans, graph)
+        return None
+
+    def _told_apart(
+        self, memory: Memory, mapper: OccupancyGridMapping, guess: FloatArray, spread: FloatArray, points: FloatArray
+    ) -> Tie | Rejection:
+        """Search in all the places that the one found must be told from."""
+        graph, blocks = memory.graph, memory.wide
+        pyramid = memory.submaps.pyramid(blocks, mapper, memory.scans, graph)
+        maps = memory.submaps.joint(blocks, mapper, memory.scans, graph)
+        found = self.search.search(pyramid, guess, spread + self._beyond(), points)
         if found is None:
             return Rejection.POOR
-        if not self._plausible(way.covariance, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
+        if not evidence.plausible(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2]), self.search.gate):
             return Rejection.IMPLAUSIBLE
         if rejection := self._judged(found, maps, points, memory):
             return rejection
         anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
         block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
         seen = between(graph.poses[anchor_of(block)], found.pose)
-        tie = self._match(memory, mapper, block, seen, Source.RECOGNIZED)
+        tie = self._match(memory, mapper, block, seen, 3 * self.known_m, Source.RECOGNIZED)
         return tie if isinstance(tie, Rejection) or tie.determined else Rejection.UNDETERMINED
 
     def _candidates(self, graph: KeyGraph) -> list[Nearby]:
@@ -275,9 +289,9 @@ class PlaceRecognition:
         if found.other_share > self.other_share * found.share:
             return Rejection.AMBIGUOUS
         beams = memory.scans.key(len(memory.graph) - 1)
-        return Rejection.THROUGH_WALLS if through_walls(maps, found.pose, beams) > self.through else None
+        return Rejection.THROUGH_WALLS if evidence.through_walls(maps, found.pose, beams) > self.through else None
 
     def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
         """Whether the motion between two key scans leads from the one place to the other."""
-        missed = disagreement(graph, earlier, later)
+        missed = evidence.disagreement(graph, earlier, later)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad

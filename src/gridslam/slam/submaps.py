@@ -49,13 +49,12 @@ def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, pose
 
 def joint_map(
     blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-) -> tuple[TileMaps, Pyramid]:
-    """Draw one map of several blocks, each where the graph has its anchor, and make its pyramid."""
+) -> TileMaps:
+    """Draw one map of several blocks, each where the graph has its anchor."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
     keys = [keys_of(block)[::stride] for block in blocks]
     poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
-    maps = drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
-    return maps, Pyramid.of(maps, 0)
+    return drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
 
 
 @final
@@ -65,12 +64,13 @@ class Submaps:
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
     """
 
-    __slots__ = ("_joint", "_kept", "_most")
+    __slots__ = ("_joint", "_kept", "_most", "_pyramids")
 
     def __init__(self, most: int = 32) -> None:
         """Keep `most` submaps at a time: about 1 MB each."""
         self._kept: dict[int, TileMaps] = {}
-        self._joint: tuple[tuple[int, ...], TileMaps, Pyramid] | None = None
+        self._joint: dict[tuple[int, ...], TileMaps] = {}
+        self._pyramids: dict[tuple[int, ...], Pyramid] = {}
         self._most = most
 
     def __call__(self, block: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
@@ -86,12 +86,26 @@ class Submaps:
 
     def joint(
         self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-    ) -> tuple[TileMaps, Pyramid]:
-        """Give `joint_map`, drawn once as long as the blocks are the same; see `forget`."""
-        if self._joint is None or self._joint[0] != blocks:
-            self._joint = blocks, *joint_map(blocks, mapper, scans, graph)
-        return self._joint[1:]
+    ) -> TileMaps:
+        """Give `joint_map`, drawn once as long as the blocks are those of one of the last two; see `forget`."""
+        if blocks not in self._joint:
+            if len(self._joint) > 1:
+                oldest = next(iter(self._joint))
+                del self._joint[oldest]
+                self._pyramids.pop(oldest, None)
+            self._joint[blocks] = joint_map(blocks, mapper, scans, graph)
+        return self._joint[blocks]
+
+    def pyramid(
+        self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+    ) -> Pyramid:
+        """Give the pyramid of `joint`, made once."""
+        maps = self.joint(blocks, mapper, scans, graph)
+        if blocks not in self._pyramids:
+            self._pyramids[blocks] = Pyramid.of(maps, 0)
+        return self._pyramids[blocks]
 
     def forget(self) -> None:
-        """Draw the next joint map anew: the poses have changed."""
-        self._joint = None
+        """Draw the next joint maps anew: the poses have changed."""
+        self._joint.clear()
+        self._pyramids.clear()

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from enum import IntEnum
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.matching.gauss_newton import undetermined
-from gridslam.types import FloatArray, Match
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["Source", "Tie", "ties_from_arrays", "ties_to_arrays"]
+__all__ = ["Source", "Tie", "surveyed", "ties_from_arrays", "ties_to_arrays"]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
+
+
+_CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
+"""Looks only at what the ends of beams say across the wall they lie on."""
 
 
 @final
@@ -75,6 +82,16 @@ class Tie(NamedTuple):
         c, s = math.cos(pose[2]), math.sin(pose[2])
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source, weak is None)
+
+
+def surveyed(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
+    """Take a match for no more informed than what straight walls say across themselves, and corners in all directions.
+
+    Ends that lie sparsely on a wall are mapped as dots, and dots hold the next scan where it happens to be: along a
+    bare corridor that is no measurement, although matching is the better for it elsewhere.
+    """
+    loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
+    return replace(match, information=_CLOSE(maps, row, match.poses, loose, beams).information)
 
 
 def ties_to_arrays(ties: Sequence[Tie]) -> dict[str, NDArray[Any]]:

@@ -52,3 +52,20 @@ def test_no_closure_is_none_false():
 def test_what_does_not_fit_together_is_refused(edges, measurements):
     with pytest.raises(ArgumentError):
         closure_errors(TRUTH, edges, measurements)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2])
+def test_along_an_open_direction_nothing_is_false(turn):
+    """A corridor along x of the frame in which the measurement begins; the information is of the one where it ends."""
+    c, s = math.cos(turn), math.sin(turn)
+    across = np.array([s, c])  # the corridor's y axis, seen turned by `turn`
+    information = np.zeros((1, 3, 3))
+    information[0, :2, :2] = 1e3 * np.outer(across, across) + 1e-2 * np.eye(2)
+    information[0, 2, 2] = 1e3
+    truth = [[0.0, 0.0, 0.0], [3.0, 1.0, turn]]
+    for along, off in ((7.0, 0.0), (0.0, 0.4), (-7.0, -0.6)):
+        metres, _ = closure_errors(truth, [[0, 1]], [[3.0 + along, 1.0 + off, turn]], information)
+        assert metres == pytest.approx([abs(off)], abs=1e-9)
+        told = false_closures(truth, [[0, 1]], [[3.0 + along, 1.0 + off, turn]], information)
+        assert told.tolist() == [abs(off) > 0.5]
+    assert closure_errors(truth, [[0, 1]], [[10.0, 1.0, turn]])[0] == pytest.approx([7.0])

@@ -13,8 +13,8 @@ from gridslam.io.state import SavedRun, read_state, write_state
 from gridslam.pipeline import run
 from gridslam.slam.full_slam import full_slam
 
-CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5")
-"""The correction is drawn slowly."""
+CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5", "closure.poses_per_scan=1")
+"""The graph is solved and the correction drawn slowly."""
 
 SLAM = build(CONFIG)
 
@@ -31,7 +31,7 @@ def whole(loop, play):
 
 @pytest.fixture(scope="module")
 def cuts(loop, whole):
-    """Scans after which to cut: before the closure, at it, while the correction is drawn, at the merge, and after."""
+    """Scans after which to cut: while the graph is solved, at the closure, while the correction is drawn, at the merge, and after."""
     reports = whole[1]
     closed = next(k for k, report in enumerate(reports) if report.closures)
     merged = next(k for k, report in enumerate(reports) if report.corrected)

@@ -174,7 +174,7 @@ def test_no_way_through_the_graph_is_more_certain(seed):
         from_, to = sorted(rng.choice(68, 2, replace=False).tolist())
         if to // BLOCK > from_ // BLOCK + 1:
             graph.add(tie(graph, from_, to, float(rng.choice([1e2, 1e4]))))
-    ways = {block: {other: moments for other, _, moments in graph._neighbours(block)} for block in range(7)}
+    ways = {block: {other: np.array(moments) for other, _, moments in graph._neighbours(block)} for block in range(7)}
     least = dict.fromkeys(range(6), np.inf)
     start = graph._sums[-1] - graph._sums[60]
     for length in range(1, 7):
@@ -182,7 +182,7 @@ def test_no_way_through_the_graph_is_more_certain(seed):
             hops = list(itertools.pairwise((6, *way)))
             if all(b in ways[a] for a, b in hops):
                 total = start + sum(ways[a][b] for a, b in hops)
-                least[way[-1]] = min(least[way[-1]], graph._position_variance(total))
+                least[way[-1]] = min(least[way[-1]], np.trace(graph._covariances(total[None])[0, :2, :2]))
     found = nearby(graph)
     for block, variance in least.items():
         assert np.trace(found[block].covariance[:2, :2]) == pytest.approx(variance, rel=1e-9)

@@ -27,6 +27,7 @@ RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
 """A filter that is lost by a metre is not believed."""
 CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
 SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=Prior(), loop_closure=CLOSURE)
+RNG = np.random.default_rng(0)
 RUNS = [(2, 5), (3, 5)]
 """Seeds of the hall, and numbers of particles."""
 
@@ -148,25 +149,44 @@ def test_what_was_recognized_is_told_once(closed):
 
 @pytest.mark.parametrize("scans_per_step", [2, 7, 1000])
 def test_the_merge_comes_a_number_of_key_scans_later_that_follows_from_counts(logs, scans_per_step):
-    """T key scans at the closure, s drawn at each of it and the next ones, each of which adds one: j s >= T + j - 1."""
+    """T key scans once the graph is solved, s drawn at each next one, each of which adds one: j s >= T + j."""
     slam = replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=scans_per_step))
     ends = []
     for _ in range(2):
         state, reports, _ = run(slam, logs[2], 1)
-        found = next(k for k, report in enumerate(reports) if report.closures)
+        solved = next(k for k, report in enumerate(reports) if report.closures)
         keys = [k for k, report in enumerate(reports) if report.skipped is None]
-        count = keys.index(found) + 1
-        steps = math.ceil((count - 1) / (scans_per_step - 1))
+        count = sum(k < solved for k in keys)
+        steps = math.ceil(count / (scans_per_step - 1))
         merged = [k for k, report in enumerate(reports) if report.corrected]
-        if count + steps - 2 < len(keys):
-            assert merged[0] == keys[count + steps - 2]
+        if count + steps - 1 < len(keys):
+            assert merged[0] == keys[count + steps - 1]
         else:
             assert merged == []
-            assert state.memory.correction.drawn == (len(keys) - count + 1) * scans_per_step
+            assert state.memory.correction.drawn == (len(keys) - count) * scans_per_step
         ends.append([told(report) for report in reports])
         if scans_per_step != 7:
             break
     assert ends[0] == ends[-1]
+
+
+def test_the_graph_is_solved_as_many_poses_a_scan_as_allowed(logs):
+    """With one linear system a scan it takes several scans, and comes to the same."""
+    ends, waited = [], []
+    for poses_per_scan in (1, 10**6):
+        slam = replace(SLAM, loop_closure=replace(CLOSURE, poses_per_scan=poses_per_scan, scans_per_step=1000))
+        state, waits = None, 0
+        for odometry, scan in logs[2].measurements:
+            state, report = slam.step(state, odometry, scan, RNG) if state else slam.init(odometry, scan, 1)
+            waits += state.memory.weighing is not None
+            if report.closures:
+                break
+        ends.append((report.closures, np.array(state.memory.graph.poses)[: len(state.memory.graph) - waits]))
+        waited.append(waits)
+    assert waited[0] > 4 * waited[1]
+    assert ends[0][0] == ends[1][0]
+    count = min(len(poses) for _, poses in ends)
+    np.testing.assert_allclose(ends[0][1][:count], ends[1][1][:count], atol=1e-9)
 
 
 def test_until_the_correction_the_filter_is_what_it_is_without(closed):
@@ -193,18 +213,19 @@ def test_a_filter_that_agrees_is_left_alone(logs):
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_snapshot_taken_while_the_correction_is_drawn_goes_on_to_the_same_bytes(logs):
+@pytest.mark.parametrize("during", ["weighing", "correction"])
+def test_a_snapshot_taken_while_the_graph_is_solved_or_drawn_goes_on_to_the_same_bytes(logs, during):
     """And so do arrays, and none of the three reaches into another."""
-    log, slow = logs[2], replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=5))
+    log, slow = logs[2], replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=5, poses_per_scan=1))
     rng = np.random.default_rng(0)
     state, _ = slow.init(*log.measurements[0], 3)
     rest = iter(log.measurements[1:])
     for odometry, scan in rest:
         state, report = slow.step(state, odometry, scan, rng)
-        pending = state.memory.correction
-        if pending is not None and pending.drawn > 30:
+        pending = getattr(state.memory, during)
+        if pending is not None and (pending.steps > 5 if during == "weighing" else pending.drawn > 30):
             break
-    rest = list(rest)[:60]
+    rest = list(rest)[:80]
     twins = [state.snapshot(), type(state).from_arrays(state.to_arrays(), slow.mapper, threads=2)]
     draws, ends = rng.bit_generator.state, []
     for twin in (state, *twins):

@@ -59,7 +59,7 @@ def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
     memory = Memory()
     hall.remember(memory, seen, poses, until=40)
     maps = hall.MAPPER.empty(1)
-    memory.correction = Correction(list(seen.truth[:40]), maps, drawn=10)
+    memory.correction = Correction(seen.truth[:40], maps, drawn=10)
     for key in range(10):
         maps.update(ROW, seen.truth[key][None], memory.scans.key(key))
     before = contents(memory)
@@ -67,7 +67,7 @@ def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
     for twin in (memory, kept, read):
         assert contents(twin) == before
         twin.correction.maps.update(ROW, seen.truth[10][None], twin.scans.key(10))
-        twin.correction.poses.append(seen.truth[40])
+        twin.correction.poses = seen.truth[:41]
         twin.correction.drawn += 1
         after = contents(twin)
         assert after != before

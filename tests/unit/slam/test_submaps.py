@@ -68,7 +68,8 @@ def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
     """One block alone is every other of its scans, moved to the anchor's pose in the map."""
     graph = memory.graph.snapshot()
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
-    maps, pyramid = Submaps().joint((3,), hall.MAPPER, memory.scans, graph)
+    submaps, parts = Submaps(), (hall.MAPPER, memory.scans, graph)
+    maps, pyramid = submaps.joint((3,), *parts), submaps.pyramid((3,), *parts)
     keys, anchor = keys_of(3)[::2], anchor_of(3)
     local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
     assert contents(maps) == contents(drawn(hall.MAPPER, memory.scans, keys, compose(graph.poses[anchor], local)))
@@ -77,13 +78,16 @@ def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
     assert pyramid.fine.shape[-2:] >= field.shape
 
 
-def test_a_joint_map_is_drawn_once_until_it_is_forgotten(memory):
+def test_joint_maps_are_drawn_once_until_they_are_forgotten(memory):
     submaps, graph = Submaps(), memory.graph.snapshot()
-    first, _ = submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)
-    assert submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)[0] is first
-    assert contents(submaps.joint((1, 3), hall.MAPPER, memory.scans, graph)[0]) != contents(first)
-    again, _ = submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)
-    assert contents(again) == contents(first)
+    parts = (hall.MAPPER, memory.scans, graph)
+    first, pyramid = submaps.joint((1, 2), *parts), submaps.pyramid((1, 2), *parts)
+    assert contents(submaps.joint((1, 3), *parts)) != contents(first)
+    assert submaps.joint((1, 2), *parts) is first
+    assert submaps.pyramid((1, 2), *parts) is pyramid
+    submaps.joint((2, 3), *parts)
+    assert submaps.joint((1, 2), *parts) is not first  # two are kept
+    assert contents(submaps.joint((1, 2), *parts)) == contents(first)
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
     submaps.forget()
-    assert contents(submaps.joint((1, 2), hall.MAPPER, memory.scans, graph)[0]) != contents(first)
+    assert contents(submaps.joint((1, 2), *parts)) != contents(first)
