@@ -61,9 +61,10 @@ def _driven(drive: Drive) -> _Run:
     assert state.memory is not None
     ties = [tie for tie in state.memory.graph.ties if tie.source is Source.RECOGNIZED]
     ends = np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
-    found = false_closures(truth[keys], ends, np.array([tie.measurement for tie in ties]).reshape(-1, 3))  # in all directions
+    found = false_closures(truth[keys], ends, np.array([tie.measurement for tie in ties]).reshape(-1, 3))
     joint = np.arange(len(said.graph.edges)) >= len(keys) - 1
-    tied = false_closures(truth[keys], said.graph.edges[joint], said.graph.measurements[joint], said.graph.information[joint])
+    graph = said.graph
+    tied = false_closures(truth[keys], graph.edges[joint], graph.measurements[joint], graph.information[joint])
     filtered = _relation_error(truth[keys], state.ancestry.trajectory(state.best))
     last_word = _relation_error(truth[keys], said.poses[keys])
     return _Run(cpu_s, len(ties), int(found.sum()), int(joint.sum()), int(tied.sum()), filtered, last_word)

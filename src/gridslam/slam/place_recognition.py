@@ -157,8 +157,8 @@ class PlaceRecognition:
             way = next((n for n in graph.nearby(self.search.window_m, 256) if n.block == guess[0]), None)
             if way is None:
                 return False
-            missed, gate = evidence.missed_by(graph, way, tie), self.search.gate
-            if math.hypot(missed[0], missed[1]) > self.believed_m or not evidence.plausible(way.covariance, missed, gate):
+            missed, far = evidence.missed_by(graph, way, tie), self.believed_m
+            if math.hypot(missed[0], missed[1]) > far or not self._plausible(way.covariance, missed):
                 return False
             if way.sigma_m > self.known_m:
                 if not tie.determined and way.sigma_m > 2 * self.known_m:
@@ -166,6 +166,9 @@ class PlaceRecognition:
                 tie = tie._replace(source=Source.BELIEVED)
         graph.add(tie)
         return tie.source is Source.KNOWN
+
+    def _plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
+        return evidence.plausible(covariance, missed, self.search.gate)
 
     def _beyond(self) -> FloatArray:
         """What widens the search to all places that must be unlike the one found."""
@@ -254,7 +257,7 @@ class PlaceRecognition:
         found = self.search.search(pyramid, guess, spread + self._beyond(), points)
         if found is None:
             return Rejection.POOR
-        if not evidence.plausible(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2]), self.search.gate):
+        if not self._plausible(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
             return Rejection.IMPLAUSIBLE
         if rejection := self._judged(found, maps, points, memory):
             return rejection

@@ -31,7 +31,7 @@ def whole(loop, play):
 
 @pytest.fixture(scope="module")
 def cuts(loop, whole):
-    """Scans after which to cut: while the graph is solved, at the closure, while the correction is drawn, at the merge, and after."""
+    """Scans after which to cut: while the graph is solved, at the closure, while the correction is drawn, and after."""
     reports = whole[1]
     closed = next(k for k, report in enumerate(reports) if report.closures)
     merged = next(k for k, report in enumerate(reports) if report.corrected)
