@@ -206,6 +206,20 @@ class TileMaps:
         blocks[rows - row0, cols - col0] = stored[tiles[which, ty, tx]]
         return blocks.swapaxes(1, 2).reshape(shape[0] * TILE, -1), (row0 * TILE, col0 * TILE)
 
+    def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:
+        """Ids (R, C) of the tiles of one map, 0 where there is none, and of their corner the (row, column) in tiles.
+
+        Maps that have a tile in common have the same id there; a tile that one map has alone is written in place.
+        """
+        pages = self._arena.pages[self._roots[row]]  # (P, Q, PAGE, PAGE)
+        ids = pages.swapaxes(1, 2).reshape(len(pages) * PAGE, -1)
+        return ids, (self._first[0] * PAGE, self._first[1] * PAGE)
+
+    def tiles(self, ids: Int32Array) -> NDArray[np.int16]:
+        """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
+        copies: NDArray[np.int16] = self._arena.log_odds[ids]
+        return copies
+
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays that hold the maps, each shared tile once; equal maps that share alike give equal arrays.
 
