@@ -1,0 +1,234 @@
+"""The node, without any transport: messages in, messages out, and the one loop of `gridslam.pipeline` between them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from gridslam.config import Configuration, build
+from gridslam.errors import ArgumentError, ConfigurationError, OutputError
+from gridslam.io.measurement import Measurement
+from gridslam.pipeline import Observer, run
+from gridslam.ros.accepted import Accepted
+from gridslam.ros.complaints import Complaints
+from gridslam.ros.intake import Intake, Turn
+from gridslam.ros.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
+from gridslam.ros.rendering import MapRenderer
+from gridslam.ros.session import Session, TakenSession
+from gridslam.ros.settings import NodeSettings
+from gridslam.ros.speaker import Speaker
+from gridslam.slam.tracker import OdometryTracker
+
+__all__ = ["NodeCore"]
+
+_DIAGNOSTICS_S = 1.0
+
+
+@final
+class NodeCore:
+    """Maps what a robot's lidar says while it drives.
+
+    Callbacks never wait for the filter. A session begins with a first scan; it ends, and the next one begins with
+    a new map, at a reset and where time jumps back and the robot is elsewhere, as when a bag is played again.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Frames, rates and bounds.
+    configuration : Configuration
+        Of the filter.
+    outputs : Outputs
+        The transport.
+    record : str or Path, optional
+        CSV of the accepted scans, which `gridslam map` maps to the same bytes; later sessions get `-2`, `-3`, ...
+        before its suffix.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+
+    Attributes
+    ----------
+    failure : BaseException or None
+        What ended the filter's thread, if it was no `close`.
+    ended : threading.Event
+        Set when the filter's thread has ended.
+
+    Raises
+    ------
+    ConfigurationError
+        The filter needs odometry, and the settings say that it may be missing.
+    OutputError
+        Nothing can be written where the record should be.
+    """
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        configuration: Configuration,
+        outputs: Outputs,
+        *,
+        record: str | Path | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        if settings.odometry != "needed" and isinstance(configuration.tracker, OdometryTracker):
+            expected = "expected needed, as this tracker goes by nothing else"
+            raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
+        self.settings, self.configuration = settings, configuration
+        self.failure: BaseException | None = None
+        self.ended = threading.Event()
+        self._outputs, self._observers = outputs, observers
+        self._record = None if record is None else Path(record)
+        self._complain = Complaints(outputs.say)
+        self._intake = Intake(settings, self._complain)
+        self._renderer = MapRenderer(configuration.mapper, settings.map_values, settings.map_frame, outputs.map)
+        self._speaker = Speaker(settings, outputs, self._renderer, self._intake.counts, self._complain)
+        self._session = self._new_session()
+        self._turns: list[Turn] = []
+        clocks = [("transform", settings.transform_publish_period_s, self._speaker.tell_transform)]
+        clocks += [("diagnostics", _DIAGNOSTICS_S, self._speaker.tell_diagnostics)]
+        clocks += [("map", settings.map_update_interval_s, lambda: self._intake.post(self._draw))]
+        self._threads = [threading.Thread(target=self._filter, name="gridslam-filter", daemon=True)]
+        self._threads += [
+            threading.Thread(target=self._every, args=(period_s, tell), name=f"gridslam-{name}", daemon=True)
+            for name, period_s, tell in clocks
+            if period_s
+        ]
+
+    def start(self) -> None:
+        """Begin to take messages."""
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> TakenSession | None:
+        """End, and give what there is to be saved; None where no scan was mapped."""
+        self._intake.turn(Turn.CLOSED)
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join()
+        self._renderer.close()
+        taken = None if self._session.state is None else self._session.taken()
+        self._session.close()
+        return taken
+
+    def on_scan(self, message: ScanMessage, sensor: str = "scan") -> None:
+        """Take a scan of the topic `sensor`; returns at once."""
+        self._intake.add_scan(message, sensor)
+
+    def on_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
+        """Take transforms; returns at once."""
+        self._intake.add_transforms(transforms, static=static)
+
+    def refuse(self, what: str, problem: str) -> None:
+        """Tell of a message that the transport could not even decode."""
+        self._complain(f"{what} refused", problem)
+
+    def dynamic_map(self) -> GridMessage | None:
+        """Give the map that was published last; None before the first one."""
+        return self._renderer.latest
+
+    def diagnostics(self) -> Diagnostics:
+        """Tell how the node does; it is published once a second, too."""
+        return self._speaker.diagnostics()
+
+    def reset(self) -> None:
+        """Forget everything, and begin anew with the next scan."""
+        self._intake.turn(Turn.RESET)
+
+    def pause(self, paused: bool) -> None:
+        """Leave out the scans that come from now on, or take them again."""
+        self._intake.is_paused = paused
+
+    def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
+        """Write what `gridslam map` writes; the filter waits only while its state is copied.
+
+        Returns what run.json says. Raises ArgumentError where nothing is mapped yet, OutputError where the folder
+        cannot be written or the filter does not answer.
+        """
+        answer: list[TakenSession | ArgumentError | OutputError] = []
+        done = threading.Event()
+
+        def take() -> None:
+            try:
+                answer.append(self._session.taken())
+            except (ArgumentError, OutputError) as error:
+                answer.append(error)
+            done.set()
+
+        self._intake.post(take)
+        if self.ended.is_set() or not done.wait(timeout_s):
+            raise OutputError(f"{folder}: the filter did not answer within {timeout_s:g} s")
+        (taken,) = answer
+        if not isinstance(taken, TakenSession):
+            raise taken
+        return taken.save(folder)
+
+    def _filter(self) -> None:
+        """Run session after session."""
+        try:
+            while self._run_session():
+                if self._session.state is not None:
+                    self._session.close()
+                    self._renderer.forget()
+                    self._session = self._new_session()
+        except BaseException as error:  # the thread must not end unheard
+            self.failure = error
+            self._outputs.say(Level.ERROR, f"the filter has ended: {type(error).__name__}: {error}")
+        finally:
+            self.ended.set()
+
+    def _run_session(self) -> bool:
+        """Map until the session ends, and tell whether there is to be another one."""
+        session, why = self._session, self._turns
+        why.clear()
+        source = self._measurements(session)
+        first = next(source, None)
+        if first is not None:
+            config, settings = self.configuration, self.settings
+            run(
+                _chained(first, source), build(config, settings.threads), particles=config.particles,
+                rng=np.random.default_rng(settings.seed),
+                observers=[self._speaker, *session.observers, *self._observers], stopwatch=session.stopwatch,
+            )  # fmt: skip
+        if why[-1] is not Turn.CLOSED:
+            self._outputs.say(Level.WARN, f"a new map is begun: {why[-1].value}")
+        return why[-1] is not Turn.CLOSED
+
+    def _measurements(self, session: Session) -> Iterator[Measurement]:
+        """Yield measurements as they come; what was posted is done between two of them."""
+        while True:
+            taken = self._intake.take()
+            if isinstance(taken, Accepted):
+                try:
+                    session.add(taken)
+                except OutputError as error:
+                    self._complain("record", str(error))
+                self._speaker.hears(taken)
+                yield taken.measurement
+            elif isinstance(taken, Turn):
+                self._turns.append(taken)
+                return
+            else:
+                taken()
+
+    def _draw(self) -> None:
+        if self._session.state is not None:
+            self._speaker.draw(self._session.state)
+
+    def _new_session(self) -> Session:
+        self._speaker.begin()
+        number, record = self._speaker.sessions, self._record
+        if record is not None and number > 1:
+            record = record.with_name(f"{record.stem}-{number}{record.suffix}")
+        return Session(self.configuration, self.settings.seed, self.settings.threads, record)
+
+    def _every(self, period_s: float, tell: Callable[[], None]) -> None:
+        while not self.ended.wait(period_s):
+            tell()
+
+
+def _chained(first: Measurement, others: Iterator[Measurement]) -> Iterator[Measurement]:
+    yield first
+    yield from others

@@ -1,0 +1,257 @@
+"""Between the callbacks and the filter: a bounded queue in which scans wait for their transforms."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.io.ros_messages import ScanMessage, StampedTransform
+from gridslam.ros.accepted import Accepted, ScanMaker, refusal_of
+from gridslam.ros.complaints import Complaints
+from gridslam.ros.live_transforms import LiveTransforms
+from gridslam.ros.settings import NodeSettings
+from gridslam.transforms import Coverage, MissingTransform
+from gridslam.types import FloatArray, Odometry
+
+__all__ = ["Counts", "Intake", "Turn"]
+
+_NEAR_M = 0.5  # and rad: the robot goes on where it was
+_MAY_COME = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
+
+
+class Turn(Enum):
+    """Why a session ends."""
+
+    RESET = "reset"
+    JUMP = "time jumped back, and the robot is elsewhere"
+    CLOSED = "closed"
+
+
+class _Waiting(NamedTuple):
+    message: ScanMessage
+    sensor: str
+    arrived_s: float
+    after_jump: bool
+
+
+@final
+class Counts:
+    """What became of the scans that came.
+
+    Attributes
+    ----------
+    received, throttled, paused, refused, dropped, accepted, jumps : int
+        All of them; those left out on request, and while the node paused; refused as `Complaints` tells; dropped
+        because the filter was behind; given to the filter; times that the stamps jumped back.
+    """
+
+    __slots__ = ("accepted", "dropped", "jumps", "paused", "received", "refused", "throttled")
+
+    def __init__(self) -> None:
+        self.received = self.throttled = self.paused = self.refused = self.dropped = self.accepted = self.jumps = 0
+
+
+@final
+class Intake:
+    """Takes messages from any thread, and gives measurements to the one thread that asks.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Bounds and frames.
+    complain : Complaints
+        Told of what is refused, by name.
+    clock : callable
+        Time in s, ascending: that of all waiting.
+
+    Attributes
+    ----------
+    counts : Counts
+        Of the scans.
+    is_paused : bool
+        Whether scans are left out for the present.
+    """
+
+    def __init__(
+        self, settings: NodeSettings, complain: Complaints, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self.counts = Counts()
+        self.is_paused = False
+        self._settings, self._complain, self._clock = settings, complain, clock
+        self._changed = threading.Condition()
+        self._queue: deque[_Waiting] = deque()
+        self._calls: deque[Callable[[], None]] = deque()
+        self._turn: Turn | None = None
+        self._transforms = LiveTransforms(settings.jump_s, complain)
+        self._makers: dict[str, ScanMaker] = {}
+        self._mountings: dict[str, FloatArray] = {}
+        self._latest_ns: dict[str, int] = {}
+        self._strays: dict[str, int] = {}
+        self._odometry: FloatArray | None = None
+
+    def add_scan(self, message: ScanMessage, sensor: str) -> None:
+        """Queue a scan, or refuse it; never waits."""
+        arrived_s, settings, counts = self._clock(), self._settings, self.counts
+        with self._changed:
+            counts.received += 1
+            if self.is_paused:
+                counts.paused += 1
+                return
+            if (counts.received - 1) % settings.throttle_scans:
+                counts.throttled += 1
+                return
+            if problem := refusal_of(message, settings.min_beams, settings.max_beams):
+                self._refuse("scan refused", f"{sensor}: {problem}")
+                return
+            jumped = self._jumped(message.stamp_ns, sensor)
+            if jumped is None:
+                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the one ahead")
+                return
+            if jumped:
+                counts.jumps += 1
+                counts.dropped += len(self._queue)
+                self._queue.clear()
+            self._queue.append(_Waiting(message, sensor, arrived_s, jumped))
+            self._drop(arrived_s)
+            self._changed.notify()
+
+    def add_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
+        """Take transforms; never waits."""
+        with self._changed:
+            self._transforms.add(transforms, static=static)
+            if self._queue:
+                self._changed.notify()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have something done by the thread that takes, between two scans."""
+        with self._changed:
+            self._calls.append(call)
+            self._changed.notify()
+
+    def turn(self, why: Turn) -> None:
+        """End the session: what is queued is dropped; a closed intake gives nothing any more."""
+        with self._changed:
+            if self._turn is not Turn.CLOSED:
+                self._turn = why
+            self._queue.clear()
+            self._changed.notify()
+
+    def take(self) -> Accepted | Callable[[], None] | Turn:
+        """Wait for what is next: what was posted, a measurement, or the end of the session."""
+        with self._changed:
+            while True:
+                if self._calls:
+                    return self._calls.popleft()
+                if self._turn is not None:
+                    return self._turned()
+                found, wait_s = self._head()
+                if found is not None:
+                    return found
+                self._changed.wait(wait_s)
+
+    def _turned(self) -> Turn:
+        why = self._turn
+        assert why is not None
+        if why is not Turn.CLOSED:
+            self._turn = None
+        self._odometry = None
+        self._latest_ns.clear()
+        return why
+
+    def _head(self) -> tuple[Accepted | Turn | None, float | None]:
+        """The first scan, where it need not wait any longer; else for how long."""
+        queue, counts = self._queue, self.counts
+        while queue:
+            waiting = queue[0]
+            late_s = self._clock() - waiting.arrived_s - self._settings.transform_wait_s
+            try:
+                found = self._measured(waiting, last=late_s >= 0)
+            except MissingTransform as missing:
+                if missing.coverage in _MAY_COME and late_s < 0:
+                    return None, -late_s
+                queue.popleft()
+                self._refuse("missing transform", str(missing))
+                continue
+            except ArgumentError as error:
+                queue.popleft()
+                self._refuse("scan refused", f"{waiting.sensor}: {error}")
+                continue
+            if waiting.after_jump and not self._goes_on(found.measurement.odometry):
+                queue[0] = waiting._replace(after_jump=False)
+                self._odometry = None
+                self._latest_ns.clear()
+                return Turn.JUMP, None
+            queue.popleft()
+            counts.accepted += 1
+            self._note(found)
+            return found, None
+        return None, None
+
+    def _measured(self, waiting: _Waiting, *, last: bool) -> Accepted:
+        """Measurement of a scan; raises MissingTransform where it is not known yet, or will never be."""
+        message, sensor, settings = waiting.message, waiting.sensor, self._settings
+        odometry: Odometry | None = None
+        if settings.odometry != "none":
+            try:
+                pose = self._transforms.buffer.planar(settings.odom_frame, settings.base_frame, message.stamp_ns)
+                pose.flags.writeable = False
+                odometry = Odometry(message.stamp_ns, pose)
+            except MissingTransform as missing:
+                if settings.odometry == "needed" or (missing.coverage in _MAY_COME and not last):
+                    raise
+                self._complain("scan without odometry", str(missing))
+        try:
+            mounting = self._transforms.buffer.lookup(settings.base_frame, message.frame, message.stamp_ns)
+            self._mountings[message.frame] = mounting
+        except MissingTransform:
+            if message.frame not in self._mountings:
+                raise
+            mounting = self._mountings[message.frame]
+        maker = self._makers.setdefault(sensor, ScanMaker())
+        return maker.measurement(message, sensor, mounting, odometry, waiting.arrived_s)
+
+    def _note(self, accepted: Accepted) -> None:
+        odometry, scan = accepted.measurement
+        self._latest_ns[scan.sensor] = scan.stamp_ns
+        if odometry is not None:
+            self._odometry = odometry.pose
+
+    def _goes_on(self, odometry: Odometry | None) -> bool:
+        """Whether the odometry goes on where it was: then only a clock was set."""
+        if odometry is None or self._odometry is None:
+            return False
+        return bool(np.abs(between(self._odometry, odometry.pose)).max() <= _NEAR_M)
+
+    def _jumped(self, stamp_ns: int, sensor: str) -> bool | None:
+        """Whether time has jumped back; None for the first scan that says so, which may be astray."""
+        jump_ns = round(self._settings.jump_s * 1e9)
+        latest_ns = self._latest_ns.get(sensor, stamp_ns)
+        stray_ns = self._strays.pop(sensor, None)
+        if stamp_ns >= latest_ns - jump_ns:
+            return False
+        if stray_ns is not None and 0 < stamp_ns - stray_ns <= jump_ns:
+            self._latest_ns[sensor] = stamp_ns
+            return True
+        self._strays[sensor] = stamp_ns
+        return None
+
+    def _drop(self, now_s: float) -> None:
+        """Keep the newest scans."""
+        queue, settings = self._queue, self._settings
+        while len(queue) > settings.queue_scans or now_s - queue[0].arrived_s > settings.queue_s:
+            gone = queue.popleft()
+            if gone.after_jump and queue:
+                queue[0] = queue[0]._replace(after_jump=True)
+            self.counts.dropped += 1
+
+    def _refuse(self, kind: str, problem: str) -> None:
+        self.counts.refused += 1
+        self._complain(kind, problem)

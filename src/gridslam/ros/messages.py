@@ -1,0 +1,78 @@
+"""What the node says, whatever carries it; what it hears are the messages of `gridslam.io.ros_messages`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.io.ros_messages import ScanMessage, StampedTransform
+from gridslam.types import FloatArray
+
+__all__ = ["Diagnostics", "GridMessage", "Level", "Outputs", "PoseMessage", "ScanMessage", "StampedTransform"]
+
+
+class Level(IntEnum):
+    """How bad it is; the values are those of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class GridMessage(NamedTuple):
+    """nav_msgs/OccupancyGrid: cells (H, W) int8, -1 unknown, else 0 to 100; `origin` is the corner of [0, 0], m."""
+
+    stamp_ns: int
+    frame: str
+    resolution_m: float
+    origin: tuple[float, float]
+    cells: NDArray[np.int8]
+
+
+class PoseMessage(NamedTuple):
+    """Pose (3,) of the base in `frame`, and its covariance (3, 3) by x, y in m and theta in rad."""
+
+    stamp_ns: int
+    frame: str
+    pose: FloatArray
+    covariance: FloatArray
+
+
+class Diagnostics(NamedTuple):
+    """How the node does: one sentence, and values by name."""
+
+    level: Level
+    summary: str
+    values: Mapping[str, str]
+
+
+class Outputs(Protocol):
+    """A transport, as the core sees it; called from several threads, each method from one at a time.
+
+    What `now_ns` gives is the transport's clock, which may be that of a simulation.
+    """
+
+    def now_ns(self) -> int:
+        """Time now, ns."""
+
+    def map(self, message: GridMessage) -> None:
+        """Publish the map, for late joiners, too."""
+
+    def transform(self, message: StampedTransform) -> None:
+        """Publish where the odometry frame lies in the map."""
+
+    def pose(self, message: PoseMessage) -> None:
+        """Publish where the robot is."""
+
+    def entropy(self, nats: float) -> None:
+        """Publish the entropy of the particles' weights."""
+
+    def diagnostics(self, message: Diagnostics) -> None:
+        """Publish how the node does."""
+
+    def say(self, level: Level, text: str) -> None:
+        """Tell people."""

@@ -1,0 +1,122 @@
+"""From the best particle's map to the message that is published, beside the filter and not in its way."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.io.map_yaml import FREE_THRESH, OCCUPIED_THRESH
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.ros.messages import GridMessage
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import OccupancyGrid
+
+__all__ = ["MapRenderer", "cells_of_map"]
+
+Taken = Mapping[str, NDArray[Any]]
+
+
+def cells_of_map(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
+    """Cells (H, W) of nav_msgs/OccupancyGrid.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    values : str
+        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, just as `write_map` has it;
+        "probability": in per cent, -1 where nothing is known.
+    """
+    cells = np.full(grid.known.shape, -1, np.int8)
+    if values == "trinary":
+        cells[grid.known & (grid.log_odds > math.log(OCCUPIED_THRESH / (1 - OCCUPIED_THRESH)))] = 100
+        cells[grid.known & (grid.log_odds < math.log(FREE_THRESH / (1 - FREE_THRESH)))] = 0
+    else:
+        cells[grid.known] = np.rint(100 * grid.probability[grid.known])
+    return cells
+
+
+@final
+class MapRenderer:
+    """Draws the latest map that was taken, in a thread of its own.
+
+    A map is taken by the filter's thread, which copies its tiles: that costs what is known, not the whole rectangle.
+
+    Parameters
+    ----------
+    mapper : OccupancyGridMapping
+        That of the filter.
+    values : str
+        As of `cells_of_map`.
+    frame : str
+        Of the map.
+    publish : callable
+        Takes each map, in the renderer's thread.
+
+    Attributes
+    ----------
+    latest : GridMessage or None
+        What was drawn last.
+    """
+
+    def __init__(
+        self,
+        mapper: OccupancyGridMapping,
+        values: Literal["trinary", "probability"],
+        frame: str,
+        publish: Callable[[GridMessage], None],
+    ) -> None:
+        self.latest: GridMessage | None = None
+        self._mapper, self._values, self._frame, self._publish = mapper, values, frame, publish
+        self._changed = threading.Condition()
+        self._taken: tuple[int, Taken] | None = None
+        self._busy = self._closed = False
+        self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
+        self._thread.start()
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the last map is drawn."""
+        return not self._busy
+
+    def take(self, state: GridFastSlamState, stamp_ns: int) -> None:
+        """Copy the best particle's map, and have it drawn."""
+        arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
+        with self._changed:
+            self._taken, self._busy = (stamp_ns, arrays), True
+            self._changed.notify_all()
+
+    def forget(self) -> None:
+        """Have no map any more, as a new session begins."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._busy, timeout=10)
+            self.latest = None
+
+    def close(self) -> None:
+        """Draw what was taken, and end."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout=10)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._taken is not None or self._closed)
+                if self._taken is None:
+                    return
+                (stamp_ns, arrays), self._taken = self._taken, None
+            grid = self._mapper.restore(arrays).occupancy(0)
+            x, y = (float(value) for value in grid.origin)
+            self.latest = GridMessage(
+                stamp_ns, self._frame, grid.resolution_m, (x, y), cells_of_map(grid, self._values)
+            )
+            self._publish(self.latest)
+            with self._changed:
+                self._busy = self._taken is not None
+                self._changed.notify_all()

@@ -1,0 +1,148 @@
+"""One session: from its first scan until time jumps back, a reset or the end; and the files that tell of it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.api.result import MapResult
+from gridslam.config import Configuration
+from gridslam.doctor.repair import Repair
+from gridslam.errors import ArgumentError
+from gridslam.io.digest import digest_of
+from gridslam.io.log_statistics import LogStatistics, Mounting
+from gridslam.io.record import RecordWriter
+from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.pipeline import Observer, Stopwatch
+from gridslam.ros.accepted import Accepted
+from gridslam.ros.recording import ScanRecorder
+from gridslam.slam.full_slam import full_slam
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import StepReport, Trajectory
+
+__all__ = ["Session", "TakenSession"]
+
+
+@final
+class Session:
+    """What a session leaves behind; belongs to the filter's thread.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Of the filter.
+    seed, threads : int
+        Of the filter.
+    record : Path or None
+        Where its accepted scans are recorded.
+    """
+
+    def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
+        self.configuration, self.seed, self.threads = configuration, seed, threads
+        self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
+        self.stopwatch = Stopwatch()
+        self.state: GridFastSlamState | None = None
+        self._keys: list[tuple[StepReport, float]] = []
+        self._recorder = None if record is None else ScanRecorder(record)
+
+    @property
+    def observers(self) -> list[Observer]:
+        """What watches the filter for this session's sake."""
+        return [self.trajectory, self.statistics, self._note]
+
+    def add(self, accepted: Accepted) -> None:
+        """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
+        scan, log = accepted.measurement.scan, self.log
+        if scan.sensor not in log.mountings:
+            yaw = accepted.form.mounting[5]
+            log.mountings[scan.sensor] = Mounting(np.append(scan.geometry.origin, yaw), f"tf, frame {scan.frame}")
+        log.count(accepted.measurement)
+        if self._recorder is not None:
+            self._recorder.add(accepted)
+
+    def taken(self) -> TakenSession:
+        """Copy all that is to be saved; raises ArgumentError before the first scan."""
+        if self.state is None:
+            raise ArgumentError("session", "at least one scan", "none")
+        if self._recorder is not None:
+            self._recorder.flush()
+        return TakenSession(
+            self.configuration, self.seed, self.threads, self.state.to_arrays(), self.trajectory.to_arrays(),
+            self.statistics.to_arrays(), copy.deepcopy(self.log), tuple(self._keys),
+            copy.deepcopy(self.stopwatch.stages), None if self._recorder is None else self._recorder.path,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the record."""
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        self.state = state
+        if report.skipped is None:
+            self._keys.append((report, seconds))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenSession:
+    """A copy of a session; it shares nothing with the filter, which goes on."""
+
+    configuration: Configuration
+    seed: int
+    threads: int
+    state: Mapping[str, NDArray[Any]]
+    trajectory: Mapping[str, NDArray[Any]]
+    statistics: Mapping[str, NDArray[Any]]
+    log: LogStatistics
+    keys: tuple[tuple[StepReport, float], ...]
+    stages: dict[str, list[float]]
+    record: Path | None
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write what `gridslam map` writes, the last word included; takes its time. Returns what run.json says.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        return self.result().save(folder)
+
+    def result(self) -> MapResult:
+        """Find the full answer, as `gridslam map` does at the end of a log."""
+        config, watch, record = self.configuration, Stopwatch(), RecordWriter()
+        watch.stages = self.stages
+        state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)
+        trajectory = TrajectoryRecorder.from_arrays(self.trajectory)
+        for report, seconds in self.keys:
+            record.add(report, seconds)
+        full = full_slam(state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word)
+        watch.lap("last word")
+        online = trajectory.online()
+        return MapResult(
+            trajectory=Trajectory(online.stamps_ns, full.poses),
+            covariances=full.covariances,
+            online_trajectory=online,
+            map=full.map,
+            graph=full.graph,
+            loops=full.loops,
+            key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
+            state=state,
+            statistics=StatisticsRecorder.from_arrays(self.statistics).summary(),
+            log=self.log,
+            configuration=config,
+            seed=self.seed,
+            threads=self.threads,
+            source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
+            digest="" if self.record is None else digest_of(self.record),
+            record=record,
+            stopwatch=watch,
+            repair=Repair(),
+        )

@@ -1,0 +1,146 @@
+"""What the node tells after each scan and by the clock."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import compose, inverse
+from gridslam.observers import Latency
+from gridslam.ros.accepted import Accepted
+from gridslam.ros.complaints import Complaints
+from gridslam.ros.intake import Counts
+from gridslam.ros.messages import Diagnostics, Level, Outputs, PoseMessage, StampedTransform
+from gridslam.ros.rendering import MapRenderer
+from gridslam.ros.settings import NodeSettings
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import FloatArray, StepReport
+
+__all__ = ["Speaker"]
+
+_STALE_NS = 5_000_000_000
+_LATENCIES = 2000  # the last ones, of which the diagnostics tell
+_RECENT_S = 2.0
+
+
+@final
+class Speaker:
+    """Observer that publishes: at each scan pose and transform, at key scans the entropy, and the first map.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Frames and rates.
+    outputs : Outputs
+        The transport.
+    renderer : MapRenderer
+        Draws the map.
+    counts : Counts
+        Of the scans, for the diagnostics.
+    complain : Complaints
+        Told of scans whose clock is not the node's.
+    """
+
+    def __init__(
+        self, settings: NodeSettings, outputs: Outputs, renderer: MapRenderer, counts: Counts, complain: Complaints
+    ) -> None:
+        self._settings, self._outputs, self._renderer = settings, outputs, renderer
+        self._counts, self._complain = counts, complain
+        self._lock = threading.Lock()  # of what is published by the filter's thread and by the clock's
+        self._accepted: Accepted | None = None
+        self._report: StepReport | None = None
+        self._key: StepReport | None = None
+        self._drawn: StepReport | None = None
+        self._map_from_odom: FloatArray = np.zeros(3)
+        self._memory_bytes = 0
+        self._latencies: deque[float] = deque(maxlen=_LATENCIES)
+        self.sessions = 0
+
+    def begin(self) -> None:
+        """Begin with a new session."""
+        self.sessions += 1
+        self._report = self._key = self._drawn = None
+
+    def hears(self, accepted: Accepted) -> None:
+        """Take note of the measurement that the next report is about."""
+        self._accepted = accepted
+        behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
+        if abs(behind_s) * 1e9 > _STALE_NS:
+            way = "before" if behind_s > 0 else "after"
+            self._complain(
+                "clock differs", f"scans are stamped {abs(behind_s):.1f} s {way} the node's clock: are the clocks set,"
+                " and use_sim_time where a log is played?",
+            )  # fmt: skip
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Tell of one scan."""
+        accepted, outputs, frame = self._accepted, self._outputs, self._settings.map_frame
+        assert accepted is not None
+        odometry = accepted.measurement.odometry
+        with self._lock:
+            self._report = report
+            if odometry is not None:
+                self._map_from_odom = compose(report.pose, inverse(odometry.pose))
+            elif self._settings.odometry == "none":
+                self._map_from_odom = report.pose
+        if self._settings.transform_publish_period_s:
+            self.tell_transform()
+        outputs.pose(PoseMessage(report.stamp_ns, frame, report.pose, report.covariance))
+        if report.log_weights is not None:
+            self._key = report
+            weights = np.exp(report.log_weights)
+            outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
+        self._latencies.append(time.perf_counter() - accepted.arrived_s)
+        if self._drawn is None:
+            self.draw(state)
+
+    def draw(self, state: GridFastSlamState) -> None:
+        """Have the map drawn and published, in the filter's thread; not one that was, nor while another one is."""
+        if self._report is not None and self._report is not self._drawn and self._renderer.is_idle:
+            self._drawn, self._memory_bytes = self._report, state.maps.nbytes
+            self._renderer.take(state, self._report.stamp_ns)
+
+    def tell_transform(self) -> None:
+        """Publish where the odometry frame lies in the map, stamped `tf_delay_s` ahead; nothing before a first scan."""
+        settings = self._settings
+        with self._lock:
+            if self._report is None:
+                return
+            x, y, theta = self._map_from_odom.tolist()
+            half = 0.5 * theta
+            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+            stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
+            child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
+            self._outputs.transform(StampedTransform(stamp_ns, settings.map_frame, child, pose))
+
+    def tell_diagnostics(self) -> None:
+        """Publish how the node does."""
+        self._outputs.diagnostics(self.diagnostics())
+
+    def diagnostics(self) -> Diagnostics:
+        """How the node does."""
+        counts, report = self._counts, self._report
+        latency = Latency.of(np.array(tuple(self._latencies)))
+        values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
+        values |= {f"{kind}, times": str(times) for kind, times in sorted(self._complain.counts.items())}
+        values |= {
+            "session": str(self.sessions),
+            "latency median, ms": f"{1e3 * latency.median_s:.2f}",
+            "latency 99 of 100, ms": f"{1e3 * latency.p99_s:.2f}",
+            "latency longest, ms": f"{1e3 * latency.max_s:.2f}",
+            "effective particles": "" if self._key is None else f"{self._key.n_eff:.1f}",
+            "lost": str(report is not None and report.lost).lower(),
+            "maps, MB": f"{self._memory_bytes / 1e6:.1f}",
+        }
+        problem = self._complain.latest(_RECENT_S)
+        if problem:
+            return Diagnostics(Level.WARN, problem, values)
+        if report is None:
+            return Diagnostics(Level.WARN, "waiting for a scan", values)
+        if report.lost:
+            return Diagnostics(Level.WARN, "lost: the scan agrees with the map too little", values)
+        return Diagnostics(Level.OK, "mapping", values)

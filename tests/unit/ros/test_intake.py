@@ -1,0 +1,238 @@
+"""Scans wait for their transforms, the newest win, and what is refused is named."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+from ros_node import BASE, LASER, ODOM, mounting
+
+from gridslam.io.ros_messages import ScanMessage, StampedTransform
+from gridslam.ros.accepted import Accepted, refusal_of
+from gridslam.ros.complaints import Complaints
+from gridslam.ros.intake import Intake, Turn
+from gridslam.ros.messages import Level
+from gridslam.ros.settings import NodeSettings
+
+S = 10**9
+START = 1_700_000_000 * S
+
+
+class Desk:
+    """An intake with a clock that stands still, and what it complained of."""
+
+    def __init__(self, **settings: object) -> None:
+        self.now_s = 100.0
+        self.said: list[str] = []
+        self.complain = Complaints(lambda level, text: self.said.append(text), clock=lambda: self.now_s)
+        self.intake = Intake(NodeSettings(**settings), self.complain, lambda: self.now_s)
+        self.intake.add_transforms([mounting()], static=True)
+
+    def scan(self, at_s: float, **changes: object) -> None:
+        message = ScanMessage(START + round(at_s * S), LASER, -1.0, 0.1, 0.0, 0.1, 30.0, np.ones(20, np.float32))
+        self.intake.add_scan(message._replace(**changes), "/scan")
+
+    def odometry(self, at_s: float, x: float = 0.0) -> None:
+        pose = (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self.intake.add_transforms([StampedTransform(START + round(at_s * S), ODOM, BASE, pose)])
+
+    def taken(self) -> list[float]:
+        """Times of the scans that need not wait."""
+        times = []
+        self.intake.post(lambda: None)
+        while True:
+            with self.intake._changed:
+                found, _ = self.intake._head()
+            if not isinstance(found, Accepted):
+                return times
+            times.append((found.measurement.scan.stamp_ns - START) / S)
+
+
+def test_a_scan_waits_for_the_odometry_after_it_which_is_interpolated():
+    desk = Desk()
+    desk.odometry(0.0, x=1.0)
+    desk.scan(0.05)
+    assert desk.taken() == []
+    desk.odometry(0.1, x=2.0)
+    with desk.intake._changed:
+        found, _ = desk.intake._head()
+    np.testing.assert_allclose(found.measurement.odometry.pose, [1.5, 0, 0])
+    assert desk.said == []
+
+
+def test_a_scan_whose_odometry_does_not_come_is_refused_with_the_very_link():
+    desk = Desk(transform_wait_s=0.5)
+    desk.odometry(0.0)
+    desk.scan(0.05)
+    desk.now_s += 0.49
+    assert desk.taken() == []
+    assert desk.said == []
+    desk.now_s += 0.02
+    assert desk.taken() == []
+    assert desk.intake.counts.refused == 1
+    assert f"the link {ODOM} <- {BASE} is known only until" in desk.said[0]
+    desk.odometry(0.2)
+    assert desk.taken() == []
+
+
+def test_a_scan_from_before_the_first_odometry_is_refused_at_once():
+    desk = Desk()
+    desk.odometry(1.0)
+    desk.scan(0.5)
+    desk.scan(1.0)
+    assert desk.taken() == [1.0]
+    assert "is known only from" in desk.said[0]
+
+
+def test_what_is_wrong_is_said_once_a_second_with_its_count():
+    desk = Desk()
+    desk.odometry(0.0)
+    desk.odometry(10.0)
+    for k in range(25):
+        desk.scan(0.1 * k, frame="elsewhere")
+        desk.now_s += 0.1
+        desk.taken()
+    desk.now_s += 1.0
+    desk.taken()
+    assert desk.intake.counts.refused == 25
+    assert len(desk.said) <= 4
+    assert "no link names" in desk.said[0]
+    assert "'elsewhere'" in desk.said[0]
+    assert "times more before" in desk.said[1]
+
+
+@pytest.mark.parametrize("odometry", ["optional", "none"])
+def test_odometry_may_be_missing_where_that_is_said(odometry):
+    desk = Desk(odometry=odometry, transform_wait_s=0.3)
+    desk.scan(0.0)
+    desk.now_s += 0.31
+    assert desk.taken() == [0.0]
+    assert ("scan without odometry" in "".join(desk.said)) == (odometry == "optional")
+
+
+def test_the_newest_scans_win_and_the_others_are_counted():
+    desk = Desk(queue_scans=4, queue_s=100)
+    desk.odometry(0.0)
+    desk.odometry(10.0)
+    for k in range(10):
+        desk.scan(0.1 * k)
+    assert desk.taken() == pytest.approx([0.6, 0.7, 0.8, 0.9])
+    assert desk.intake.counts.dropped == 6
+
+
+def test_what_is_too_old_when_a_newer_one_comes_is_dropped():
+    desk = Desk(queue_s=0.25)
+    desk.odometry(0.0)
+    desk.odometry(10.0)
+    for k in range(10):
+        desk.scan(0.1 * k)
+        desk.now_s += 0.1
+    assert desk.taken() == pytest.approx([0.7, 0.8, 0.9])
+
+
+def test_every_third_scan_is_taken_where_that_is_asked_for():
+    desk = Desk(throttle_scans=3)
+    desk.odometry(0.0)
+    desk.odometry(10.0)
+    for k in range(7):
+        desk.scan(float(k))
+    assert desk.taken() == [0, 3, 6]
+    assert desk.intake.counts.throttled == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ranges": np.ones(3, np.float32)}, "3 beams are too few"),
+        ({"ranges": np.broadcast_to(np.float32(1), 26_214_400)}, "26214400 beams, more than the 100000"),
+        ({"stamp_ns": 0}, "expected a stamp of more than 0 s"),
+        ({"stamp_ns": math.nan}, "expected a stamp"),
+        ({"frame": ""}, "expected the name of a frame"),
+        ({"frame": "laser\nfake"}, "expected the name of a frame"),
+        ({"range_min": math.inf}, "its least range is infinite"),
+        ({"angle_min": math.nan}, "expected beams within one turn"),
+        ({"angle_increment": math.inf}, "expected beams within one turn"),
+        ({"angle_increment": 0.0}, "expected beams within one turn"),
+        ({"angle_increment": 1.0}, "expected beams within one turn"),
+    ],
+)
+def test_a_wrong_scan_is_refused_by_name_and_the_next_one_is_taken(change, says):
+    desk = Desk()
+    desk.odometry(0.0)
+    desk.odometry(10.0)
+    desk.scan(1.0, **change)
+    desk.scan(2.0)
+    assert desk.taken() == [2.0]
+    assert says in desk.said[0]
+    assert desk.intake.counts.refused == 1
+
+
+def test_a_good_scan_is_not_refused():
+    message = ScanMessage(1, LASER, -math.pi, math.tau / 720, 0.0, 0.1, 30.0, np.ones(720, np.float32))
+    assert refusal_of(message, 10, 100_000) == ""
+
+
+@pytest.mark.parametrize("pose", [(math.nan,) * 7, (0.0,) * 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0)])
+def test_a_transform_that_is_none_is_named_and_the_others_are_taken(pose):
+    desk = Desk()
+    good = StampedTransform(START, ODOM, BASE, (0.0,) * 6 + (1.0,))
+    desk.intake.add_transforms([StampedTransform(START, ODOM, BASE, pose), good])
+    desk.scan(0.0)
+    assert desk.taken() == [0.0]
+    assert f"transform refused: {ODOM} <- {BASE}" in desk.said[0]
+
+
+def run_of(desk: Desk, start_s: float, x: float, scans: int = 5) -> None:
+    for k in range(scans):
+        desk.odometry(start_s + 0.1 * k, x + 0.05 * k)
+        desk.scan(start_s + 0.1 * k)
+
+
+@pytest.mark.parametrize("back_s", [3.0, 60.0])
+def test_a_log_that_is_played_twice_begins_a_new_session(back_s):
+    desk = Desk()
+    run_of(desk, 100.0, 7.0)
+    assert len(desk.taken()) == 5
+    run_of(desk, 100.0 - back_s, 0.0)
+    with desk.intake._changed:
+        assert desk.intake._head()[0] is Turn.JUMP
+    assert desk.taken() == pytest.approx([100.1 - back_s + 0.1 * k for k in range(4)])
+    assert "stamp jumped back" in desk.said[0]
+    assert desk.intake.counts.jumps == 1
+
+
+def test_a_clock_that_was_set_back_is_no_new_session():
+    desk = Desk()
+    run_of(desk, 100.0, 7.0)
+    desk.taken()
+    run_of(desk, 90.0, 7.25)
+    assert desk.taken() == pytest.approx([90.1, 90.2, 90.3, 90.4])
+
+
+def test_a_single_stamp_that_is_astray_ends_nothing():
+    desk = Desk()
+    run_of(desk, 100.0, 0.0)
+    desk.scan(50.0)
+    run_of(desk, 100.5, 0.25)
+    assert len(desk.taken()) == 10
+    assert desk.intake.counts.jumps == 0
+
+
+def test_take_waits_in_one_thread_for_what_another_brings():
+    desk = Desk()
+    taken: list[object] = []
+    thread = threading.Thread(target=lambda: taken.extend(desk.intake.take() for _ in range(2)))
+    thread.start()
+    desk.odometry(0.0)
+    desk.scan(0.0)
+    desk.intake.turn(Turn.CLOSED)
+    thread.join(5)
+    assert not thread.is_alive()
+    assert Turn.CLOSED in taken
+    assert desk.intake.take() is Turn.CLOSED
+
+
+def test_levels_are_those_of_diagnostic_messages():
+    assert [level.value for level in (Level.OK, Level.WARN, Level.ERROR)] == [0, 1, 2]

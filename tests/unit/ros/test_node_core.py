@@ -1,0 +1,240 @@
+"""The node without transport: what it says of a drive, its services, and what it survives."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from ros_node import BASE, ODOM, Heard, mounting, odometry_message, play, scan_message, until
+
+from gridslam.api import map_log
+from gridslam.config import Configuration, preset
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.geometry.se2 import compose
+from gridslam.io.map_server import read_map
+from gridslam.ros import NodeCore, NodeSettings
+from gridslam.ros.messages import Level
+from gridslam.ros.rendering import cells_of_map
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+SHIFT_NS = 1_700_000_000 * 10**9
+FEW = Configuration(particles=4)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    return list(log.measurements)[:120]
+
+
+def node(heard, *, configuration=FEW, record=None, **settings):
+    core = NodeCore(NodeSettings(map_update_interval_s=0.2, **settings), configuration, heard, record=record)
+    core.on_transforms([mounting()], static=True)
+    core.start()
+    return core
+
+
+def drive_all(core, heard, measurements, *, shift_ns=SHIFT_NS):
+    done = len(heard.poses)
+    sent = play(core, heard, measurements, shift_ns=shift_ns)
+    assert until(lambda: len(heard.poses) == done + sent), heard.warnings()
+
+
+def test_the_record_of_a_live_run_is_mapped_to_the_same_bytes(drive, tmp_path):
+    heard = Heard()
+    core = node(heard, record=tmp_path / "scans.csv")
+    drive_all(core, heard, drive)
+    core.close().save(tmp_path / "live")
+    map_log(tmp_path / "scans.csv", configuration=FEW, repair="none").save(tmp_path / "replayed")
+    for name in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
+        assert (tmp_path / "live" / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
+    assert heard.said == []
+
+
+def test_what_it_says_of_a_drive(drive):
+    heard = Heard()
+    core = node(heard, transform_publish_period_s=0.01, tf_delay_s=0.3)
+    drive_all(core, heard, drive)
+    last = heard.transforms[-1]
+    assert (last.parent, last.child) == ("map", ODOM)
+    assert last.stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS + 300_000_000
+    x, y, _, _, _, sine, cosine = last.pose
+    expected = compose([x, y, 2 * np.arctan2(sine, cosine)], drive[-1].odometry.pose)
+    np.testing.assert_allclose(heard.poses[-1].pose, expected, atol=1e-9)
+    assert heard.poses[-1].covariance.shape == (3, 3)
+    assert all(0 <= entropy <= np.log(4) + 1e-9 for entropy in heard.entropies)
+    assert len(heard.entropies) > 3
+    assert until(lambda: len(heard.maps) >= 2)
+    assert core.dynamic_map() is heard.maps[-1]
+    told = core.diagnostics()
+    assert told.level is Level.OK, told
+    assert told.values["accepted"] == str(len(drive))
+    assert float(told.values["latency 99 of 100, ms"]) > 0
+    core.close()
+
+
+def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
+    heard = Heard()
+    core = node(heard, configuration=preset("gmapping", 4))
+    drive_all(core, heard, drive)
+    assert until(lambda: core._renderer.is_idle)
+    assert until(lambda: heard.maps[-1].stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS)
+    core.save(tmp_path / "out")
+    written = read_map(tmp_path / "out" / "map.yaml")
+    np.testing.assert_array_equal(cells_of_map(written, "trinary"), heard.maps[-1].cells)
+    np.testing.assert_allclose(heard.maps[-1].origin, written.origin)
+    core.close()
+
+
+def test_probabilities_are_told_in_per_cent(drive):
+    heard = Heard()
+    core = node(heard, map_values="probability")
+    drive_all(core, heard, drive[:30])
+    assert until(lambda: bool(heard.maps))
+    cells = np.unique(heard.maps[-1].cells)
+    assert cells[0] == -1
+    assert cells[-1] > 90
+    assert len(cells) > 4
+    core.close()
+
+
+def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):
+    heard = Heard()
+    heard.hold = threading.Event()
+    core = node(heard)
+    drive_all(core, heard, drive)
+    assert len(heard.maps) == 1
+    heard.hold.set()
+    core.close()
+
+
+def test_saving_does_not_change_what_comes_after(drive, tmp_path):
+    ends = []
+    for save in (False, True):
+        heard = Heard()
+        core = node(heard)
+        drive_all(core, heard, drive[:60])
+        if save:
+            assert core.save(tmp_path / "half")["scans"]["read"] == 60
+        drive_all(core, heard, drive[60:])
+        ends.append(np.array([pose.pose for pose in heard.poses]))
+        core.close()
+    assert ends[0].tobytes() == ends[1].tobytes()
+
+
+def test_reset_begins_anew(drive, tmp_path):
+    heard = Heard()
+    core = node(heard, record=tmp_path / "scans.csv")
+    with pytest.raises(ArgumentError, match="at least one scan"):
+        core.save(tmp_path / "nothing")
+    drive_all(core, heard, drive[:60])
+    core.reset()
+    assert until(lambda: core.dynamic_map() is None)
+    drive_all(core, heard, drive[60:])
+    np.testing.assert_array_equal(heard.poses[60].pose, np.zeros(3))
+    taken = core.close()
+    assert taken.log.scan_count == len(drive) - 60
+    assert len((tmp_path / "scans.csv").read_text().splitlines()) == 61
+    assert taken.record == tmp_path / "scans-2.csv"
+    assert "a new map is begun: reset" in heard.warnings()
+
+
+def test_a_log_that_is_played_twice_gives_the_same_map_twice(drive):
+    heard = Heard()
+    core = node(heard)
+    drive_all(core, heard, drive)
+    play(core, heard, drive, shift_ns=SHIFT_NS)
+    assert until(lambda: len(heard.poses) >= 2 * len(drive) - 2)
+    assert core.diagnostics().values["session"] == "2"
+    assert "time jumped back" in heard.warnings()
+    np.testing.assert_array_equal(heard.poses[len(drive)].pose, np.zeros(3))
+    core.close()
+
+
+def test_while_it_is_paused_scans_are_left_out(drive):
+    heard = Heard()
+    core = node(heard)
+    drive_all(core, heard, drive[:20])
+    core.pause(True)
+    for one in drive[20:30]:
+        core.on_scan(scan_message(one, SHIFT_NS), "/scan")
+    core.pause(False)
+    drive_all(core, heard, drive[30:60])
+    assert core.diagnostics().values["paused"] == "10"
+    assert len(heard.poses) == 50
+    core.close()
+
+
+def test_when_it_is_behind_the_newest_scans_win(drive):
+    heard = Heard()
+    core = node(heard, queue_scans=3)
+    for one in drive:
+        core.on_transforms([odometry_message(one, SHIFT_NS)])
+    gate = threading.Event()
+    core._intake.post(lambda: gate.wait(10) and None)
+    for one in drive:
+        core.on_scan(scan_message(one, SHIFT_NS), "/scan")
+    gate.set()
+    assert until(lambda: len(heard.poses) == 3)
+    assert [pose.stamp_ns - SHIFT_NS for pose in heard.poses] == [one.scan.stamp_ns for one in drive[-3:]]
+    assert core.diagnostics().values["dropped"] == str(len(drive) - 3)
+    core.close()
+
+
+def test_it_lives_on_after_whatever_is_wrong(drive):
+    heard = Heard()
+    core = node(heard, transform_wait_s=0.02)
+    core.refuse("message", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String")
+    core.on_scan(scan_message(drive[0], SHIFT_NS, ranges=np.ones(3, np.float32)), "/scan")
+    core.on_scan(scan_message(drive[0], SHIFT_NS, ranges=np.ones(26_214_400, np.float32)), "/scan")
+    core.on_scan(scan_message(drive[0], SHIFT_NS, stamp_ns=-1), "/scan")
+    core.on_scan(scan_message(drive[0], SHIFT_NS, frame="elsewhere"), "/scan")
+    assert until(lambda: "missing transform" in heard.warnings())
+    drive_all(core, heard, drive[:10])
+    assert not core.ended.is_set()
+    assert core.diagnostics().values["refused"] == "4"
+    core.close()
+    assert core.failure is None
+
+
+def test_a_clock_that_differs_is_named(drive):
+    heard = Heard()
+    core = node(heard)
+    core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
+    core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")  # the node's clock stands at 0
+    assert until(lambda: "clock differs" in heard.warnings())
+    assert "1700000000.0 s after the node's clock" in heard.warnings()
+    core.close()
+
+
+def test_without_odometry_the_base_is_told_in_the_map(drive):
+    heard = Heard()
+    core = node(heard, odometry="none")
+    drive_all(core, heard, drive[:30])
+    assert heard.transforms[-1].child == BASE
+    np.testing.assert_allclose(heard.transforms[-1].pose[:2], heard.poses[-1].pose[:2])
+    core.close()
+
+
+def test_a_filter_that_needs_odometry_is_not_run_without():
+    with pytest.raises(ConfigurationError, match="odometry: expected needed"):
+        NodeCore(NodeSettings(odometry="none"), preset("gmapping"), Heard())
+
+
+def test_an_observer_that_fails_ends_the_node_and_not_unheard(drive):
+    heard = Heard()
+
+    def fails(report, state, seconds):
+        raise RuntimeError("no more")
+
+    core = NodeCore(NodeSettings(), FEW, heard, observers=[fails])
+    core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
+    core.on_transforms([mounting()], static=True)
+    core.start()
+    core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")
+    assert core.ended.wait(10)
+    assert isinstance(core.failure, RuntimeError)
+    assert "the filter has ended: RuntimeError: no more" in heard.warnings()
+    core.close()

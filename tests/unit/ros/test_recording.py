@@ -1,0 +1,71 @@
+"""What is recorded is read back as it was mapped, to the last bit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridslam.geometry import rigid
+from gridslam.io.csv_log import CsvLog
+from gridslam.io.ros_messages import ScanMessage
+from gridslam.ros.accepted import ScanMaker, refusal_of
+from gridslam.ros.recording import ScanRecorder
+from gridslam.types import Odometry
+
+single = st.floats(width=32)
+finite = st.floats(-100, 100)
+names = st.text("abcXYZ/_,\" é", min_size=1, max_size=12).map(str.strip).filter(bool)
+
+
+@st.composite
+def accepted(draw):
+    beams = draw(st.integers(2, 40))
+    message = ScanMessage(
+        stamp_ns=draw(st.integers(1, 2**62)),
+        frame=draw(names),
+        angle_min=draw(st.floats(-6, 6, width=32)),
+        angle_increment=draw(st.floats(2**-10, 0.125, width=32)) * draw(st.sampled_from([-1, 1])),
+        time_increment=draw(single),
+        range_min=draw(single.filter(lambda metres: metres < np.inf)),
+        range_max=draw(single),
+        ranges=np.array(draw(st.lists(single, min_size=beams, max_size=beams)), np.float32),
+    )
+    assert refusal_of(message, 2, 100) == ""
+    quaternion = np.array(draw(st.tuples(finite, finite, finite, finite)))
+    if np.linalg.norm(quaternion) < 1e-3:
+        quaternion = np.array([0.0, 0.0, 0.0, 1.0])
+    quaternion /= np.linalg.norm(quaternion)
+    place = draw(st.tuples(finite, finite, finite))
+    matrix = rigid.to_matrix(rigid.from_quaternion(place, quaternion.tolist()))
+    pose = draw(st.none() | st.tuples(finite, finite, st.floats(-math.pi, math.nextafter(math.pi, 0))))
+    odometry = None if pose is None else Odometry.at(message.stamp_ns, pose)
+    return ScanMaker().measurement(message, draw(names), matrix, odometry, 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(accepted(), min_size=1, max_size=3))
+def test_rows_are_read_back_bit_by_bit(tmp_path_factory, given_scans):
+    path = tmp_path_factory.mktemp("record") / "scans.csv"
+    recorder = ScanRecorder(path)
+    for scan in given_scans:
+        recorder.add(scan)
+    recorder.close()
+    read = list(CsvLog(path))
+    assert len(read) == len(given_scans)
+    for (odometry, scan), (want_odometry, want), in zip(read, (one.measurement for one in given_scans), strict=True):
+        assert (odometry is None) == (want_odometry is None)
+        if odometry is not None:
+            assert odometry.pose.tobytes() == want_odometry.pose.tobytes()
+            assert odometry.stamp_ns == want_odometry.stamp_ns
+        assert (scan.stamp_ns, scan.sensor, scan.frame) == (want.stamp_ns, want.sensor, want.frame)
+        assert (scan.range_min_m, scan.range_max_m) == (want.range_min_m, want.range_max_m)
+        assert scan.status.tobytes() == want.status.tobytes()
+        np.testing.assert_array_equal(scan.ranges, want.ranges)
+        assert scan.geometry.bearings.tobytes() == want.geometry.bearings.tobytes()
+        np.testing.assert_array_equal(scan.geometry.base_from_laser, want.geometry.base_from_laser)
+        assert (scan.beam_times_s is None) == (want.beam_times_s is None)
+        if scan.beam_times_s is not None:
+            assert scan.beam_times_s.tobytes() == want.beam_times_s.tobytes()
