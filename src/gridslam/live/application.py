@@ -1,0 +1,166 @@
+"""What the server answers: the page, the stream of messages to each viewer, and the map as files."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+import secrets
+import tempfile
+import zipfile
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from gridslam.errors import ArgumentError
+from gridslam.io.map_server import write_map
+from gridslam.types import OccupancyGrid
+
+__all__ = ["BYTES_PER_S", "PERIOD_S", "Show", "Viewer", "application"]
+
+PERIOD_S = 0.1
+"""Least time between two messages to a viewer."""
+BYTES_PER_S = 1e6
+"""What a viewer is sent at most, but for single messages; a larger one is followed by a longer pause."""
+
+_UNDERWAY = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
+_BAD_TOKEN, _BAD_COMMAND = 4401, 4400  # close codes of the socket
+_HERE = Path(__file__).parent / "static"
+_HEADERS = {
+    "content-security-policy": "default-src 'self'; connect-src 'self' ws: wss:; img-src 'self' blob: data:; "
+    "frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cache-control": "no-cache",
+}
+
+
+class Viewer(Protocol):
+    """One who looks; used by the server's thread alone."""
+
+    def message(self) -> bytes | None:
+        """What the viewer lacks; None where that is nothing."""
+
+    def command(self, command: Mapping[str, Any]) -> None:
+        """Do what the viewer asks; raises ArgumentError, KeyError, TypeError or ValueError where it cannot be done."""
+
+    def close(self) -> None:
+        """Look no more."""
+
+
+class Show(Protocol):
+    """What there is to see; used by the server's thread alone."""
+
+    def join(self, news: Callable[[], None]) -> Viewer:
+        """Take in a viewer, whose `news` is called whenever there may be something new."""
+
+    def map_of(self, channel: int) -> OccupancyGrid:
+        """The map that a channel shows."""
+
+
+def application(show: Show, host: str, token: str | None) -> ASGIApp:
+    """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
+
+    async def socket(websocket: WebSocket) -> None:
+        await websocket.accept()
+        origin = websocket.headers.get("origin")
+        foreign = origin is not None and urlsplit(origin).netloc != websocket.headers.get("host")
+        if foreign or not _knows(websocket, token):
+            await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
+            return
+        await _attend(websocket, show)
+
+    async def map_files(request: Request) -> Response:
+        if not _knows(request, token):
+            return PlainTextResponse("this needs the token of the page", 403)
+        channel = request.query_params.get("channel", "0")
+        grid = show.map_of(int(channel) if channel.isdecimal() else 0)
+        archive = await asyncio.to_thread(_zipped, grid)
+        return Response(archive, media_type="application/zip")
+
+    routes = [
+        WebSocketRoute("/socket", socket),
+        Route("/map.zip", map_files),
+        Mount("/", StaticFiles(directory=_HERE, html=True)),
+    ]
+    names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
+    return _guarded(Starlette(routes=routes), names)
+
+
+def _knows(connection: HTTPConnection, token: str | None) -> bool:
+    given = connection.query_params.get("token", "")
+    return token is None or secrets.compare_digest(given.encode(), token.encode())
+
+
+def _guarded(app: ASGIApp, names: set[str] | None) -> ASGIApp:
+    """Answer requests only under these names, lest another site's page talk to us by a name of its own; add headers."""
+
+    async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] += [(name.encode(), value.encode()) for name, value in _HEADERS.items()]
+            await send(message)
+
+        if names is not None and scope["type"] in ("http", "websocket"):
+            host = HTTPConnection(scope).headers.get("host", "")
+            if urlsplit(f"//{host}").hostname not in names:
+                await PlainTextResponse("not served under this name", 421)(scope, receive, send)
+                return
+        await app(scope, receive, with_headers)
+
+    return guarded
+
+
+async def _attend(websocket: WebSocket, show: Show) -> None:
+    """Send one viewer what is new, and do what it asks, until it goes."""
+    news, window = asyncio.Event(), asyncio.Semaphore(_UNDERWAY)
+    viewer = show.join(news.set)
+    sender = asyncio.create_task(_send_all(websocket, viewer, news, window))
+    try:
+        while True:
+            command = json.loads(await websocket.receive_text())
+            if command["do"] == "got":
+                window.release()
+            else:
+                viewer.command(command)
+                news.set()
+    except (ArgumentError, KeyError, TypeError, ValueError) as error:
+        await websocket.close(_BAD_COMMAND, f"{error}"[:100])
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        viewer.close()
+        sender.cancel()
+        await asyncio.gather(sender, return_exceptions=True)
+
+
+async def _send_all(
+    websocket: WebSocket, viewer: Viewer, news: asyncio.Event, window: asyncio.Semaphore
+) -> Awaitable[None]:
+    while True:
+        await window.acquire()
+        news.clear()
+        while (message := viewer.message()) is None:
+            await news.wait()
+            news.clear()
+        await websocket.send_bytes(message)
+        await asyncio.sleep(max(PERIOD_S, len(message) / BYTES_PER_S))
+
+
+def _zipped(grid: OccupancyGrid) -> bytes:
+    """map.yaml and map.pgm, as ROS's map_server reads them."""
+    archive = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as files:
+        write_map(Path(folder) / "map.yaml", grid)
+        for name in ("map.yaml", "map.pgm"):
+            files.write(Path(folder) / name, name)
+    return archive.getvalue()

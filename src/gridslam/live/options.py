@@ -1,0 +1,52 @@
+"""Where the page is served, and to whom; importing this costs nothing."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+from typing import final
+
+from gridslam.errors import ArgumentError
+
+__all__ = ["LiveOptions"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Where the page is served.
+
+    Attributes
+    ----------
+    host : str
+        Address to listen at. Only this machine can reach a loopback address; any other is open to the network, and the
+        page asks for a token then.
+    port : int, [0, 65535]
+        Port to listen at; 0 for any that is free.
+    speed : float or None, > 0
+        How many times as fast as the robot drove a log goes at first; None for as fast as can be.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of its range.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8642
+    speed: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not 0 <= self.port <= 65535:
+            raise ArgumentError("port", "a number from 0 to 65535", self.port)
+        if self.speed is not None and not self.speed > 0:
+            raise ArgumentError("speed", "a number > 0", self.speed)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can reach the page."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"

@@ -1,0 +1,142 @@
+"""A run of the filter, shown in the browser while it goes on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import final
+
+from gridslam.io.log import Log
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.measurement import Measurement
+from gridslam.live.control import Control
+from gridslam.live.observer import LiveObserver, Snapshot
+from gridslam.live.options import LiveOptions
+from gridslam.live.run import LiveRun
+from gridslam.live.server import PageServer
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray, OccupancyGrid
+
+__all__ = ["LiveLog", "LivePage"]
+
+_MAY_COME_BACK_S = 3.0
+
+
+@final
+class LivePage:
+    """Serves the page of one run while its context is entered.
+
+    Give `observer` to `gridslam.pipeline.run`, and the measurements of `observer.measured`, or `log` of a log, as its
+    source. The filter's result is the same with and without.
+
+    Parameters
+    ----------
+    title : str
+        What is mapped.
+    options : LiveOptions
+        Where the page is served.
+    range_max_m : float, m
+        The filter's, beyond which beams are not used.
+
+    Attributes
+    ----------
+    control : Control
+        Pause, step and speed.
+    observer : LiveObserver
+        To be called with each report.
+    """
+
+    def __init__(self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf) -> None:
+        """Serve nothing yet."""
+        options = options or LiveOptions()
+        self.control = Control(options.speed)
+        self._run = LiveRun(title, self.control, range_max_m)
+        self._server = PageServer(self._run, options)
+        self.observer = self._run.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m)
+
+    def __enter__(self) -> LivePage:
+        """Serve; raises OutputError where the port is taken."""
+        self._server.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the page."""
+        self.control.end()
+        self._server.__exit__()
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser."""
+        return self._server.url
+
+    @property
+    def viewers(self) -> int:
+        """How many are looking."""
+        return self._run.viewers
+
+    def log(self, log: Log, stopwatch: Stopwatch | None = None) -> LiveLog:
+        """A log whose scans come as the viewers want them."""
+        self.observer.share = lambda: log.statistics.share_read
+        return LiveLog(log, self, stopwatch)
+
+    def enter(self, stage: str) -> None:
+        """Say what is done now: "last word" after the last scan, "done" at the end."""
+        self._server.call(self._run.enter, stage)
+
+    def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
+        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        self._server.call(self._run.finish, grid, poses, closures)
+
+    def wait_for_viewer(self, at_most_s: float) -> bool:
+        """Return once someone looks, or after some seconds; whether someone does."""
+        until = time.perf_counter() + at_most_s
+        while not self.viewers and time.perf_counter() < until:
+            time.sleep(0.05)
+        return bool(self.viewers)
+
+    def linger(self) -> None:
+        """Stay as long as someone looks; a lost connection has some seconds to come back."""
+        alone_since = -math.inf if not self.viewers else time.perf_counter()
+        while time.perf_counter() - alone_since < _MAY_COME_BACK_S:
+            time.sleep(0.1)
+            if self.viewers:
+                alone_since = time.perf_counter()
+
+    def _post(self, snapshot: Snapshot) -> None:
+        if not self._server.call(self._apply, snapshot):
+            self.observer.period_s = math.inf  # nobody will look any more
+
+    def _apply(self, snapshot: Snapshot) -> None:
+        try:
+            self._run.apply(snapshot)
+        finally:
+            self.observer.done()
+
+
+@final
+class LiveLog:
+    """A log that is held back as the viewers want; see `gridslam.io.log.Log`."""
+
+    __slots__ = ("_log", "_page", "_stopwatch")
+
+    def __init__(self, log: Log, page: LivePage, stopwatch: Stopwatch | None) -> None:
+        """Hold back a log."""
+        self._log, self._page, self._stopwatch = log, page, stopwatch
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        return self._log.path
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+        return self._log.statistics
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start; raises InputError where it cannot be read on."""
+        for measurement in self._page.observer.measured(self._log, self._stopwatch):
+            yield Measurement(*measurement)
+        self._page.enter("last word")

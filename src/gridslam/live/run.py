@@ -1,0 +1,264 @@
+"""The viewers' side of a run: what its snapshots add up to, and what each viewer has of it."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import numpy as np
+
+from gridslam import __version__
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import compose
+from gridslam.kernels import TILE
+from gridslam.live.control import Control
+from gridslam.live.observer import BEST, LiveObserver, Snapshot
+from gridslam.live.protocol import STEP_NATS
+from gridslam.live.scene import Float32Array, Path, Scene, Sent, Tree, tree_of
+from gridslam.live.tiles import TileMirror, tiles_of
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid
+
+__all__ = ["LiveRun", "LiveViewer", "greeting"]
+
+_MOST_CHANNELS = 8
+_RATE_OVER = 12  # snapshots
+_STRAIGHT = {"pause": Control.pause, "resume": Control.resume}
+
+
+def greeting(title: str, mode: str, resolution_m: float = math.nan, particles: int = 0) -> dict[str, Any]:
+    """What a viewer is told first; `session` tells one start of a server from another."""
+    return {
+        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "tile": TILE,
+        "step_nats": STEP_NATS, "resolution_m": finite(resolution_m), "particles": particles,
+    }  # fmt: skip
+
+
+def finite(value: float) -> float | None:
+    """As JSON can say it."""
+    return value if math.isfinite(value) else None
+
+
+@final
+class LiveRun:
+    """What there is to see of a run; belongs to the server's thread.
+
+    Parameters
+    ----------
+    title : str
+        What is mapped.
+    control : Control
+        What viewers' pause, step and speed go to.
+    range_max_m : float, m
+        Beams of this range or more are not drawn.
+    """
+
+    def __init__(self, title: str, control: Control, range_max_m: float = math.inf) -> None:
+        """Begin before the first snapshot."""
+        self.observer: LiveObserver | None = None
+        self.control = control
+        self._hello, self._range_max_m = greeting(title, "live"), range_max_m
+        self._mirrors = {BEST: TileMirror()}
+        self._rows = {BEST: 0}
+        self._viewers: dict[LiveViewer, Callable[[], None]] = {}
+        self._channels = 0
+        self._stage = "waiting"
+        self._status: dict[str, Any] = {"keys": 0, "scans": 0}
+        self._path, self._tree = Path(), Tree(_zeros(0, 2), np.zeros(0, np.int32), np.zeros(0, np.int32))
+        self._particles, self._scan, self._closure_ends = _zeros(0, 4), _zeros(0, 2), _zeros(0, 4)
+        self._series, self._steps = _zeros(256, 4), 0
+        self._closures: list[tuple[int, int]] = []
+        self._first_s: float | None = None
+        self._paces: deque[tuple[float, int, float]] = deque(maxlen=_RATE_OVER)
+        self._last_scan: LaserScan | None = None
+
+    def apply(self, snapshot: Snapshot) -> None:
+        """Take over a snapshot."""
+        report, poses = snapshot.report, snapshot.poses
+        if self._stage == "waiting":
+            self._hello = {**self._hello, "resolution_m": snapshot.resolution_m, "particles": len(poses)}
+            self._stage = "running"
+        for channel, changes in snapshot.maps.items():
+            if channel in self._mirrors:
+                self._mirrors[channel].apply(changes)
+        self._rows = snapshot.rows
+        self._take_series(snapshot)
+        trunk, self._tree = tree_of(snapshot.ancestry)
+        self._path = self._path.followed_by(trunk)
+        self._take_closures(snapshot)
+        now = compose(poses, report.key_from_base) if report.skipped else poses
+        self._particles = np.column_stack([now, np.exp(snapshot.log_weights)]).astype(np.float32)
+        if snapshot.scan is not None and snapshot.scan is not self._last_scan:
+            self._last_scan = snapshot.scan
+            self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
+        self._tell(snapshot)
+
+    def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
+        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        for mirror in self._mirrors.values():
+            mirror.replace(tiles_of(grid))
+        self._path = self._path.followed_by(poses[:, :2].astype(np.float32))
+        self._tree = Tree(_zeros(0, 2), np.zeros(0, np.int32), np.full(len(self._particles), -1, np.int32))
+        self._closure_ends = closures.astype(np.float32)
+        self._particles, self._scan = self._particles[:0], self._scan[:0]
+        self.enter("done")
+
+    def enter(self, stage: str) -> None:
+        """Go over to another stage: "running", "last word" or "done"."""
+        self._stage = stage
+        self.tell_all()
+
+    def join(self, news: Callable[[], None]) -> LiveViewer:
+        """Take in a viewer, whose `news` is called whenever there may be something new."""
+        viewer = LiveViewer(self)
+        self._viewers[viewer] = news
+        self._count_viewers()
+        return viewer
+
+    def leave(self, viewer: LiveViewer) -> None:
+        """Let a viewer go."""
+        self._viewers.pop(viewer, None)
+        self._count_viewers()
+
+    @property
+    def viewers(self) -> int:
+        """How many are looking."""
+        return len(self._viewers)
+
+    def map_of(self, channel: int) -> OccupancyGrid:
+        """The map that a channel shows; the best particle's where there is no such channel."""
+        resolution_m = self._hello["resolution_m"] or 1.0
+        return self._mirrors.get(channel, self._mirrors[BEST]).grid(resolution_m)
+
+    def watch(self, particle: int) -> int:
+        """Open a channel for the map of a particle; raises ArgumentError where there is none, or too many are open."""
+        if not 0 <= particle < self._hello["particles"]:
+            raise ArgumentError("particle", f"an index below {self._hello['particles']}", particle)
+        if len(self._mirrors) > _MOST_CHANNELS:
+            raise ArgumentError("particle", f"at most {_MOST_CHANNELS} maps at once", "one more")
+        self._channels += 1
+        self._mirrors[self._channels] = TileMirror()
+        self._rows[self._channels] = particle
+        if self.observer is not None:
+            self.observer.watch(self._channels, particle, self._status["keys"])
+        return self._channels
+
+    def unwatch(self, channel: int) -> None:
+        """Close a channel."""
+        if self._mirrors.pop(channel, None) is not None and self.observer is not None:
+            self.observer.watch(channel, -1, 0)
+
+    def scene(self, channel: int) -> Scene:
+        """What a viewer of this channel can see now."""
+        row = self._rows.get(channel, -1)
+        stage = "paused" if self._stage == "running" and self.control.paused else self._stage
+        status = {
+            **self._status, "stage": stage, "speed": self.control.speed, "viewers": len(self._viewers),
+            "channel": channel, "watched": None if channel == BEST else row,
+        }  # fmt: skip
+        return Scene(
+            self._hello, status, self._mirrors.get(channel, self._mirrors[BEST]), self._path, self._tree,
+            self._particles, self._scan, self._closure_ends, self._series[: self._steps],
+        )  # fmt: skip
+
+    def tell_all(self) -> None:
+        """Let every viewer look."""
+        for news in self._viewers.values():
+            news()
+
+    def _count_viewers(self) -> None:
+        if self.observer is not None:
+            self.observer.period_s = 0.1 if self._viewers else 1.0
+        self.tell_all()
+
+    def _take_series(self, snapshot: Snapshot) -> None:
+        if not snapshot.series:
+            return
+        if self._first_s is None:
+            self._first_s = snapshot.series[0][0]
+        rows = np.array(snapshot.series, np.float64) * (1.0, 1.0, 1e3, 1.0) - (self._first_s, 0.0, 0.0, 0.0)
+        end = self._steps + len(rows)
+        if end > len(self._series):
+            self._series = np.concatenate([self._series, _zeros(max(end, len(self._series)), 4)])
+        self._series[self._steps : end] = rows
+        self._steps = end
+
+    def _take_closures(self, snapshot: Snapshot) -> None:
+        """Where the loop closures are as the best particle has it; they move when the past is corrected."""
+        self._closures += snapshot.closures
+        if not self._closures:
+            return
+        places = snapshot.ancestry.trajectory(snapshot.rows[BEST])[:, :2]
+        ends = places[np.array(self._closures)].reshape(-1, 4).astype(np.float32)
+        if not np.array_equal(ends, self._closure_ends):
+            self._closure_ends = ends
+
+    def _tell(self, snapshot: Snapshot) -> None:
+        report = snapshot.report
+        stamp_s = report.stamp_ns * 1e-9
+        self._paces.append((snapshot.taken_s, snapshot.scans, stamp_s))
+        wall_s, scans, log_s = (b - a for a, b in zip(self._paces[0], self._paces[-1], strict=True))
+        pace = {"scans_per_s": scans / wall_s, "times": log_s / wall_s} if wall_s > 0 and scans else {}
+        n_eff = finite(float(self._series[self._steps - 1, 1])) if self._steps else None
+        self._status = {
+            "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - (stamp_s if self._first_s is None else self._first_s),
+            "pose": report.pose.tolist(), "covariance": report.covariance.tolist(), "lost": bool(report.lost),
+            "n_eff": n_eff, "best": snapshot.rows[BEST], "closures": len(self._closures), "bytes": snapshot.bytes,
+            "share": finite(snapshot.share), **pace,
+        }  # fmt: skip
+        self.tell_all()
+
+
+@final
+class LiveViewer:
+    """One who looks at a run."""
+
+    def __init__(self, run: LiveRun) -> None:
+        """Look at the best particle's map."""
+        self._run, self._sent, self._channel = run, Sent(), BEST
+
+    def message(self) -> bytes | None:
+        """What the viewer lacks; None where that is nothing."""
+        return self._sent.message(self._run.scene(self._channel))
+
+    def command(self, command: Mapping[str, Any]) -> None:
+        """Do what the viewer asks.
+
+        Raises ArgumentError, KeyError or TypeError where that is nothing that can be asked.
+        """
+        run, what = self._run, command["do"]
+        if what in _STRAIGHT:
+            _STRAIGHT[what](run.control)
+        elif what == "step":
+            run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
+        elif what == "speed":
+            run.control.set_speed(_speed(command["times"]))
+        elif what == "watch":
+            self._watch(command["particle"])
+        else:
+            raise ArgumentError("do", "pause, resume, step, speed or watch", what)
+        run.tell_all()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._watch(None)
+        self._run.leave(self)
+
+    def _watch(self, particle: int | None) -> None:
+        before, self._channel = self._channel, BEST
+        if before != BEST:
+            self._run.unwatch(before)
+        if particle is not None:
+            self._channel = self._run.watch(int(particle))
+
+
+def _speed(times: float | None) -> float | None:
+    if times is not None and not 0.01 <= times <= 1e4:
+        raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
+    return times
+
+
+def _zeros(*shape: int) -> Float32Array:
+    return np.zeros(shape, np.float32)

@@ -1,0 +1,179 @@
+"""What there is to see at one moment, and what of it one viewer has not got yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.live.protocol import encode, packed
+from gridslam.live.tiles import TileMirror
+from gridslam.particles.ancestry import Ancestry
+
+__all__ = ["Path", "Scene", "Sent", "Tree", "tree_of"]
+
+Float32Array = NDArray[np.float32]
+
+_TILES_AT_ONCE = 1024
+_NODES = 4000  # of a tree of pasts; of more every second, third, ... step is drawn
+_NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Places (T, 2) of the robot at the key scans; those of one `edition` begin alike, and may differ in length."""
+
+    places: Float32Array = field(default_factory=lambda: _NO_POINTS)
+    edition: int = 0
+
+    def followed_by(self, places: Float32Array) -> Path:
+        """The path as it is now: of the same edition if nothing but its end is new."""
+        common = min(len(places), len(self.places))
+        same = np.array_equal(places[:common], self.places[:common])
+        return Path(places, self.edition if same else self.edition + 1)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Tree:
+    """What the particles have not in common of their pasts.
+
+    Attributes
+    ----------
+    places : (M, 2) float32
+        Where they were.
+    parents : (M,) int32
+        For each place the one before it; -1 for the end of the path that they share.
+    leaves : (N,) int32
+        Place of each particle; -1 where all share all.
+    """
+
+    places: Float32Array
+    parents: NDArray[np.int32]
+    leaves: NDArray[np.int32]
+
+
+def tree_of(ancestry: Ancestry, most: int = _NODES) -> tuple[Float32Array, Tree]:
+    """The path (T, 2) that all particles share, and the tree that it ends in, thinned to about `most` nodes."""
+    arrays = ancestry.to_arrays()
+    counts, parents, leaves = arrays["counts"], arrays["parents"], arrays["leaves"]
+    begins = np.concatenate([[0], np.cumsum(counts)])
+    stride = -(-len(parents) // most) or 1
+    kept = range(len(counts) - 1, -1, -stride)  # levels, the newest first
+    number = np.full(len(parents), -1, np.int64)  # of each kept node among those that are kept
+    nodes = np.concatenate([np.arange(begins[k], begins[k + 1]) for k in reversed(kept)] or [leaves[:0]])
+    number[nodes] = np.arange(len(nodes))
+    before = np.full(len(parents), -1, np.int64)
+    for level in kept:
+        above = parents[begins[level] : begins[level + 1]]
+        for between in range(level - 1, max(level - stride, -1), -1):
+            above = parents[begins[between] : begins[between + 1]][above]
+        if level >= stride:
+            before[begins[level] : begins[level + 1]] = number[begins[level - stride] + above]
+    ends = number[begins[-2] + leaves] if len(counts) else np.full(len(leaves), -1)
+    places = arrays["poses"][nodes, :2].astype(np.float32)
+    tree = Tree(places, before[nodes].astype(np.int32), ends.astype(np.int32))
+    return arrays["trunk"][:, :2].astype(np.float32), tree
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """All that can be seen at one moment; what did not change is the same object as in the scene before.
+
+    Attributes
+    ----------
+    hello : dict
+        What does not change during a session.
+    status : dict
+        What changes with every scene: numbers and words.
+    mirror : TileMirror
+        The map that is shown.
+    path : Path
+        Where the robot was, as far as all particles agree.
+    tree : Tree
+        Where they do not.
+    particles : (N, 4) float32
+        Their x m, y m, theta rad, and weight.
+    scan : (K, 2) float32, m
+        Ends of the current scan's beams, seen from the robot.
+    closures : (C, 4) float32, m
+        The two places x, y that each loop closure joins.
+    series : (S, 4) float32
+        For each key scan its time since the first, s, effective sample size, latency, ms, and flags: those of a record,
+        and 8 where the past was corrected.
+    """
+
+    hello: dict[str, Any]
+    status: dict[str, Any]
+    mirror: TileMirror
+    path: Path
+    tree: Tree
+    particles: Float32Array
+    scan: Float32Array
+    closures: Float32Array
+    series: Float32Array
+
+
+@final
+class Sent:
+    """What one viewer has got; `message` brings the rest."""
+
+    __slots__ = ("_edition", "_hello", "_length", "_mirror", "_number", "_objects", "_series", "_status")
+
+    def __init__(self) -> None:
+        """Begin with a viewer who has got nothing."""
+        self._hello: dict[str, Any] = {}
+        self._mirror: TileMirror | None = None
+        self._number = 0
+        self._edition, self._length, self._series = -1, 0, 0
+        self._objects: dict[str, Any] = {}
+        self._status: dict[str, Any] = {}
+
+    def message(self, scene: Scene) -> bytes | None:
+        """What a viewer lacks of a scene; None where that is nothing. Of many tiles the rest is left for the next."""
+        header: dict[str, Any] = {}
+        arrays: dict[str, NDArray[Any]] = {}
+        if scene.hello is not self._hello:
+            header["hello"] = self._hello = scene.hello
+        if scene.status != self._status:
+            header["status"] = self._status = scene.status
+        self._add_tiles(scene.mirror, header, arrays)
+        self._add_path(scene.path, header, arrays)
+        if self._series != len(scene.series):
+            first = self._series if self._series < len(scene.series) else 0
+            header["series"] = first
+            arrays["series"], self._series = scene.series[first:], len(scene.series)
+        for name in ("particles", "scan", "closures"):
+            self._add_whole(name, getattr(scene, name), {name: getattr(scene, name)}, arrays)
+        tree = scene.tree
+        named = {"tree": tree.places, "tree_parents": tree.parents, "tree_leaves": tree.leaves}
+        self._add_whole("tree", tree, named, arrays)
+        return encode(header, arrays) if header or arrays else None
+
+    def _add_whole(
+        self, name: str, value: object, parts: dict[str, NDArray[Any]], arrays: dict[str, NDArray[Any]]
+    ) -> None:
+        if self._objects.get(name) is not value:
+            self._objects[name] = value
+            arrays.update(parts)
+
+    def _add_tiles(self, mirror: TileMirror, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        if mirror is not self._mirror:
+            self._mirror, self._number = mirror, 0
+            header["clear"] = True
+        if mirror.sequence > self._number:
+            at, looks, self._number = mirror.since(self._number, _TILES_AT_ONCE)
+            arrays["tiles_at"], arrays["tiles"] = at, packed(looks)
+            if mirror.sequence > self._number:
+                header["more"] = True
+
+    def _add_path(self, path: Path, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        if (path.edition, len(path.places)) == (self._edition, self._length):
+            return
+        first = min(self._length, len(path.places)) if path.edition == self._edition else 0
+        header["path"], arrays["path"] = first, path.places[first:]
+        self._edition, self._length = path.edition, len(path.places)

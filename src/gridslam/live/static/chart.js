@@ -1,0 +1,123 @@
+// Small charts over time, and the strip of weights.
+
+function prepared(canvas) {
+  const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
+  if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
+  if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return [context, width, height];
+}
+
+// A round number at or above a value.
+function ceiling(value) {
+  const power = 10 ** Math.floor(Math.log10(Math.max(value, 1e-6)));
+  return power * [1, 2, 5, 10].find((step) => step * power >= value);
+}
+
+const LOST = 1, CORRECTED = 8;
+
+// One quantity of the series; of all key scans that fall on one pixel the range is drawn.
+export class Chart {
+  // `column` of the series; `top(status, greatest)` the end of the axis; `rule` a share of it to be marked.
+  constructor(canvas, column, { rule = 0, top = (_, greatest) => ceiling(greatest), unit = "" } = {}) {
+    Object.assign(this, { canvas, column, rule, top, unit, pointer: null });
+    canvas.addEventListener("pointermove", (event) => { this.pointer = event.offsetX; this.again?.(); });
+    canvas.addEventListener("pointerleave", () => { this.pointer = null; this.again?.(); });
+  }
+
+  draw(world, colours) {
+    const [context, width, height] = prepared(this.canvas), { series, steps } = world;
+    if (!steps) return;
+    const first = series[0], last = Math.max(series[4 * (steps - 1)], first + 1);
+    const toX = (time) => ((time - first) / (last - first)) * (width - 1);
+    const columns = new Map();
+    let greatest = 0;
+    for (let k = 0; k < steps; k++) {
+      const value = series[4 * k + this.column], x = Math.round(toX(series[4 * k])), flags = series[4 * k + 3];
+      if (Number.isNaN(value)) continue;
+      greatest = Math.max(greatest, value);
+      const [low, high, marks] = columns.get(x) ?? [value, value, 0];
+      columns.set(x, [Math.min(low, value), Math.max(high, value), marks | flags]);
+    }
+    const top = this.top(world, greatest), toY = (value) => height - 1 - (value / top) * (height - 12);
+    this.axes(context, width, height, toY(this.rule * top), top, colours);
+    for (const [x, [low, high, marks]] of columns) {
+      if (marks & (LOST | CORRECTED)) {
+        context.fillStyle = marks & LOST ? colours.bad : colours.closure;
+        context.globalAlpha = 0.5;
+        context.fillRect(x, 10, 1, height - 10);
+        context.globalAlpha = 1;
+      }
+    }
+    context.beginPath();
+    let before = null;
+    for (const [x, [low, high]] of [...columns].sort(([a], [b]) => a - b)) {
+      if (before === null) context.moveTo(x, toY(high));
+      context.lineTo(x, toY(before !== null && before > high ? high : low));
+      context.lineTo(x, toY(before !== null && before > high ? low : high));
+      before = high;
+    }
+    Object.assign(context, { strokeStyle: colours.path, lineWidth: 1.2, lineJoin: "round" });
+    context.stroke();
+    if (world.status.at !== undefined) this.needle(context, toX(world.status.time_s ?? 0), height, colours.text);
+    if (this.pointer !== null) this.read(context, world, first + (this.pointer / width) * (last - first), toX, toY, width, colours);
+  }
+
+  axes(context, width, height, ruled, top, colours) {
+    context.fillStyle = colours.rule;
+    context.fillRect(0, height - 1, width, 1);
+    if (this.rule) for (let x = 0; x < width; x += 6) context.fillRect(x, Math.round(ruled), 3, 1);
+    context.fillStyle = colours.faint;
+    context.font = "10px system-ui, sans-serif";
+    context.fillText(`${+top.toPrecision(3)}${this.unit}`, 0, 8);
+  }
+
+  needle(context, x, height, colour) {
+    context.fillStyle = colour;
+    context.fillRect(Math.round(x), 10, 1, height - 10);
+  }
+
+  // What was there at the time under the pointer.
+  read(context, { series, steps }, time, toX, toY, width, colours) {
+    let [low, high] = [0, steps - 1];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (series[4 * middle] < time) low = middle + 1; else high = middle;
+    }
+    const [at, value] = [series[4 * low], series[4 * low + this.column]], x = toX(at);
+    const text = `${at.toFixed(1)} s: ${value.toPrecision(3)}${this.unit}`;
+    context.fillStyle = colours.text;
+    context.beginPath();
+    context.arc(x, toY(value), 2.5, 0, 7);
+    context.fill();
+    context.fillText(text, width - context.measureText(text).width, 8);
+  }
+}
+
+// A bar for each particle, as high as its weight.
+export class Strip {
+  constructor(canvas, chosen) {
+    this.canvas = canvas;
+    canvas.addEventListener("click", ({ offsetX }) => {
+      const particle = Math.floor((offsetX / canvas.clientWidth) * this.count);
+      if (particle >= 0 && particle < this.count) chosen(particle);
+    });
+  }
+
+  draw(world, colours) {
+    const [context, width, height] = prepared(this.canvas), { particles, status } = world;
+    this.count = particles.length / 4;
+    let most = 0;
+    for (let k = 0; k < this.count; k++) most = Math.max(most, particles[4 * k + 3]);
+    const step = width / this.count;
+    for (let k = 0; k < this.count; k++) {
+      const tall = Math.max((particles[4 * k + 3] / most) * (height - 2), 1);
+      context.fillStyle = k === status.watched ? colours.chosen : k === status.best ? colours.path : colours.particle;
+      context.globalAlpha = k === status.watched || k === status.best ? 1 : 0.6;
+      context.fillRect(k * step, height - tall, Math.max(step - 1.5, 0.5), tall);
+    }
+    context.globalAlpha = 1;
+  }
+}

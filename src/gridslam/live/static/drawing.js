@@ -1,0 +1,184 @@
+// Draws the world: the map, where the robot was, what it sees, and what the particles believe.
+
+const DOT = 3.2, ROBOT = 9; // px
+
+function line(context, points, camera) {
+  context.beginPath();
+  for (let k = 0; k + 1 < points.length; k += 2) context.lineTo(...camera.toScreen(points[k], points[k + 1]));
+  context.stroke();
+}
+
+// The past of one particle, from itself back to where all pasts are one.
+export function pastOf(world, particle) {
+  const points = [], [x, y] = world.particles.subarray(4 * particle, 4 * particle + 2);
+  if (x !== undefined) points.push(x, y);
+  for (let at = world.leaves[particle] ?? -1; at >= 0; at = world.parents[at]) points.push(...place(world, at));
+  if (world.path.length) points.push(...world.path.slice(-2));
+  return points;
+}
+
+function place(world, at) {
+  return at < 0 ? world.path.slice(-2) : world.tree.subarray(2 * at, 2 * at + 2);
+}
+
+export class Drawing {
+  constructor(canvas, world, camera) {
+    Object.assign(this, { canvas, world, camera });
+    this.shown = { map: true, path: true, pasts: true, particles: true, scan: true, closures: true };
+  }
+
+  resize() {
+    this.canvas.width = Math.round(this.canvas.clientWidth * devicePixelRatio);
+    this.canvas.height = Math.round(this.canvas.clientHeight * devicePixelRatio);
+  }
+
+  draw(colours) {
+    const { world, camera, shown } = this, context = this.canvas.getContext("2d");
+    context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    context.clearRect(0, 0, camera.width, camera.height);
+    if (shown.map) world.map.draw(context, camera, world.resolution);
+    Object.assign(context, { lineJoin: "round", lineCap: "round" });
+    if (shown.closures) this.closures(context, colours.closure);
+    if (shown.pasts) this.pasts(context, colours.pasts);
+    if (shown.path) this.path(context, colours);
+    if (shown.scan) this.scan(context, colours.scan);
+    this.robot(context, colours);
+    if (shown.particles) this.particles(context, colours);
+  }
+
+  closures(context, colour) {
+    const { world, camera } = this;
+    Object.assign(context, { strokeStyle: colour, fillStyle: colour, lineWidth: 1.2, globalAlpha: 0.8 });
+    for (let k = 0; k < world.closures.length; k += 4) {
+      const ends = world.closures.subarray(k, k + 4);
+      line(context, ends, camera);
+      for (const end of [ends.subarray(0, 2), ends.subarray(2)]) this.dot(context, end, 2.5);
+    }
+    context.globalAlpha = 1;
+  }
+
+  dot(context, [x, y], radius) {
+    context.beginPath();
+    context.arc(...this.camera.toScreen(x, y), radius, 0, 7);
+    context.fill();
+  }
+
+  pasts(context, colour) {
+    const { world, camera } = this;
+    Object.assign(context, { strokeStyle: colour, lineWidth: 1, globalAlpha: 0.7 });
+    context.beginPath();
+    for (let at = 0; at < world.parents.length; at++) {
+      if (world.parents[at] < 0 && !world.path.length) continue;
+      context.moveTo(...camera.toScreen(...place(world, world.parents[at])));
+      context.lineTo(...camera.toScreen(...place(world, at)));
+    }
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  path(context, colours) {
+    const { world, camera } = this;
+    if (world.plan.length) {
+      Object.assign(context, { strokeStyle: colours.pasts, lineWidth: 1, globalAlpha: 0.6 });
+      line(context, world.plan, camera);
+      context.globalAlpha = 1;
+    }
+    Object.assign(context, { strokeStyle: colours.path, lineWidth: 2.2 });
+    line(context, world.path, camera);
+    const chosen = world.status.watched ?? -1, best = world.status.best ?? -1;
+    if (best >= 0) line(context, pastOf(world, best), camera);
+    if (chosen >= 0) {
+      Object.assign(context, { strokeStyle: colours.chosen, lineWidth: 2.6 });
+      line(context, pastOf(world, chosen), camera);
+    }
+  }
+
+  // What the laser sees now, from where the robot stands: or the chosen particle, whose map is shown.
+  scan(context, colour) {
+    const { world, camera } = this, pose = this.standing();
+    if (!pose || !world.scan.length) return;
+    const [c, s] = [Math.cos(pose[2]), Math.sin(pose[2])];
+    const size = Math.min(Math.max(0.06 * camera.scale, 1.5), 5);
+    context.fillStyle = colour;
+    for (let k = 0; k < world.scan.length; k += 2) {
+      const [x, y] = world.scan.subarray(k, k + 2);
+      const [u, v] = camera.toScreen(pose[0] + c * x - s * y, pose[1] + s * x + c * y);
+      context.fillRect(u - size / 2, v - size / 2, size, size);
+    }
+  }
+
+  standing() {
+    const { world } = this, chosen = world.status.watched ?? -1;
+    return chosen >= 0 ? world.particles.subarray(4 * chosen, 4 * chosen + 3) : world.status.pose;
+  }
+
+  particles(context, colours) {
+    const { world, camera } = this, count = world.particles.length / 4;
+    let most = 0;
+    for (let k = 0; k < count; k++) most = Math.max(most, world.particles[4 * k + 3]);
+    const headed = camera.scale > 60;
+    for (let k = 0; k < count; k++) {
+      const [x, y, theta, weight] = world.particles.subarray(4 * k, 4 * k + 4);
+      const chosen = k === world.status.watched, [u, v] = camera.toScreen(x, y);
+      context.globalAlpha = chosen ? 1 : 0.25 + 0.65 * Math.sqrt(weight / most);
+      context.fillStyle = context.strokeStyle = chosen ? colours.chosen : colours.particle;
+      context.lineWidth = 1.5;
+      context.beginPath();
+      context.arc(u, v, chosen ? 1.6 * DOT : DOT, 0, 7);
+      context.fill();
+      if (headed) {
+        context.beginPath();
+        context.moveTo(u, v);
+        context.lineTo(u + 14 * Math.cos(theta), v - 14 * Math.sin(theta));
+        context.stroke();
+      }
+    }
+    context.globalAlpha = 1;
+  }
+
+  robot(context, colours) {
+    const { status } = this.world;
+    if (!status.pose) return;
+    const [x, y, theta] = status.pose, [u, v] = this.camera.toScreen(x, y);
+    context.save();
+    context.translate(u, v);
+    this.ellipse(context, status.covariance, colours.path);
+    context.rotate(-theta);
+    context.beginPath();
+    context.moveTo(1.3 * ROBOT, 0);
+    context.lineTo(-ROBOT, 0.8 * ROBOT);
+    context.lineTo(-0.55 * ROBOT, 0);
+    context.lineTo(-ROBOT, -0.8 * ROBOT);
+    context.closePath();
+    Object.assign(context, { fillStyle: status.lost ? colours.bad : colours.path, strokeStyle: colours.free, lineWidth: 2 });
+    context.stroke();
+    context.fill();
+    context.restore();
+  }
+
+  // Within two deviations, where that is large enough to be seen.
+  ellipse(context, covariance, colour) {
+    if (!covariance) return;
+    const [[a, b], [, c]] = covariance, mean = (a + c) / 2, spread = Math.hypot((a - c) / 2, b);
+    const radii = [mean + spread, Math.max(mean - spread, 0)].map((variance) => 2 * Math.sqrt(variance) * this.camera.scale);
+    if (radii[0] < 4) return;
+    context.beginPath();
+    context.ellipse(0, 0, radii[0], radii[1], -0.5 * Math.atan2(2 * b, a - c), 0, 7);
+    Object.assign(context, { fillStyle: colour, strokeStyle: colour, lineWidth: 1, globalAlpha: 0.15 });
+    context.fill();
+    context.globalAlpha = 0.6;
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  // The particle nearest to a place on the screen; -1 where none is near.
+  particleAt(u, v, reach = 14) {
+    let nearest = -1;
+    for (let k = 0; 4 * k < this.world.particles.length; k++) {
+      const [x, y] = this.camera.toScreen(...this.world.particles.subarray(4 * k, 4 * k + 2));
+      const apart = Math.hypot(x - u, y - v);
+      if (apart < reach) [nearest, reach] = [k, apart];
+    }
+    return nearest;
+  }
+}

@@ -1,0 +1,125 @@
+// The words and buttons about the map.
+
+const $ = (selector) => document.querySelector(selector);
+const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
+
+function clock(seconds) {
+  const whole = Math.floor(seconds), pad = (value) => String(value).padStart(2, "0");
+  const minutes = `${Math.floor(whole / 60) % 60}:${pad(whole % 60)}`;
+  return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
+}
+
+const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
+const short = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
+
+export class Panel {
+  // `ask` sends a command to the server.
+  constructor(ask) {
+    this.ask = ask;
+    for (const times of SPEEDS) $("#speed").add(new Option(`${times} ×`, times));
+    $("#speed").onchange = ({ target }) => ask({ do: "speed", times: target.value === "" ? null : Number(target.value) });
+    $("#pause").onclick = () => this.toggle();
+    $("#step").onclick = (event) => ask({ do: "step", to_key_scan: !event.shiftKey });
+    $("#line").oninput = ({ target }) => ask({ do: "seek", at: Number(target.value) });
+    $("#best").onclick = () => ask({ do: "watch", particle: null });
+    $("#sheet").onclick = () => {
+      const open = document.body.toggleAttribute("data-sheet");
+      $("#sheet").setAttribute("aria-expanded", open);
+      dispatchEvent(new Event("resize"));
+    };
+  }
+
+  greet(hello) {
+    this.mode = hello.mode;
+    document.title = `${hello.title} · gridslam`;
+    $("#title").textContent = hello.title;
+    const unlimited = $("#speed option[value='']");
+    if (this.mode === "live" && !unlimited) $("#speed").add(new Option("as fast as can be", ""));
+    if (this.mode !== "live") unlimited?.remove();
+  }
+
+  get held() { return document.body.hasAttribute("data-held"); }
+
+  toggle() {
+    if (!$("#pause").disabled) this.ask({ do: this.held ? "resume" : "pause" });
+  }
+
+  step(shift) {
+    if (!$("#step").disabled) this.ask({ do: "step", to_key_scan: !shift });
+  }
+
+  // Whether there is a connection; `why` is told where the server has refused it.
+  connected(is, why, finished) {
+    const notice = $("#notice");
+    notice.hidden = is || finished;
+    notice.textContent = why ? `The server says: ${why}.` : "The connection is lost; trying again…";
+    if (is) return;
+    document.body.dataset.stage = finished ? "done" : "offline";
+    $("#stage").textContent = finished ? "finished, server closed" : "offline";
+    for (const id of ["#pause", "#step", "#speed", "#line"]) $(id).disabled = true;
+  }
+
+  show(world) {
+    const { status } = world;
+    document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
+    $("#stage").textContent = status.lost && status.stage === "running" ? "running, the robot is lost" : status.stage;
+    document.body.toggleAttribute("data-held", status.stage === "paused");
+    const going = ["running", "paused", "waiting"].includes(status.stage);
+    for (const id of ["#pause", "#step", "#speed"]) $(id).disabled = !going;
+    $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
+    if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
+    $("#facts").textContent = this.facts(status).join(" · ");
+    this.robot(status);
+    this.particles(world);
+    this.time(world);
+  }
+
+  speed(times) {
+    $("#speed").value = times;
+    if ($("#speed").value !== String(times)) $("#speed").add(new Option(`${times} ×`, times, false, true), 0);
+  }
+
+  facts(status) {
+    const facts = [];
+    if (status.scans) facts.push(`${status.scans} scans`);
+    if (status.keys) facts.push(`${status.keys} key scans`);
+    if (status.closures) facts.push(`${status.closures} loop closure${status.closures > 1 ? "s" : ""}`);
+    if (status.times && status.stage === "running") facts.push(`${short(status.times)} × real time`);
+    if (status.bytes) facts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
+    return facts;
+  }
+
+  robot({ pose, covariance }) {
+    if (!pose) return;
+    put("position", `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m`);
+    put("heading", `${((pose[2] * 180) / Math.PI).toFixed(1)}°`);
+    if (!covariance) return put("deviation", "–");
+    const deviation = Math.sqrt(covariance[0][0] + covariance[1][1]), turn = Math.sqrt(covariance[2][2]);
+    put("deviation", `${(100 * deviation).toFixed(1)} cm, ${((turn * 180) / Math.PI).toFixed(2)}°`);
+  }
+
+  particles({ status, hello, series, steps }) {
+    put("n_eff", status.n_eff == null ? "" : `${status.n_eff.toFixed(1)} of ${hello.particles}`);
+    const now = status.at ?? steps - 1;
+    put("latency", steps ? `${series[4 * now + 2].toPrecision(2)} ms` : "");
+    put("particles", hello.particles || "");
+    const words = status.watched == null ? `map of the best, number ${status.best ?? "–"}`
+      : status.watched < 0 ? "the chosen one has died out" : `map of number ${status.watched}`;
+    $("#watched span").textContent = hello.mode === "live" || status.watched != null ? words.replace("map", hello.mode === "live" ? "map" : "past") : "";
+    $("#best").hidden = status.watched == null;
+  }
+
+  time({ status, hello }) {
+    const slider = $("#line"), replay = hello.mode !== "live";
+    slider.disabled = !replay;
+    if (replay) {
+      slider.max = Math.max(status.keys_total - 1, 0);
+      if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at;
+    } else {
+      slider.max = 1000;
+      slider.value = 1000 * (status.share ?? 0);
+    }
+    const total = replay ? ` / ${clock(status.total_s)}` : "";
+    $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;
+  }
+}

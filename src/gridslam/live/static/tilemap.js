@@ -1,0 +1,97 @@
+// The map: tiles of levels as they come, kept as bitmaps of many tiles each.
+
+const TILES = 8; // along a bitmap's side
+
+function rgb(css) {
+  const probe = new OffscreenCanvas(1, 1).getContext("2d");
+  probe.fillStyle = css;
+  probe.fillRect(0, 0, 1, 1);
+  return [...probe.getImageData(0, 0, 1, 1).data.slice(0, 3)];
+}
+
+// Colours of the levels: 0 unknown, 1 to 7 the freer the lower, 8 even, 9 to 15 the more occupied the higher.
+export function palette(unknown, free, occupied) {
+  const [u, f, o] = [unknown, free, occupied].map(rgb);
+  const mixed = (a, b, share) => a.map((value, k) => Math.round(value + share * (b[k] - value)));
+  return Array.from({ length: 16 }, (_, level) => {
+    if (level === 0) return u;
+    if (level <= 8) return mixed(u, f, Math.min((9 - level) / 4, 1));
+    return mixed(f, o, Math.min((level - 8) / 6, 1));
+  });
+}
+
+export class TileMap {
+  constructor() {
+    this.side = 32;
+    this.clear();
+  }
+
+  clear() {
+    this.tiles = new Map(); // "row,column" to the tile's levels, two in a byte
+    this.sheets = new Map();
+    this.box = null; // of tiles that hold something: [row0, column0, row1, column1]
+  }
+
+  colour(colours) {
+    this.colours = new Uint32Array(colours.map(([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r));
+    this.sheets.clear();
+    for (const [key, tile] of this.tiles) this.paint(...key.split(",").map(Number), tile);
+  }
+
+  // Takes tiles over: rows and columns, and half a byte for each cell.
+  put(at, data) {
+    const bytes = (this.side * this.side) / 2;
+    for (let k = 0; 2 * k < at.length; k++) {
+      const [row, column] = [at[2 * k], at[2 * k + 1]];
+      const tile = data.slice(k * bytes, (k + 1) * bytes);
+      this.tiles.set(`${row},${column}`, tile);
+      this.paint(row, column, tile);
+      if (tile.some((pair) => pair)) this.widen(row, column);
+    }
+  }
+
+  widen(row, column) {
+    const [r0, c0, r1, c1] = this.box ?? [row, column, row, column];
+    this.box = [Math.min(r0, row), Math.min(c0, column), Math.max(r1, row), Math.max(c1, column)];
+  }
+
+  paint(row, column, tile) {
+    const side = this.side, image = new ImageData(side, side), pixels = new Uint32Array(image.data.buffer);
+    for (let k = 0; k < tile.length; k++) {
+      const cell = 2 * k, y = side - 1 - Math.floor(cell / side), x = cell % side;
+      pixels[y * side + x] = this.colours[tile[k] & 15];
+      pixels[y * side + x + 1] = this.colours[tile[k] >> 4];
+    }
+    const [sheetRow, sheetColumn] = [Math.floor(row / TILES), Math.floor(column / TILES)];
+    const key = `${sheetRow},${sheetColumn}`;
+    let sheet = this.sheets.get(key);
+    if (!sheet) {
+      const canvas = new OffscreenCanvas(TILES * side, TILES * side);
+      sheet = { row: sheetRow, column: sheetColumn, context: canvas.getContext("2d") };
+      this.sheets.set(key, sheet);
+    }
+    sheet.context.putImageData(image, (column - TILES * sheetColumn) * side, (TILES - 1 - row + TILES * sheetRow) * side);
+  }
+
+  // Edges are put on whole pixels, so that no seams show between bitmaps.
+  draw(context, camera, resolution) {
+    const metres = TILES * this.side * resolution, ratio = devicePixelRatio;
+    context.imageSmoothingEnabled = camera.scale * resolution * ratio < 2;
+    context.imageSmoothingQuality = "high";
+    for (const sheet of this.sheets.values()) {
+      const [left, bottom] = camera.toScreen(sheet.column * metres, sheet.row * metres);
+      const [right, top] = camera.toScreen((sheet.column + 1) * metres, (sheet.row + 1) * metres);
+      if (right < 0 || bottom < 0 || left > camera.width || top > camera.height) continue;
+      const whole = (value) => Math.round(value * ratio) / ratio;
+      const [x, y] = [whole(left), whole(top)];
+      context.drawImage(sheet.context.canvas, x, y, whole(right) - x, whole(bottom) - y);
+    }
+  }
+
+  // In metres: [x0, y0, x1, y1], or null.
+  extent(resolution) {
+    if (!this.box) return null;
+    const metres = this.side * resolution, [r0, c0, r1, c1] = this.box;
+    return [c0 * metres, r0 * metres, (c1 + 1) * metres, (r1 + 1) * metres];
+  }
+}

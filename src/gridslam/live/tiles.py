@@ -1,0 +1,204 @@
+"""What has changed of a map: found on the filter's side by tile ids, kept for the viewers by sequence numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.evidence import LOG_ODDS_UNIT
+from gridslam.grid.frame import cell_corner
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import TILE, UNKNOWN
+from gridslam.live.protocol import levels
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
+
+__all__ = ["Box", "TileChanges", "TileMirror", "TileWatch", "tiles_of"]
+
+_MARGIN_M = 2 * TILE * 0.05  # what undoing the robot's motion during a scan may move the end of a beam
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A rectangle of the map frame in which maps may have been written to, m."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    @classmethod
+    def about(cls, poses: FloatArray, reach_m: float) -> Box:
+        """What scans that reach so far can have touched from poses (K, 3), K >= 1."""
+        reach = reach_m + _MARGIN_M
+        (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
+        return cls((x0 - reach, y0 - reach), (x1 + reach, y1 + reach))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TileChanges:
+    """Tiles that may differ from before.
+
+    Attributes
+    ----------
+    at : (K, 2) int32
+        Their rows and columns, in tiles; cell (0, 0) of tile (0, 0) has its corner at the map's origin.
+    log_odds : (K, 32, 32) int16
+        Their cells now, in units of `gridslam.grid.evidence.LOG_ODDS_UNIT`; `UNKNOWN` where nothing is known.
+    """
+
+    at: Int32Array
+    log_odds: NDArray[np.int16]
+
+
+@final
+class TileWatch:
+    """Finds what has changed of one map since the last look; belongs to the filter's thread.
+
+    Tiles are shared and copied on write: where a table has another id than before there may be other cells, and under
+    the same id cells can only have changed where some particle was written to in the meantime.
+    """
+
+    __slots__ = ("_corner", "_ids")
+
+    def __init__(self) -> None:
+        """Begin with an empty map."""
+        self._ids: Int32Array = np.zeros((1, 1), np.int32)
+        self._corner = (0, 0)
+
+    def look(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
+        """Copy what may have changed in map `row`.
+
+        `written` tells where any map was written to since the last look; None where that is unknown, or where these are
+        other maps than those looked at before.
+        """
+        ids, corner = maps.tile_ids(row)
+        before, before_at = self._ids, self._corner
+        self._ids, self._corner = ids, corner
+        if before.shape != ids.shape or before_at != corner:
+            origin = min(corner[0], before_at[0]), min(corner[1], before_at[1])
+            ends = [(at[k] + table.shape[k] for table, at in ((ids, corner), (before, before_at))) for k in (0, 1)]
+            shape = max(ends[0]) - origin[0], max(ends[1]) - origin[1]
+            ids, before = _placed(ids, corner, origin, shape), _placed(before, before_at, origin, shape)
+            corner = origin
+        changed = ids != before
+        if written is None:
+            changed |= ids != 0
+        else:
+            side = TILE * maps.resolution_m
+            low = [max(int(written.low[1 - k] // side) - corner[k], 0) for k in (0, 1)]
+            high = [max(int(written.high[1 - k] // side) - corner[k] + 1, 0) for k in (0, 1)]
+            inside = slice(low[0], high[0]), slice(low[1], high[1])
+            changed[inside] |= ids[inside] != 0
+        rows, columns = np.nonzero(changed)
+        at = np.stack([rows + corner[0], columns + corner[1]], axis=1).astype(np.int32)
+        return TileChanges(at, maps.tiles(ids[rows, columns]))
+
+
+def _placed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
+    """A table within a larger frame, 0 about it."""
+    framed = np.zeros(shape, np.int32)
+    row, column = at[0] - origin[0], at[1] - origin[1]
+    framed[row : row + table.shape[0], column : column + table.shape[1]] = table
+    return framed
+
+
+@final
+class TileMirror:
+    """A copy of one map, put together from changes; every visible change of a tile gets the next sequence number."""
+
+    __slots__ = ("_at", "_cells", "_numbers", "_place", "sequence")
+
+    def __init__(self) -> None:
+        """Begin with an empty map."""
+        self._place: dict[tuple[int, int], int] = {}
+        self._cells = _unknown(64)
+        self._at: Int32Array = np.zeros((64, 2), np.int32)
+        self._numbers: IntArray = np.zeros(64, np.int64)
+        self.sequence = 0
+
+    def __len__(self) -> int:
+        """Return the number of tiles, those included that have become unknown again."""
+        return len(self._place)
+
+    def apply(self, changes: TileChanges) -> None:
+        """Take over tiles; those that look as before get no new number."""
+        if not len(changes.at):
+            return
+        places = np.array([self._place_of(row, column) for row, column in changes.at.tolist()])
+        looks = levels(changes.log_odds)
+        changed = np.flatnonzero((looks != levels(self._cells[places])).any(axis=(1, 2)))
+        self._cells[places] = changes.log_odds
+        self._numbers[places[changed]] = self.sequence + 1 + np.arange(len(changed))
+        self.sequence += len(changed)
+
+    def replace(self, changes: TileChanges) -> None:
+        """Become the map that consists of these tiles alone."""
+        kept = set(map(tuple, changes.at.tolist()))
+        gone = [at for at in self._place if at not in kept]
+        self.apply(TileChanges(np.array(gone, np.int32).reshape(-1, 2), _unknown(len(gone))))
+        self.apply(changes)
+
+    def since(self, number: int, most: int) -> tuple[Int32Array, NDArray[np.uint8], int]:
+        """Rows and columns (K, 2) and levels (K, 32, 32) of the next K <= `most` tiles after a number, and its last.
+
+        Each as it is now; whoever has seen all up to `sequence` has the whole map.
+        """
+        numbers = self._numbers[: len(self)]
+        newer = np.flatnonzero(numbers > number)
+        if len(newer) > most:
+            newer = newer[np.argpartition(numbers[newer], most)[:most]]
+            number = int(numbers[newer].max())
+        else:
+            number = self.sequence
+        return self._at[newer], levels(self._cells[newer]), number
+
+    def grid(self, resolution_m: float) -> OccupancyGrid:
+        """The map as a rectangle, cut to the tiles that hold something; a single unknown cell if there are none."""
+        used = np.flatnonzero((self._cells[: len(self)] != UNKNOWN).any(axis=(1, 2)))
+        if not len(used):
+            return OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), resolution_m, (0.0, 0.0))
+        at = self._at[used]
+        low, high = at.min(axis=0), at.max(axis=0) + 1
+        blocks = np.full((*(high - low), TILE, TILE), UNKNOWN, np.int16)
+        blocks[tuple((at - low).T)] = self._cells[used]
+        cells = blocks.swapaxes(1, 2).reshape(int(high[0] - low[0]) * TILE, -1)
+        known = cells != UNKNOWN
+        log_odds = np.where(known, cells, 0).astype(np.float32) * np.float32(LOG_ODDS_UNIT)
+        row, column = (low * TILE).tolist()
+        return OccupancyGrid(log_odds, known, resolution_m, cell_corner(row, column, resolution_m))
+
+    def _place_of(self, row: int, column: int) -> int:
+        """Where the tile is kept; a new one is unknown."""
+        place = self._place.setdefault((row, column), len(self._place))
+        if place == len(self._cells):
+            more = len(self._cells)
+            self._cells = np.concatenate([self._cells, _unknown(more)])
+            self._at = np.concatenate([self._at, np.zeros((more, 2), np.int32)])
+            self._numbers = np.concatenate([self._numbers, np.zeros(more, np.int64)])
+        if place == len(self._place) - 1:
+            self._at[place] = row, column
+        return place
+
+
+def _unknown(count: int) -> NDArray[np.int16]:
+    return np.full((count, TILE, TILE), UNKNOWN, np.int16)
+
+
+def tiles_of(grid: OccupancyGrid) -> TileChanges:
+    """All tiles of a rectangular map that hold something; its cells go to the nearest ones of the tiles' grid."""
+    height, width = grid.known.shape
+    column, row = (round(corner / grid.resolution_m) for corner in grid.origin)
+    first = row // TILE, column // TILE
+    rows, columns = -(-(row + height) // TILE) - first[0], -(-(column + width) // TILE) - first[1]
+    cells = np.full((rows * TILE, columns * TILE), UNKNOWN, np.int16)
+    steps = np.clip(np.rint(grid.log_odds / np.float32(LOG_ODDS_UNIT)), UNKNOWN + 1, -UNKNOWN - 1)
+    top, left = row - first[0] * TILE, column - first[1] * TILE
+    cells[top : top + height, left : left + width] = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
+    blocks = cells.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    used = np.nonzero((blocks != UNKNOWN).any(axis=(2, 3)))
+    at = np.stack(used, axis=1).astype(np.int32) + np.array(first, np.int32)
+    return TileChanges(at, blocks[used])
