@@ -1,0 +1,217 @@
+"""slam_gmapping's parameters by their own names and defaults, and the node's own beside them.
+
+Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from pydantic import ValidationError
+
+from gridslam.config import Configuration, load, override, preset
+from gridslam.config.tables import changed, meant, names
+from gridslam.errors import ConfigurationError
+from gridslam.ros.settings import NodeSettings
+
+__all__ = ["GMAPPING", "OWN", "NodeParameters", "node_parameters"]
+
+GMAPPING: Final[Mapping[str, float | int | str]] = {
+    "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
+    "map_update_interval": 5.0, "maxUrange": 80.0, "sigma": 0.05, "kernelSize": 1, "lstep": 0.05, "astep": 0.05,
+    "iterations": 5, "lsigma": 0.075, "ogain": 3.0, "lskip": 0, "minimumScore": 0.0, "srr": 0.1, "srt": 0.2,
+    "str": 0.1, "stt": 0.2, "linearUpdate": 1.0, "angularUpdate": 0.5, "temporalUpdate": -1.0,
+    "resampleThreshold": 0.5, "particles": 30, "xmin": -100.0, "ymin": -100.0, "xmax": 100.0, "ymax": 100.0,
+    "delta": 0.05, "llsamplerange": 0.01, "llsamplestep": 0.01, "lasamplerange": 0.005, "lasamplestep": 0.005,
+    "transform_publish_period": 0.05, "tf_delay": 0.05, "occ_thresh": 0.25, "maxRange": 80.0,
+}  # fmt: skip
+"""slam_gmapping's parameters with their defaults; that of `maxRange` is the laser's, of `tf_delay` the period above."""
+
+OWN: Final[Mapping[str, float | int | str | bool]] = {
+    "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
+    "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "",
+}  # fmt: skip
+"""The node's own parameters: see docs/ros.md."""
+
+_FILTER: Final[Mapping[str, str]] = {
+    "particles": "particles",
+    "linearUpdate": "when_to_update.translation_m",
+    "angularUpdate": "when_to_update.rotation_rad",
+    "resampleThreshold": "when_to_resample.fraction",
+    "srr": "motion.srr",
+    "srt": "motion.srt",
+    "str": "motion.str",
+    "stt": "motion.stt",
+    "lstep": "proposal.matcher.step_m",
+    "astep": "proposal.matcher.step_rad",
+    "iterations": "proposal.matcher.halvings",
+    "sigma": "proposal.matcher.scale_m2",
+    "minimumScore": "proposal.matcher.minimum_score",
+    "lsigma": "sensor.scale_m2",
+    "lskip": "sensor.skip",
+    "delta": "mapper.resolution_m",
+}
+"""Where the filter keeps the value of a parameter."""
+
+_DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
+    "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
+    "ogain": ("sensor.gain",),
+    "maxUrange": ("range_max_m",),
+    "maxRange": ("range_max_m",),
+}
+"""... and what it derives from one or from several."""
+
+_NODE: Final[Mapping[str, str]] = {
+    "throttle_scans": "throttle_scans", "base_frame": "base_frame", "map_frame": "map_frame",
+    "odom_frame": "odom_frame", "map_update_interval": "map_update_interval_s",
+    "transform_publish_period": "transform_publish_period_s", "tf_delay": "tf_delay_s", "seed": "seed",
+    "threads": "threads", "odometry": "odometry", "map_values": "map_values", "transform_wait": "transform_wait_s",
+    "queue": "queue_s",
+}  # fmt: skip
+
+_NEVER: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
+    **dict.fromkeys(
+        ("llsamplerange", "llsamplestep", "lasamplerange", "lasamplestep"),
+        "the likelihood is not sampled around a match",
+    ),
+    "temporalUpdate": "a robot at rest adds nothing to the map",
+    "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
+    "inverted_laser": "the transforms tell how the laser is mounted",
+}
+"""What nothing here corresponds to, and why."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class NodeParameters:
+    """What parameters by their ROS names come to.
+
+    Attributes
+    ----------
+    settings : NodeSettings
+        Of the node.
+    configuration : Configuration
+        Of the filter.
+    warning : str
+        What was given and is ignored, with the reasons, in one sentence; empty where nothing is.
+    record, out : Path or None
+        The record of accepted scans, and the folder for results.
+    """
+
+    settings: NodeSettings
+    configuration: Configuration
+    warning: str
+    record: Path | None
+    out: Path | None
+
+
+def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
+    """Turn parameters by their ROS names into the node's settings and the filter's configuration.
+
+    With the preset "gmapping" all of `GMAPPING` holds, as far as it is not given. Another preset is changed only by
+    what is given, and what it has no part for is ignored.
+
+    Parameters
+    ----------
+    given : mapping
+        What the user has set: of `GMAPPING`, `OWN`; others are ignored.
+    preset_name : str
+        The preset where `given` has none.
+
+    Raises
+    ------
+    ConfigurationError
+        A value is of a wrong type or out of range, or there is no such preset.
+    """
+    own = {**OWN, **{name: value for name, value in given.items() if name in OWN}}
+    name = str(own["preset"]) or preset_name
+    base = preset(name)
+    held = {**GMAPPING, **given} if name == "gmapping" else dict(given)
+    config = changed(base, _tree(_direct(base, held)))
+    config = changed(config, _tree(_derived(base, given, held)))
+    if own["config"]:
+        config = load(str(own["config"]), config)
+    config = override(config, *(part for part in str(own["set"]).split(";") if part.strip()))
+    return NodeParameters(
+        settings=_settings(given),
+        configuration=config,
+        warning=_warning(base, name, given),
+        record=Path(str(own["record"])) if own["record"] else None,
+        out=Path(str(own["out"])) if own["out"] else None,
+    )
+
+
+def _direct(base: Configuration, held: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by dotted names, of what corresponds one to one."""
+    there = set(names(base))
+    return {path: held[name] for name, path in _FILTER.items() if name in held and path in there}
+
+
+def _derived(base: Configuration, given: Mapping[str, Any], held: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by dotted names, of what depends on several parameters."""
+    values: dict[str, Any] = {}
+    there = set(names(base))
+
+    def number(name: str, otherwise: float) -> float:
+        value = held.get(name, otherwise)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigurationError(f"{name}: expected a number, got {value!r}")
+        return float(value)
+
+    if "sensor.kernel_m" in there:  # a circle as wide as the square of cells
+        kernel_m = round((number("kernelSize", 1) + 0.5) * number("delta", base.mapper.resolution_m), 9)
+        values |= dict.fromkeys(_DERIVED["kernelSize"], kernel_m)
+    if "sensor.gain" in there:
+        values["sensor.gain"] = number("ogain", 3.0) * number("particles", base.particles)
+    if "maxUrange" in held or "maxRange" in held:
+        bounds = [number(name, 80.0) for name in ("maxUrange", "maxRange") if name in given]
+        values["range_max_m"] = min(bounds, default=80.0)
+    return {path: value for path, value in values.items() if path in there}
+
+
+def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables of values by dotted names."""
+    tree: dict[str, Any] = {}
+    for path, value in values.items():
+        *above, last = path.split(".")
+        table = tree
+        for key in above:
+            table = table.setdefault(key, {})
+        table[last] = value
+    return tree
+
+
+def _settings(given: Mapping[str, Any]) -> NodeSettings:
+    values = {field: given[name] for name, field in _NODE.items() if name in given}
+    if "tf_delay" not in given and "transform_publish_period" in given:
+        values["tf_delay_s"] = given["transform_publish_period"]
+    try:
+        return NodeSettings(**values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        field = str(problem["loc"][0])
+        name = next((name for name, known in _NODE.items() if known == field), field)
+        raise ConfigurationError(f"{name}: {problem['msg']}, got {problem['input']!r}") from None
+
+
+def _warning(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
+    """One sentence of all that was given and does nothing."""
+    there, reasons = set(names(base)), {}
+    for name in given:
+        if name in _NEVER:
+            reasons[name] = _NEVER[name]
+        elif name in _FILTER or name in _DERIVED:
+            paths = _DERIVED.get(name) or (_FILTER[name],)
+            if not there.intersection(paths):
+                reasons[name] = f"the preset {preset_name} has no such part"
+        elif name not in _NODE and name not in OWN:
+            reasons[name] = f"there is no such parameter{meant(name, [*GMAPPING, *OWN])}"
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        by_reason.setdefault(reason, []).append(name)
+    told = "; ".join(f"{', '.join(ignored)} ({reason})" for reason, ignored in by_reason.items())
+    return f"parameters that are ignored: {told}" if told else ""
