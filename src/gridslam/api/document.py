@@ -20,6 +20,7 @@ from gridslam.types import IntArray
 
 if TYPE_CHECKING:
     from gridslam.api.result import MapResult
+    from gridslam.doctor.repair import Repair
 
 __all__ = ["RUN_SCHEMA", "run_document"]
 
@@ -37,7 +38,7 @@ def run_document(result: MapResult) -> dict[str, Any]:
         "seed": result.seed,
         "threads": result.threads,
         "kernels": "compiled" if compiled else "reference",
-        "input": _input(result.source, result.digest, result.log),
+        "input": _input(result.source, result.digest, result.log, result.repair),
         "scans": _scans(statistics, result.log),
         "filter": _filter(result),
         "loop_closure": result.loops is not None
@@ -49,7 +50,7 @@ def run_document(result: MapResult) -> dict[str, Any]:
     }
 
 
-def _input(source: Path, digest: str, log: LogStatistics) -> dict[str, Any]:
+def _input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dict[str, Any]:
     return {
         "path": os.fspath(source),
         "sha256": digest,
@@ -67,6 +68,7 @@ def _input(source: Path, digest: str, log: LogStatistics) -> dict[str, Any]:
         "no_return_beams": log.no_return_beams,
         "missing_transforms": dict(log.missing_transforms),
         "remarks": dict(log.remarks),
+        "repair": asdict(repair) if repair else None,
     }
 
 

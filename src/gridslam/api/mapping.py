@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from gridslam.api.result import MapResult
 from gridslam.api.source import opened_log
 from gridslam.config import Configuration, build, override
 from gridslam.config import preset as preset_of
+from gridslam.doctor.repair import Repair
+from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions
@@ -34,6 +37,7 @@ def map_log(
     configuration: Configuration | None = None,
     loop_closure: bool = True,
     threads: int = 1,
+    repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[Observer] = (),
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
@@ -58,6 +62,10 @@ def map_log(
         False for the filter alone, whatever the configuration says.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
+    repair : "needed", "all" or "none"
+        What is taken out of a log that contradicts itself, before it is mapped: what would make any map wrong (a laser
+        that is mirrored, or looks elsewhere than the log says), or also skewed clocks and false odometry, or nothing.
+        The result tells it.
     observers : sequence of Observer
         Called after each scan.
     tick : callable
@@ -79,7 +87,8 @@ def map_log(
     config = configuration or preset_of(preset, particles)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
-    source = opened_log(log, options)
+    read = opened_log(log, options)
+    source = read if repair == "none" else RepairedLog(read, repair)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
     slam, rng = build(config, threads), np.random.default_rng(seed)
@@ -114,6 +123,7 @@ def _result(
         threads=threads,
         source=source.path,
         digest=digest_of(source.path),
+        repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
         record=record,
         stopwatch=watch,
     )

@@ -11,6 +11,7 @@ import numpy as np
 from gridslam import __version__
 from gridslam.api.document import run_document
 from gridslam.config import Configuration
+from gridslam.doctor.repair import Repair
 from gridslam.io.g2o import write_g2o
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
@@ -65,6 +66,8 @@ class MapResult:
         The log.
     digest : str
         Its SHA-256.
+    repair : Repair
+        What was taken out of it.
     record : RecordWriter
         The particles at each key scan.
     stopwatch : Stopwatch
@@ -86,6 +89,7 @@ class MapResult:
     threads: int
     source: Path
     digest: str
+    repair: Repair
     record: RecordWriter
     stopwatch: Stopwatch
 

@@ -59,6 +59,10 @@ class _MapCommand(click.Command):
 @click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's.")
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
 @click.option("--no-loop-closure", is_flag=True, help="The filter alone.")
+@click.option(
+    "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
+    help="What is taken out of a log first: what would spoil any map, all that gridslam doctor can measure, nothing.",
+)  # fmt: skip
 @log_options
 @_json
 def map_command(**options: Any) -> None:  # noqa: ANN401

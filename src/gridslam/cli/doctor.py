@@ -41,11 +41,12 @@ def checked(log: Log, options: LogOptions) -> CheckedLog:
 
     That there is no odometry is no news to who asked for it.
     """
-    known = {"no_odometry"} if options.no_odometry else set()
+    told = {"no_odometry"} if options.no_odometry else set()
 
     def tell(found: tuple[Finding, ...]) -> None:
         for finding in found:
-            if finding.code not in known:
+            if finding.code not in told:
+                told.add(finding.code)  # the log may be read twice
                 click.echo(f"gridslam: {log.path}: {finding.code}: {finding.says} {finding.remedy}".rstrip(), err=True)
 
     return CheckedLog(log, tell)

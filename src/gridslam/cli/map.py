@@ -10,12 +10,12 @@ import click
 
 from gridslam.api import MapResult, map_log
 from gridslam.cli import STARTED_S
+from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
 from gridslam.config import Configuration, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
-from gridslam.io.log_statistics import LogStatistics
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
@@ -37,16 +37,17 @@ def map_to_folder(
     config: Path | None,
     assignments: Sequence[str],
     no_loop_closure: bool,
+    repair: Literal["needed", "all", "none"],
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, particles, config, assignments, no_loop_closure)
-    source = open_log(log, options)
+    source = checked(open_log(log, options), options)
     with opened(out) as folder:
-        result = map_shown(source, configuration, seed, threads, not as_json, watch)
+        result = map_shown(source, configuration, seed, threads, not as_json, watch, repair)
         document = result.write(folder)
-    for warning in _warnings(result.log):
+    for warning in _warnings(result):
         click.echo(f"gridslam: {log}: {warning}", err=True)
     if as_json:
         print_json(document)
@@ -55,7 +56,8 @@ def map_to_folder(
 
 
 def map_shown(
-    source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch
+    source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
+    repair: Literal["needed", "all", "none"] = "none",
 ) -> MapResult:
     """Map a log while progress is shown."""
     with progress(lambda: source.statistics, shown=shown) as show:
@@ -70,7 +72,7 @@ def map_shown(
 
         return map_log(
             source, configuration=configuration, seed=seed, threads=threads, observers=[observe], tick=tick,
-            stopwatch=watch,
+            stopwatch=watch, repair=repair,
         )  # fmt: skip
 
 
@@ -120,8 +122,12 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
         yield f"{sum(rejected.values())} places not believed: {reasons}"
 
 
-def _warnings(log: LogStatistics) -> Iterator[str]:
-    """What makes the map doubtful."""
+def _warnings(result: MapResult) -> Iterator[str]:
+    """What makes the map doubtful, and what was done about it."""
+    log = result.log
+    for fault in result.repair.says():
+        yield f"{fault}: taken out before mapping (--repair none leaves it; gridslam doctor tells more)"
+    yield from log.remarks
     if log.truncated:
         yield f"the log is cut off; {log.scan_count} scans were there"
     if log.backward_stamps > _MANY * log.scan_count:

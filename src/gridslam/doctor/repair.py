@@ -19,6 +19,7 @@ from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 __all__ = ["Repair", "early_calibration", "full_repair", "needed_repair", "repaired"]
 
 _EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
+_NO_ODOMETRY_SCANS = 50
 _SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.5
 _SPOILING_YAW_RAD = 0.35
 
@@ -53,6 +54,22 @@ class Repair:
         """Whether there is anything to take out."""
         return self != Repair()
 
+    def says(self) -> Iterator[str]:
+        """What is taken out, in words."""
+        if self.reflected:
+            yield "the beams run the other way than the log says (a laser that turns clockwise, or is upside down)"
+        if self.yaw_rad:
+            yield f"the laser looks {math.degrees(self.yaw_rad):+.1f} degrees past where the log says"
+        if self.skew_s:
+            late = "late" if self.skew_s > 0 else "early"
+            yield f"scans are stamped {1e3 * abs(self.skew_s):.0f} ms too {late} against the odometry"
+        if self.scale != 1:
+            yield f"odometry tells {self.scale:.3f} m for a metre"
+        if self.turn_scale != 1:
+            yield f"odometry tells {self.turn_scale:.3f} rad for a radian"
+        if self.drift_rad_per_m:
+            yield f"odometry turns {math.degrees(self.drift_rad_per_m):+.2f} degrees for each metre"
+
 
 def needed_repair(calibration: MotionCalibration) -> Repair:
     """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
@@ -80,7 +97,7 @@ def full_repair(calibration: MotionCalibration) -> Repair:
 def early_calibration(measurements: Iterable[Measurement]) -> MotionCalibration:
     """Calibrate with the begin of a log: until odometry tells 8 m and 6 rad, or 1000 scans of the first laser.
 
-    That settles the two faults of `needed_repair` and takes less than a second.
+    That settles the two faults of `needed_repair` and takes less than a second; a log without odometry settles neither.
     """
     witness, sensor, last = LaserWitness(), None, None
     moved = np.zeros(2)
@@ -94,6 +111,8 @@ def early_calibration(measurements: Iterable[Measurement]) -> MotionCalibration:
             step = between(odometry.pose if last is None else last, odometry.pose)
             moved += [math.hypot(step[0], step[1]), abs(step[2])]
             last = odometry.pose
+        if last is None and len(witness) >= _NO_ODOMETRY_SCANS:
+            break
         if len(witness) >= _EARLY_SCANS or (moved > [_EARLY_M, _EARLY_RAD]).all():
             break
     return calibrate(witness.motion)

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from laser_drives import log, perfect
 
+from gridslam.api import map_log
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
+from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
+from gridslam.io.csv_writer import write_csv_log
+from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
@@ -128,3 +132,29 @@ def test_the_second_look_finds_nothing_left():
     faulty = tuple(with_fault(log()[0], "odometry_scale", np.random.default_rng(0), 0.1))
     mended = tuple(repaired(faulty, full_repair(calibrate(laser_motion(faulty)))))
     assert calibrate(laser_motion(mended)).scale.value == pytest.approx(1.0, abs=0.005)
+
+
+def test_a_repaired_log_is_what_map_log_maps_and_tells(tmp_path):
+    """A mirrored log, mapped as it is and repaired: one map is the mirror image of the building, one is the building."""
+    measurements, truth = log(scans=400)
+    faulty = list(with_fault(measurements, "reflected_laser", np.random.default_rng(0)))
+    write_csv_log(tmp_path / "mirrored.csv", faulty)
+    errors = {}
+    for repair in ("needed", "none"):
+        result = map_log(tmp_path / "mirrored.csv", particles=2, repair=repair, loop_closure=False)
+        assert result.repair == (Repair(reflected=True) if repair == "needed" else Repair())
+        true = Trajectory(result.trajectory.stamps_ns, truth)
+        errors[repair] = absolute_errors(result.trajectory, true).trans_rmse_m
+    assert errors["needed"] < 0.1 < errors["none"]
+
+
+def test_what_a_repair_takes_out_is_told_before_the_first_measurement(tmp_path):
+    measurements, _ = log(scans=200)
+    write_csv_log(tmp_path / "log.csv", list(with_fault(measurements, "yaw_offset", np.random.default_rng(0), np.pi)))
+    told = []
+    source = RepairedLog(open_log(tmp_path / "log.csv"), tell=told.append)
+    first = next(iter(source))
+    assert [fault for repair in told for fault in repair.says()] == [next(source.repair.says())]
+    assert abs(source.repair.yaw_rad) == pytest.approx(np.pi, abs=0.1)
+    assert first.scan.stamp_ns == measurements[0].scan.stamp_ns
+    assert not list(Repair().says())
