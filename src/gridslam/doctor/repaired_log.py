@@ -1,0 +1,68 @@
+"""A log that is read as it should have been recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal, final
+
+from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
+from gridslam.io.log import Log
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.measurement import Measurement
+
+__all__ = ["RepairedLog"]
+
+
+@final
+class RepairedLog:
+    """A log from which the faults of the laser's mounting, of the clocks and of the odometry are taken out.
+
+    Parameters
+    ----------
+    log : Log
+        What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
+        own.
+    kind : "needed" or "all"
+        Only what would make any map wrong, told from the begin of the log (see `needed_repair`), or all that is
+        certain, told from the whole of it (see `full_repair`).
+    tell : callable
+        Gets the repair, if there is any, before the first measurement.
+
+    Attributes
+    ----------
+    repair : Repair or None
+        What is taken out; None before the first iteration.
+    """
+
+    def __init__(
+        self, log: Log, kind: Literal["needed", "all"] = "needed", tell: Callable[[Repair], None] = lambda repair: None
+    ) -> None:
+        """Nothing is read before the iteration."""
+        self._log, self._kind, self._tell = log, kind, tell
+        self.repair: Repair | None = None
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        return self._log.path
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+        return self._log.statistics
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start."""
+        if self.repair is None:
+            self.repair = self._found_out()
+            if self.repair:
+                self._tell(self.repair)
+        return repaired(self._log, self.repair) if self.repair else iter(self._log)
+
+    def _found_out(self) -> Repair:
+        if self._kind == "all":
+            return full_repair(calibrate(laser_motion(self._log)))
+        return needed_repair(early_calibration(self._log))
