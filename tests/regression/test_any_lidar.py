@@ -1,0 +1,134 @@
+"""Lidars of every kind map a building: few and many beams, any direction, order, count and convention, and two at once.
+
+The trajectory's RMSE over a drive of 60 m, aligned, by the filter with 8 particles; odometry alone loses 0.23 m. Bands
+are 1.5 times what was measured, at least.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from gridslam.config import Configuration, build, override
+from gridslam.evaluation import PoseErrors, absolute_errors
+from gridslam.io.measurement import Measurement
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, make_world, simulate
+from gridslam.sim.faults import with_fault
+from gridslam.sim.floor_plan import box, join
+from gridslam.types import LaserScan, ScanGeometry, Trajectory
+
+CONFIG = override(Configuration(), "particles=8")
+
+
+def lidar(**changes) -> LidarConfig:
+    """A full circle of 12 m, 3 scans a second."""
+    return LidarConfig(**{"beams": 360, "field_of_view_rad": math.tau, "range_max_m": 12.0, "rate_hz": 3.0} | changes)
+
+
+def recorded(lidars, robot: RobotConfig | None = None) -> SimulatedLog:
+    rng = np.random.default_rng(1)
+    return simulate(make_world("rooms", rng), robot or RobotConfig(), OdometryNoise(), lidars, rng)
+
+
+def mapped(measurements: Iterable[Measurement], truth: Trajectory, config: Configuration = CONFIG) -> PoseErrors:
+    recorder = TrajectoryRecorder()
+    rng = np.random.default_rng(0)
+    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    return absolute_errors(recorder.full(state), truth)
+
+
+def error_m(log: SimulatedLog) -> float:
+    return mapped(log.measurements, log.truth).trans_rmse_m
+
+
+@pytest.mark.parametrize(
+    ("kind", "band_m"),
+    [
+        ({}, 0.04),
+        ({"beams": 45}, 0.1),
+        ({"beams": 4000, "rate_hz": 1.0}, 0.02),
+        ({"clockwise": True}, 0.04),
+        ({"beams": 460, "fewest_beams": 454}, 0.045),
+        ({"beams": 181, "field_of_view_rad": math.pi, "heading_rad": math.pi, "x_m": -0.2}, 0.12),
+    ],
+    ids=lambda value: " ".join(f"{k}={v:.4}" if isinstance(v, float) else f"{k}={v}" for k, v in value.items())
+    if isinstance(value, dict)
+    else "",
+)
+def test_kinds_of_lidars(kind, band_m):
+    assert error_m(recorded(lidar(**kind))) < band_m
+
+
+def test_what_does_not_return_changes_nothing_however_it_is_said():
+    """Infinity, NaN and 0 alike: beams without return are not used, and free nothing."""
+    errors = {said: error_m(recorded(lidar(no_return=said, range_max_m=5.0))) for said in ("max", "inf", "nan", "zero")}
+    assert len(set(errors.values())) == 1
+    assert errors["max"] < 0.16
+
+
+def test_a_fifth_of_the_beams_invalid():
+    log = recorded(lidar())
+    faulty = with_fault(log.measurements, "invalid_beams", np.random.default_rng(0), 0.2)
+    assert mapped(faulty, log.truth).trans_rmse_m < 0.04
+
+
+def test_bearings_in_no_order_and_at_no_equal_steps():
+    """Of each scan 200 of 720 beams, another choice and order each time, in single precision."""
+    log, rng = recorded(lidar(beams=720)), np.random.default_rng(0)
+
+    def chosen(scan: LaserScan) -> LaserScan:
+        some = rng.choice(720, 200, replace=False)
+        ranges, geometry = scan.ranges[some].astype(np.float32), ScanGeometry.planar(
+            scan.geometry.bearings[some], [0.1, 0.0, 0.0]
+        )
+        return LaserScan.from_ranges(scan.stamp_ns, ranges, geometry, range_max_m=scan.range_max_m)
+
+    assert mapped([Measurement(m.odometry, chosen(m.scan)) for m in log.measurements], log.truth).trans_rmse_m < 0.05
+
+
+def test_a_hundred_thousand_beams():
+    rng = np.random.default_rng(1)
+    world = World.of("room", join(box(0, 0, 9, 6), box(4, 4, 5, 5)), [(1.5, 2.0), (7.0, 2.0)])
+    log = simulate(world, RobotConfig(), OdometryNoise(), lidar(beams=100_000, rate_hz=1.5), rng)
+    assert 400 < max(len(m.scan.beams(0.05, 30.0)) for m in log.measurements) < 3000
+    assert mapped(log.measurements, log.truth).trans_max_m < 0.02
+
+
+@pytest.mark.parametrize("said", ["max", "nan"])
+def test_where_nothing_ever_returns_the_odometry_is_all_there_is(said):
+    log = recorded(lidar(beams=10, no_return_probability=1.0, no_return=said))
+    odometry = absolute_errors(log.odometry, log.truth).trans_rmse_m
+    assert mapped(log.measurements, log.truth).trans_rmse_m == pytest.approx(odometry, rel=1e-6)
+
+
+@pytest.mark.parametrize("beams", [1, 2, 3])
+def test_a_handful_of_beams_is_taken_as_any_other_scan(beams):
+    """They do not say where the robot is; but nothing breaks, and there is a pose for each scan."""
+    log = recorded(lidar(beams=beams))
+    assert np.isfinite(mapped(log.measurements, log.truth).trans_rmse_m)
+
+
+def test_two_lasers_with_their_own_mountings_rates_and_counts():
+    """Together they are better than the worse of them alone."""
+    front = lidar(beams=270, field_of_view_rad=math.pi, x_m=0.2, y_m=0.05, heading_rad=0.1, sensor="front")
+    rear = lidar(
+        beams=181, field_of_view_rad=2.8, range_max_m=8.0, x_m=-0.25, y_m=-0.1, heading_rad=2.9, rate_hz=2.3,
+        begin_s=0.03, sensor="rear",
+    )  # fmt: skip
+    both, worse = error_m(recorded([front, rear])), error_m(recorded(rear))
+    assert both < 0.11
+    assert both < worse
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_scans_taken_while_turning_at_three_radians_a_second(told):
+    """Told when each beam was measured, they are deskewed; untold, the turn smears them by up to 0.3 rad."""
+    quick = RobotConfig(omega_max_rad_s=3.0, v_max_m_s=1.0, acceleration_m_s2=2.0, turning_radius_m=0.3)
+    log = recorded(lidar(rate_hz=10.0, scan_time_s=0.1, tells_beam_times=told), quick)
+    error = mapped(log.measurements, log.truth)
+    assert (error.rot_rmse_deg < 1.2) == told
