@@ -7,9 +7,18 @@ import time
 from collections.abc import Callable
 from typing import final
 
-__all__ = ["Control"]
+from gridslam.errors import ArgumentError
+
+__all__ = ["Control", "checked_speed"]
 
 _LONGEST_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
+
+
+def checked_speed(times: float | None) -> float | None:
+    """A speed that a viewer asks for; ArgumentError where it is out of range."""
+    if times is not None and not 0.01 <= times <= 1e4:
+        raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
+    return times
 
 
 @final

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
@@ -25,6 +25,7 @@ BEST = 0
 CORRECTED = 8
 """Beside the flags of a record: the past was corrected after this key scan."""
 
+_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _DIED_OUT = -1
 _REMEMBERED = 256  # resamplings
 _LAST_S = 1.0  # after the last scan the snapshot before is waited for, so that the page has the end
@@ -111,7 +112,7 @@ class LiveObserver:
     ) -> None:
         """Begin before the first scan."""
         self.period_s = 0.1
-        self._post, self._control, self._range_max_m, self.share = post, control, range_max_m, share
+        self._post, self._control, self._range_max_m, self._share = post, control, range_max_m, share
         self._scans = self._keys = 0
         self._due, self._busy, self._fresh, self._everything = 0.0, False, False, True
         self._scan: LaserScan | None = None
@@ -124,8 +125,8 @@ class LiveObserver:
         self._watches, self._rows = {BEST: TileWatch()}, {BEST: 0}
 
     def measured(
-        self, source: Iterable[tuple[Odometry | None, LaserScan]], stopwatch: Stopwatch | None = None
-    ) -> Iterator[tuple[Odometry | None, LaserScan]]:
+        self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None
+    ) -> Iterator[_Measured]:
         """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
         for measurement in source:
             if stopwatch is not None:
@@ -198,7 +199,7 @@ class LiveObserver:
         snapshot = Snapshot(
             report, self._scan, self._scans, self._keys, state.poses, state.log_weights, state.ancestry.snapshot(),
             self._series, self._closures, maps, dict(self._rows), state.maps.resolution_m,
-            state.maps.nbytes, self.share(), now,
+            state.maps.nbytes, self._share(), now,
         )  # fmt: skip
         self._series, self._closures, self._written = [], [], []
         self._post(snapshot)

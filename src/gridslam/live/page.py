@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import final
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar, final
 
-from gridslam.io.log import Log
-from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.measurement import Measurement
 from gridslam.live.control import Control
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
 from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray, LaserScan, Odometry, OccupancyGrid
 
-__all__ = ["LiveLog", "LivePage"]
+__all__ = ["LivePage"]
 
+_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _MAY_COME_BACK_S = 3.0
 
 
@@ -28,8 +25,8 @@ _MAY_COME_BACK_S = 3.0
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run`, and the measurements of `observer.measured`, or `log` of a log, as its
-    source. The filter's result is the same with and without.
+    Give `observer` to `gridslam.pipeline.run`, and `paced(source)` as its source. The filter's result is the same with
+    and without.
 
     Parameters
     ----------
@@ -39,6 +36,8 @@ class LivePage:
         Where the page is served.
     range_max_m : float, m
         The filter's, beyond which beams are not used.
+    share : callable
+        How much of the source is read, in [0, 1]; NaN where that is unknown.
 
     Attributes
     ----------
@@ -48,13 +47,17 @@ class LivePage:
         To be called with each report.
     """
 
-    def __init__(self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf) -> None:
+    def __init__(
+        self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf,
+        share: Callable[[], float] = lambda: math.nan,
+    ) -> None:  # fmt: skip
         """Serve nothing yet."""
         options = options or LiveOptions()
         self.control = Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m)
         self._server = PageServer(self._run, options)
-        self.observer = self._run.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m)
+        self.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m, share=share)
+        self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
         """Serve; raises OutputError where the port is taken."""
@@ -76,14 +79,10 @@ class LivePage:
         """How many are looking."""
         return self._run.viewers
 
-    def log(self, log: Log, stopwatch: Stopwatch | None = None) -> LiveLog:
-        """A log whose scans come as the viewers want them."""
-        self.observer.share = lambda: log.statistics.share_read
-        return LiveLog(log, self, stopwatch)
-
-    def enter(self, stage: str) -> None:
-        """Say what is done now: "last word" after the last scan, "done" at the end."""
-        self._server.call(self._run.enter, stage)
+    def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+        """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
+        yield from self.observer.measured(source, stopwatch)
+        self._server.call(self._run.enter, "last word")
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
@@ -113,30 +112,3 @@ class LivePage:
             self._run.apply(snapshot)
         finally:
             self.observer.done()
-
-
-@final
-class LiveLog:
-    """A log that is held back as the viewers want; see `gridslam.io.log.Log`."""
-
-    __slots__ = ("_log", "_page", "_stopwatch")
-
-    def __init__(self, log: Log, page: LivePage, stopwatch: Stopwatch | None) -> None:
-        """Hold back a log."""
-        self._log, self._page, self._stopwatch = log, page, stopwatch
-
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
-        return self._log.path
-
-    @property
-    def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far."""
-        return self._log.statistics
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """Read the log from its start; raises InputError where it cannot be read on."""
-        for measurement in self._page.observer.measured(self._log, self._stopwatch):
-            yield Measurement(*measurement)
-        self._page.enter("last word")

@@ -14,10 +14,10 @@ from gridslam import __version__
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
 from gridslam.kernels import TILE
-from gridslam.live.control import Control
+from gridslam.live.control import Control, checked_speed
 from gridslam.live.observer import BEST, LiveObserver, Snapshot
 from gridslam.live.protocol import STEP_NATS
-from gridslam.live.scene import Float32Array, Path, Scene, Sent, Tree, tree_of
+from gridslam.live.scene import Float32Array, Scene, Sent, Tree, Way, tree_of
 from gridslam.live.tiles import TileMirror, tiles_of
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid
 
@@ -66,7 +66,7 @@ class LiveRun:
         self._channels = 0
         self._stage = "waiting"
         self._status: dict[str, Any] = {"keys": 0, "scans": 0}
-        self._path, self._tree = Path(), Tree(_zeros(0, 2), np.zeros(0, np.int32), np.zeros(0, np.int32))
+        self._path, self._tree = Way(), Tree(_zeros(0, 2), np.zeros(0, np.int32), np.zeros(0, np.int32))
         self._particles, self._scan, self._closure_ends = _zeros(0, 4), _zeros(0, 2), _zeros(0, 4)
         self._series, self._steps = _zeros(256, 4), 0
         self._closures: list[tuple[int, int]] = []
@@ -156,7 +156,7 @@ class LiveRun:
         stage = "paused" if self._stage == "running" and self.control.paused else self._stage
         status = {
             **self._status, "stage": stage, "speed": self.control.speed, "viewers": len(self._viewers),
-            "channel": channel, "watched": None if channel == BEST else row,
+            "channel": channel, "watched": None if channel == BEST or stage == "done" else row,
         }  # fmt: skip
         return Scene(
             self._hello, status, self._mirrors.get(channel, self._mirrors[BEST]), self._path, self._tree,
@@ -198,12 +198,13 @@ class LiveRun:
     def _tell(self, snapshot: Snapshot) -> None:
         report = snapshot.report
         stamp_s = report.stamp_ns * 1e-9
+        first_s = stamp_s if self._first_s is None else self._first_s
         self._paces.append((snapshot.taken_s, snapshot.scans, stamp_s))
         wall_s, scans, log_s = (b - a for a, b in zip(self._paces[0], self._paces[-1], strict=True))
         pace = {"scans_per_s": scans / wall_s, "times": log_s / wall_s} if wall_s > 0 and scans else {}
         n_eff = finite(float(self._series[self._steps - 1, 1])) if self._steps else None
         self._status = {
-            "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - (stamp_s if self._first_s is None else self._first_s),
+            "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - first_s,
             "pose": report.pose.tolist(), "covariance": report.covariance.tolist(), "lost": bool(report.lost),
             "n_eff": n_eff, "best": snapshot.rows[BEST], "closures": len(self._closures), "bytes": snapshot.bytes,
             "share": finite(snapshot.share), **pace,
@@ -234,7 +235,7 @@ class LiveViewer:
         elif what == "step":
             run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
         elif what == "speed":
-            run.control.set_speed(_speed(command["times"]))
+            run.control.set_speed(checked_speed(command["times"]))
         elif what == "watch":
             self._watch(command["particle"])
         else:
@@ -252,12 +253,6 @@ class LiveViewer:
             self._run.unwatch(before)
         if particle is not None:
             self._channel = self._run.watch(int(particle))
-
-
-def _speed(times: float | None) -> float | None:
-    if times is not None and not 0.01 <= times <= 1e4:
-        raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
-    return times
 
 
 def _zeros(*shape: int) -> Float32Array:

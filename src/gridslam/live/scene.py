@@ -12,7 +12,7 @@ from gridslam.live.protocol import encode, packed
 from gridslam.live.tiles import TileMirror
 from gridslam.particles.ancestry import Ancestry
 
-__all__ = ["Path", "Scene", "Sent", "Tree", "tree_of"]
+__all__ = ["Scene", "Sent", "Tree", "Way", "rooted", "tree_of"]
 
 Float32Array = NDArray[np.float32]
 
@@ -23,17 +23,17 @@ _NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class Way:
     """Places (T, 2) of the robot at the key scans; those of one `edition` begin alike, and may differ in length."""
 
     places: Float32Array = field(default_factory=lambda: _NO_POINTS)
     edition: int = 0
 
-    def followed_by(self, places: Float32Array) -> Path:
+    def followed_by(self, places: Float32Array) -> Way:
         """The path as it is now: of the same edition if nothing but its end is new."""
         common = min(len(places), len(self.places))
         same = np.array_equal(places[:common], self.places[:common])
-        return Path(places, self.edition if same else self.edition + 1)
+        return Way(places, self.edition if same else self.edition + 1)
 
 
 @final
@@ -46,7 +46,7 @@ class Tree:
     places : (M, 2) float32
         Where they were.
     parents : (M,) int32
-        For each place the one before it; -1 for the end of the path that they share.
+        For each place the one before it; -1 for the end of the path that is drawn, -2 where there is none before it.
     leaves : (N,) int32
         Place of each particle; -1 where all share all.
     """
@@ -79,6 +79,18 @@ def tree_of(ancestry: Ancestry, most: int = _NODES) -> tuple[Float32Array, Tree]
     return arrays["trunk"][:, :2].astype(np.float32), tree
 
 
+def rooted(ancestry: Ancestry) -> Tree:
+    """All pasts as a tree that begins with what they share."""
+    trunk, tree = tree_of(ancestry)
+    count = len(trunk)
+    stem = np.arange(-1, count - 1, dtype=np.int32)
+    stem[:1] = -2
+    parents = np.where(tree.parents < 0, count - 1 if count else -2, tree.parents + count)
+    leaves = np.where(tree.leaves < 0, count - 1, tree.leaves + count)
+    joined = np.concatenate([stem, parents.astype(np.int32)])
+    return Tree(np.concatenate([trunk, tree.places]), joined, leaves.astype(np.int32))
+
+
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
@@ -105,17 +117,20 @@ class Scene:
     series : (S, 4) float32
         For each key scan its time since the first, s, effective sample size, latency, ms, and flags: those of a record,
         and 8 where the past was corrected.
+    plan : (P, 2) float32, m
+        Where the robot will go; empty where nobody knows.
     """
 
     hello: dict[str, Any]
     status: dict[str, Any]
     mirror: TileMirror
-    path: Path
+    path: Way
     tree: Tree
     particles: Float32Array
     scan: Float32Array
     closures: Float32Array
     series: Float32Array
+    plan: Float32Array = field(default_factory=lambda: _NO_POINTS)
 
 
 @final
@@ -147,7 +162,7 @@ class Sent:
             first = self._series if self._series < len(scene.series) else 0
             header["series"] = first
             arrays["series"], self._series = scene.series[first:], len(scene.series)
-        for name in ("particles", "scan", "closures"):
+        for name in ("particles", "scan", "closures", "plan"):
             self._add_whole(name, getattr(scene, name), {name: getattr(scene, name)}, arrays)
         tree = scene.tree
         named = {"tree": tree.places, "tree_parents": tree.parents, "tree_leaves": tree.leaves}
@@ -171,7 +186,7 @@ class Sent:
             if mirror.sequence > self._number:
                 header["more"] = True
 
-    def _add_path(self, path: Path, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    def _add_path(self, path: Way, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         if (path.edition, len(path.places)) == (self._edition, self._length):
             return
         first = min(self._length, len(path.places)) if path.edition == self._edition else 0

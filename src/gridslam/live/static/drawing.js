@@ -1,6 +1,6 @@
 // Draws the world: the map, where the robot was, what it sees, and what the particles believe.
 
-const DOT = 3.2, ROBOT = 9; // px
+const ROBOT = 9; // px
 
 function line(context, points, camera) {
   context.beginPath();
@@ -12,8 +12,9 @@ function line(context, points, camera) {
 export function pastOf(world, particle) {
   const points = [], [x, y] = world.particles.subarray(4 * particle, 4 * particle + 2);
   if (x !== undefined) points.push(x, y);
-  for (let at = world.leaves[particle] ?? -1; at >= 0; at = world.parents[at]) points.push(...place(world, at));
-  if (world.path.length) points.push(...world.path.slice(-2));
+  let at = world.leaves[particle] ?? -1;
+  for (; at >= 0; at = world.parents[at]) points.push(...place(world, at));
+  if (at === -1 && world.path.length) points.push(...world.path.slice(-2));
   return points;
 }
 
@@ -68,7 +69,7 @@ export class Drawing {
     Object.assign(context, { strokeStyle: colour, lineWidth: 1, globalAlpha: 0.7 });
     context.beginPath();
     for (let at = 0; at < world.parents.length; at++) {
-      if (world.parents[at] < 0 && !world.path.length) continue;
+      if (world.parents[at] < (world.path.length ? -1 : 0)) continue;
       context.moveTo(...camera.toScreen(...place(world, world.parents[at])));
       context.lineTo(...camera.toScreen(...place(world, at)));
     }
@@ -86,7 +87,7 @@ export class Drawing {
     Object.assign(context, { strokeStyle: colours.path, lineWidth: 2.2 });
     line(context, world.path, camera);
     const chosen = world.status.watched ?? -1, best = world.status.best ?? -1;
-    if (best >= 0) line(context, pastOf(world, best), camera);
+    if (best >= 0 && !world.plan.length) line(context, pastOf(world, best), camera);
     if (chosen >= 0) {
       Object.assign(context, { strokeStyle: colours.chosen, lineWidth: 2.6 });
       line(context, pastOf(world, chosen), camera);
@@ -116,7 +117,7 @@ export class Drawing {
     const { world, camera } = this, count = world.particles.length / 4;
     let most = 0;
     for (let k = 0; k < count; k++) most = Math.max(most, world.particles[4 * k + 3]);
-    const headed = camera.scale > 60;
+    const headed = camera.scale > 60, dot = Math.min(Math.max(camera.scale / 30, 1.4), 3.2);
     for (let k = 0; k < count; k++) {
       const [x, y, theta, weight] = world.particles.subarray(4 * k, 4 * k + 4);
       const chosen = k === world.status.watched, [u, v] = camera.toScreen(x, y);
@@ -124,7 +125,7 @@ export class Drawing {
       context.fillStyle = context.strokeStyle = chosen ? colours.chosen : colours.particle;
       context.lineWidth = 1.5;
       context.beginPath();
-      context.arc(u, v, chosen ? 1.6 * DOT : DOT, 0, 7);
+      context.arc(u, v, chosen ? 1.6 * dot : dot, 0, 7);
       context.fill();
       if (headed) {
         context.beginPath();

@@ -33,6 +33,7 @@ export class Panel {
     this.mode = hello.mode;
     document.title = `${hello.title} · gridslam`;
     $("#title").textContent = hello.title;
+    $("#layers [name=scan]").parentElement.hidden = this.mode !== "live"; // a record does not hold the scans
     const unlimited = $("#speed option[value='']");
     if (this.mode === "live" && !unlimited) $("#speed").add(new Option("as fast as can be", ""));
     if (this.mode !== "live") unlimited?.remove();
@@ -103,9 +104,11 @@ export class Panel {
     const now = status.at ?? steps - 1;
     put("latency", steps ? `${series[4 * now + 2].toPrecision(2)} ms` : "");
     put("particles", hello.particles || "");
-    const words = status.watched == null ? `map of the best, number ${status.best ?? "–"}`
-      : status.watched < 0 ? "the chosen one has died out" : `map of number ${status.watched}`;
-    $("#watched span").textContent = hello.mode === "live" || status.watched != null ? words.replace("map", hello.mode === "live" ? "map" : "past") : "";
+    const what = hello.mode === "live" ? "map" : "past";
+    $("#watched span").textContent = status.stage === "done" ? "map as the end tells it"
+      : status.watched < 0 ? "the chosen one has died out"
+      : status.watched != null ? `${what} of number ${status.watched}`
+      : hello.mode === "live" ? `map of the best, number ${status.best ?? "–"}` : "map as the end tells it";
     $("#best").hidden = status.watched == null;
   }
 

@@ -1,0 +1,106 @@
+"""What commands share that show a run in the browser; without --live nothing of the web server is imported."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from gridslam.errors import ArgumentError, OutputError
+from gridslam.live.options import LiveOptions
+
+if TYPE_CHECKING:
+    from gridslam.api import MapResult
+    from gridslam.io.log import Log
+    from gridslam.live.page import LivePage
+
+__all__ = ["live_options", "live_page", "place_options", "served", "show_result"]
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+_Page = TypeVar("_Page")
+
+_PLACE = (
+    click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
+    click.option(
+        "--live-host", metavar="HOST", help="Address of the page; others than 127.0.0.1 open it, behind a token."
+    ),
+)
+
+
+def live_options(command: _Command) -> _Command:
+    """Add --live, --live-port and --live-host to a command, which gets them as ``live``: LiveOptions, or None."""
+
+    @functools.wraps(command)
+    def collected(live: bool, live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+        if not live and (live_port is not None or live_host is not None):
+            raise click.UsageError("--live-port and --live-host need --live")
+        return command(live=_options(live_port, live_host) if live else None, **given)
+
+    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show the map in the browser meanwhile.")):
+        collected = option(collected)
+    return collected  # type: ignore[return-value]
+
+
+def place_options(command: _Command) -> _Command:
+    """Add --live-port and --live-host to a command that serves a page anyway, and gets them as ``live``."""
+
+    @functools.wraps(command)
+    def collected(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+        return command(live=_options(live_port, live_host), **given)
+
+    for option in _PLACE[::-1]:
+        collected = option(collected)
+    return collected  # type: ignore[return-value]
+
+
+@contextmanager
+def served(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
+    """Enter a page; a port that is taken is bad usage."""
+    with ExitStack() as stack:
+        try:
+            entered = stack.enter_context(page)
+        except OutputError as error:
+            raise click.ClickException(str(error)) from None
+        yield entered
+
+
+@contextmanager
+def live_page(live: LiveOptions | None, log: Log, range_max_m: float) -> Iterator[LivePage | None]:
+    """Give the page of a log's run, or None where none is wanted; in the end it stays as long as someone looks."""
+    if live is None:
+        yield None
+        return
+    from gridslam.live.page import LivePage
+
+    page = LivePage(log.path.name, live, range_max_m=range_max_m, share=lambda: log.statistics.share_read)
+    with served(page):
+        click.echo(f"gridslam: live at {page.url}", err=True)
+        yield page
+        if page.viewers:
+            click.echo("gridslam: the page stays open while it is looked at; Ctrl-C ends it", err=True)
+            try:
+                page.linger()
+            except KeyboardInterrupt:  # the results are written, and nothing is cut short
+                return
+
+
+def show_result(page: LivePage | None, result: MapResult) -> None:
+    """Show what a run came to in the end."""
+    if page is None:
+        return
+    import numpy as np  # help must not pay for it
+
+    poses = result.graph.poses
+    closures = np.zeros((0, 2), np.int64) if result.loops is None else result.loops.closures
+    page.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
+
+
+def _options(port: int | None, host: str | None) -> LiveOptions:
+    given = {name: value for name, value in (("port", port), ("host", host)) if value is not None}
+    try:
+        return LiveOptions(**given)  # type: ignore[arg-type]
+    except ArgumentError as error:
+        raise click.ClickException(f"--live-{error}") from None

@@ -1,0 +1,25 @@
+"""gridslam view."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import click
+
+from gridslam.cli.live import served
+from gridslam.live.options import LiveOptions
+
+__all__ = ["view"]
+
+
+def view(out: Path, live: LiveOptions) -> None:
+    """Show a finished run in the browser until interrupted, which is how it ends well."""
+    from gridslam.live.replay import ReplayPage
+
+    with served(ReplayPage(out, live)) as page:
+        click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            click.echo("closed")

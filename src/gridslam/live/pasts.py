@@ -1,0 +1,62 @@
+"""The particles' pasts at any time of a recorded run."""
+
+from __future__ import annotations
+
+from typing import final
+
+import numpy as np
+
+from gridslam.io.record import Record, RecordFlag
+from gridslam.particles.ancestry import Ancestry
+
+__all__ = ["Pasts"]
+
+_KEPT = 32  # snapshots of the ancestry, evenly over the record: going back costs that share of going through it all
+
+
+@final
+class Pasts:
+    """Replays the ancestry of a record, forwards step by step and backwards from the snapshot before.
+
+    Parameters
+    ----------
+    record : Record
+        At least one key scan.
+    """
+
+    def __init__(self, record: Record) -> None:
+        """Begin at the first key scan."""
+        self._record = record
+        self._every = max(len(record) // _KEPT, 1)
+        self._at, self._ancestry = 0, Ancestry.start(record.poses[0])
+        self._kept = {0: self._ancestry.snapshot()}
+
+    def at(self, key: int) -> Ancestry:
+        """The pasts at a key scan, before its resampling; belongs to this object, and holds until the next call."""
+        near = max(kept for kept in self._kept if kept <= key)
+        if not near <= self._at <= key:
+            self._at, self._ancestry = near, self._kept[near].snapshot()
+        while self._at < key:
+            self._advance()
+        return self._ancestry
+
+    def relative(self, particle: int, before: int, after: int) -> int:
+        """Who at key scan `after` descends from, or is the past of, a particle at `before`; -1 where nobody is.
+
+        Of several descendants it is the first.
+        """
+        for key in range(before, after):
+            children = np.flatnonzero(self._record.parents[key] == particle)
+            particle = int(children[0]) if len(children) else -1
+        for key in range(before - 1, after - 1, -1):
+            particle = int(self._record.parents[key, particle]) if particle >= 0 else -1
+        return particle
+
+    def _advance(self) -> None:
+        record, at = self._record, self._at
+        if record.flags[at] & RecordFlag.RESAMPLED:
+            self._ancestry.resample(record.parents[at])
+        self._ancestry.extend(record.poses[at + 1])
+        self._at = at + 1
+        if self._at % self._every == 0 and self._at not in self._kept:
+            self._kept[self._at] = self._ancestry.snapshot()
