@@ -85,7 +85,7 @@ class Progress:
         """Show a share of 1 and a text by `show`, every so many seconds."""
         self._statistics, self._show, self._every_s = statistics, show, every_s
         self._began, self._ended = time.perf_counter(), math.inf
-        self._due = self._began + min(every_s, 1.0)
+        self._due = self._began + every_s
         self._scans, self._n_eff, self._first_ns = 0, 0.0, 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
