@@ -14,14 +14,14 @@ from gridslam.live.options import LiveOptions
 
 if TYPE_CHECKING:
     from gridslam.api import MapResult
-    from gridslam.io.log import Log
     from gridslam.live.page import LivePage
 
-__all__ = ["live_options", "live_page", "place_options", "served", "show_result"]
+__all__ = ["live_options", "live_page", "place_options", "served", "show_result", "wait_for_viewer"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Page = TypeVar("_Page")
 
+_PATIENCE_S = 60.0
 _PLACE = (
     click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
     click.option(
@@ -68,15 +68,14 @@ def served(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
 
 
 @contextmanager
-def live_page(live: LiveOptions | None, log: Log, range_max_m: float) -> Iterator[LivePage | None]:
-    """Give the page of a log's run, or None where none is wanted; in the end it stays as long as someone looks."""
+def live_page(live: LiveOptions | None, title: str, range_max_m: float) -> Iterator[LivePage | None]:
+    """Give the page of a run, or None where none is wanted; in the end it stays as long as someone looks."""
     if live is None:
         yield None
         return
     from gridslam.live.page import LivePage
 
-    page = LivePage(log.path.name, live, range_max_m=range_max_m, share=lambda: log.statistics.share_read)
-    with served(page):
+    with served(LivePage(title, live, range_max_m=range_max_m)) as page:
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield page
         if page.viewers:
@@ -85,6 +84,14 @@ def live_page(live: LiveOptions | None, log: Log, range_max_m: float) -> Iterato
                 page.linger()
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
+
+
+def wait_for_viewer(page: LivePage | None) -> None:
+    """Give someone a minute to open the page; if nobody comes, go as fast as can be."""
+    if page is not None:
+        click.echo(f"gridslam: open the page to begin; without it the run begins in {_PATIENCE_S:.0f} s", err=True)
+        if not page.wait_for_viewer(_PATIENCE_S):
+            page.control.set_speed(None)
 
 
 def show_result(page: LivePage | None, result: MapResult) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -98,8 +99,13 @@ class LiveObserver:
         Holds back the scans that come through `measured`.
     range_max_m : float, m
         Beams of this range or more write nothing; infinite if it is not known.
+
+    Attributes
+    ----------
+    period_s : float, s
+        Least time between two snapshots.
     share : callable
-        How much of the log is read.
+        Tells how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
     def __init__(
@@ -107,12 +113,12 @@ class LiveObserver:
         post: Callable[[Snapshot], None],
         control: Control,
         *,
-        range_max_m: float = float("inf"),
-        share: Callable[[], float] = lambda: float("nan"),
+        range_max_m: float = math.inf,
     ) -> None:
         """Begin before the first scan."""
         self.period_s = 0.1
-        self._post, self._control, self._range_max_m, self._share = post, control, range_max_m, share
+        self.share: Callable[[], float] = lambda: math.nan
+        self._post, self._control, self._range_max_m = post, control, range_max_m
         self._scans = self._keys = 0
         self._due, self._busy, self._fresh, self._everything = 0.0, False, False, True
         self._scan: LaserScan | None = None
@@ -199,7 +205,7 @@ class LiveObserver:
         snapshot = Snapshot(
             report, self._scan, self._scans, self._keys, state.poses, state.log_weights, state.ancestry.snapshot(),
             self._series, self._closures, maps, dict(self._rows), state.maps.resolution_m,
-            state.maps.nbytes, self._share(), now,
+            state.maps.nbytes, self.share(), now,
         )  # fmt: skip
         self._series, self._closures, self._written = [], [], []
         self._post(snapshot)

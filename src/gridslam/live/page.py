@@ -13,7 +13,7 @@ from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
 from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, LaserScan, Odometry, OccupancyGrid
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
 __all__ = ["LivePage"]
 
@@ -36,8 +36,6 @@ class LivePage:
         Where the page is served.
     range_max_m : float, m
         The filter's, beyond which beams are not used.
-    share : callable
-        How much of the source is read, in [0, 1]; NaN where that is unknown.
 
     Attributes
     ----------
@@ -47,16 +45,13 @@ class LivePage:
         To be called with each report.
     """
 
-    def __init__(
-        self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf,
-        share: Callable[[], float] = lambda: math.nan,
-    ) -> None:  # fmt: skip
+    def __init__(self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf) -> None:
         """Serve nothing yet."""
         options = options or LiveOptions()
         self.control = Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m)
         self._server = PageServer(self._run, options)
-        self.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m, share=share)
+        self.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
@@ -78,6 +73,10 @@ class LivePage:
     def viewers(self) -> int:
         """How many are looking."""
         return self._run.viewers
+
+    def tell_progress(self, share: Callable[[], float]) -> None:
+        """Let the page tell how much of the source is read: what `share` returns, in [0, 1]."""
+        self.observer.share = share
 
     def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
