@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,15 @@ class PoseMessage(NamedTuple):
     frame: str
     pose: FloatArray
     covariance: FloatArray
+
+    def fill(self, sent: Any) -> None:  # noqa: ANN401
+        """Write it into a geometry_msgs/PoseWithCovariance, whatever made that."""
+        x, y, theta = self.pose.tolist()
+        place, turn = sent.pose.position, sent.pose.orientation
+        place.x, place.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
+        full = np.zeros((6, 6))
+        full[np.ix_((0, 1, 5), (0, 1, 5))] = self.covariance
+        sent.covariance = full.ravel().tolist()
 
 
 class Diagnostics(NamedTuple):

@@ -25,6 +25,7 @@ __all__ = ["Speaker"]
 _STALE_NS = 5_000_000_000
 _LATENCIES = 2000  # the last ones, of which the diagnostics tell
 _RECENT_S = 2.0
+_REPEATED_S = 1.0
 
 
 @final
@@ -56,6 +57,7 @@ class Speaker:
         self._key: StepReport | None = None
         self._drawn: StepReport | None = None
         self._map_from_odom: FloatArray = np.zeros(3)
+        self._told_ns, self._repeat_s = -1, 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
         self.sessions = 0
@@ -110,10 +112,14 @@ class Speaker:
         with self._lock:
             if self._report is None:
                 return
+            stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
+            now_s = time.monotonic()
+            if stamp_ns == self._told_ns and now_s < self._repeat_s:  # a clock at rest: tf complains of repetitions
+                return
+            self._told_ns, self._repeat_s = stamp_ns, now_s + _REPEATED_S
             x, y, theta = self._map_from_odom.tolist()
             half = 0.5 * theta
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
-            stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
             child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
             self._outputs.transform(StampedTransform(stamp_ns, settings.map_frame, child, pose))
 

@@ -1,0 +1,284 @@
+"""The node in ROS 1: a drop-in for slam_gmapping, by rospy.
+
+Scans and transforms are decoded from their bytes, so that neither a large scan nor NumPy's version matters, and the
+map's cells are sent as they lie in memory.
+
+Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
+from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
+from gridslam.pipeline import Observer
+from gridslam.ros.core import NodeCore
+from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.parameters import NodeParameters, node_parameters
+from gridslam.ros.services import closed, saved
+
+__all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
+
+NODE_NAME = "slam_gmapping"
+
+_POLL_S = 0.2
+
+
+def _modules() -> dict[str, Any]:
+    """rospy and the packages of messages; raises ConfigurationError where ROS 1 is not there."""
+    names = (
+        "rospy", "std_msgs.msg", "std_srvs.srv", "nav_msgs.msg", "nav_msgs.srv", "geometry_msgs.msg", "tf2_msgs.msg",
+        "diagnostic_msgs.msg",
+    )  # fmt: skip
+    try:
+        return {name: importlib.import_module(name) for name in names}
+    except ImportError as error:
+        hint = "source its setup.bash, or install python3-rospy and the messages' packages"
+        raise ConfigurationError(f"ROS 1 is not there ({error}): {hint}") from None
+
+
+@final
+class Ros1Node:
+    """Publishers, subscribers and services of the node, after `rospy.init_node`.
+
+    Parameters
+    ----------
+    parameters : NodeParameters
+        What the node's private parameters come to.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    """
+
+    def __init__(self, parameters: NodeParameters, observers: Sequence[Observer] = ()) -> None:
+        self._ros = _modules()
+        rospy, nav, std = self._ros["rospy"], self._ros["nav_msgs.msg"], self._ros["std_msgs.msg"]
+        self._grid_class = _grid_class(nav.OccupancyGrid)
+        self._map = rospy.Publisher("map", nav.OccupancyGrid, queue_size=1, latch=True)
+        self._metadata = rospy.Publisher("map_metadata", nav.MapMetaData, queue_size=1, latch=True)
+        self._entropy = rospy.Publisher("~entropy", std.Float64, queue_size=1)
+        self._tf = rospy.Publisher("/tf", self._ros["tf2_msgs.msg"].TFMessage, queue_size=100)
+        geometry = self._ros["geometry_msgs.msg"]
+        self._pose = rospy.Publisher("~pose", geometry.PoseWithCovarianceStamped, queue_size=10)
+        diagnostic = self._ros["diagnostic_msgs.msg"]
+        self._diagnostics = rospy.Publisher("/diagnostics", diagnostic.DiagnosticArray, queue_size=10)
+        self.core = NodeCore(
+            parameters.settings, parameters.configuration, self, record=parameters.record, observers=observers
+        )
+        if parameters.warning:
+            self.say(Level.WARN, parameters.warning)
+        self._out = parameters.out or Path("gridslam-map")
+        self.core.start()
+        self._serve()
+        self._subscribe()
+
+    def now_ns(self) -> int:
+        """Time now, or that of the simulation, ns."""
+        return int(self._ros["rospy"].Time.now().to_nsec())
+
+    def map(self, message: GridMessage) -> None:
+        """Publish the map and its metadata, latched."""
+        grid = self._grid(message)
+        self._publish(self._metadata, grid.info)
+        self._publish(self._map, grid)
+
+    def transform(self, message: StampedTransform) -> None:
+        """Publish on /tf."""
+        geometry = self._ros["geometry_msgs.msg"]
+        sent = geometry.TransformStamped()
+        sent.header.stamp, sent.header.frame_id = self._stamp(message.stamp_ns), message.parent
+        sent.child_frame_id = message.child
+        x, y, z, *xyzw = message.pose
+        sent.transform.translation = geometry.Vector3(x, y, z)
+        sent.transform.rotation = geometry.Quaternion(*xyzw)
+        self._publish(self._tf, self._ros["tf2_msgs.msg"].TFMessage([sent]))
+
+    def pose(self, message: PoseMessage) -> None:
+        """Publish on ~pose."""
+        sent = self._ros["geometry_msgs.msg"].PoseWithCovarianceStamped()
+        sent.header.stamp, sent.header.frame_id = self._stamp(message.stamp_ns), message.frame
+        message.fill(sent.pose)
+        self._publish(self._pose, sent)
+
+    def entropy(self, nats: float) -> None:
+        """Publish on ~entropy."""
+        self._publish(self._entropy, self._ros["std_msgs.msg"].Float64(nats))
+
+    def diagnostics(self, message: Diagnostics) -> None:
+        """Publish on /diagnostics."""
+        rospy, diagnostic = self._ros["rospy"], self._ros["diagnostic_msgs.msg"]
+        values = [diagnostic.KeyValue(name, value) for name, value in message.values.items()]
+        name = f"{rospy.get_name().lstrip('/')}: SLAM"
+        status = diagnostic.DiagnosticStatus(int(message.level), name, message.summary, "", values)
+        sent = diagnostic.DiagnosticArray(status=[status])
+        sent.header.stamp = rospy.Time.now()
+        self._publish(self._diagnostics, sent)
+
+    def say(self, level: Level, text: str) -> None:
+        """Log to the console and /rosout."""
+        rospy = self._ros["rospy"]
+        {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
+
+    def _subscribe(self) -> None:
+        rospy = self._ros["rospy"]
+        large = {"buff_size": 1 << 24, "tcp_nodelay": True}
+        sensor = rospy.resolve_name("scan")
+
+        def on_scan(message: Any) -> None:  # noqa: ANN401
+            if data := self._bytes(message, "scan", "sensor_msgs/LaserScan"):
+                self.core.on_scan(decode_scan(data, wire_of_ros1(data)), sensor)
+
+        def on_transforms(static: bool) -> Callable[[Any], None]:
+            def take(message: Any) -> None:  # noqa: ANN401
+                if data := self._bytes(message, "transforms", "tf2_msgs/TFMessage"):
+                    self.core.on_transforms(decode_transforms(data, wire_of_ros1(data)), static=static)
+
+            return take
+
+        for topic, take in (("/tf_static", on_transforms(True)), ("/tf", on_transforms(False)), ("scan", on_scan)):
+            rospy.Subscriber(topic, rospy.AnyMsg, self._heard(topic, take), queue_size=None, **large)
+
+    def _bytes(self, message: Any, kind: str, expected: str) -> bytes:  # noqa: ANN401
+        """Bytes of a message of that kind; none, and a complaint, for another one."""
+        header: Mapping[str, str] = message._connection_header
+        if kind_of(header["type"]) == kind:
+            data: bytes = message._buff
+            return data
+        self.core.refuse("message", f"expected {expected} on {header['topic']}, got {header['type']}")
+        return b""
+
+    def _heard(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Call back, and complain of bytes that are no message."""
+
+        def heard(message: Any) -> None:  # noqa: ANN401
+            try:
+                take(message)
+            except MessageError as error:
+                self.core.refuse("message", f"{topic}: {error}")
+
+        return heard
+
+    def _serve(self) -> None:
+        rospy, services = self._ros["rospy"], self._ros["std_srvs.srv"]
+        get_map = self._ros["nav_msgs.srv"].GetMap
+        response_class = _response_class(get_map._response_class)
+
+        def dynamic_map(request: Any) -> Any:  # noqa: ANN401
+            latest = self.core.dynamic_map()
+            if latest is None:
+                raise rospy.ServiceException("there is no map yet")
+            return response_class(map=self._grid(latest))
+
+        def reset(request: Any) -> Any:  # noqa: ANN401
+            self.core.reset()
+            return services.EmptyResponse()
+
+        def pause(request: Any) -> Any:  # noqa: ANN401
+            self.core.pause(request.data)
+            return services.SetBoolResponse(True, "paused" if request.data else "mapping")
+
+        def save(request: Any) -> Any:  # noqa: ANN401
+            return services.TriggerResponse(*saved(self.core, self._out))
+
+        rospy.Service("dynamic_map", get_map, dynamic_map)
+        rospy.Service("~reset", services.Empty, reset)
+        rospy.Service("~pause", services.SetBool, pause)
+        rospy.Service("~save", services.Trigger, save)
+
+    def _grid(self, message: GridMessage) -> Any:  # noqa: ANN401
+        grid = self._grid_class()
+        height, width = message.cells.shape
+        grid.header.stamp, grid.header.frame_id = self._stamp(message.stamp_ns), message.frame
+        grid.info.map_load_time = grid.header.stamp
+        grid.info.resolution, grid.info.width, grid.info.height = message.resolution_m, width, height
+        grid.info.origin.position.x, grid.info.origin.position.y = message.origin
+        grid.info.origin.orientation.w = 1.0
+        grid.cells = message.cells.tobytes()
+        return grid
+
+    def _stamp(self, stamp_ns: int) -> Any:  # noqa: ANN401
+        return self._ros["rospy"].Time(*divmod(stamp_ns, 1_000_000_000))
+
+    def _publish(self, publisher: Any, message: Any) -> None:  # noqa: ANN401
+        rospy = self._ros["rospy"]
+        try:
+            if not rospy.is_shutdown():
+                publisher.publish(message)
+        except rospy.ROSException:  # shut down in this very moment
+            return
+
+
+def _grid_class(base: Any) -> Any:  # noqa: ANN401
+    """OccupancyGrid whose `cells` are sent as they are: as a list, a million of them would cost 50 ms."""
+
+    class Grid(base):  # type: ignore[misc]
+        cells = b""
+
+        def serialize(self, buff: io.BytesIO) -> None:
+            head = io.BytesIO()
+            super().serialize(head)  # with no data: its last four bytes are the length 0
+            buff.write(head.getvalue()[:-4])
+            buff.write(struct.pack("<I", len(self.cells)))
+            buff.write(self.cells)
+
+    return Grid
+
+
+def _response_class(base: Any) -> Any:  # noqa: ANN401
+    class Response(base):  # type: ignore[misc]
+        def serialize(self, buff: io.BytesIO) -> None:
+            self.map.serialize(buff)
+
+    return Response
+
+
+def run_ros1(
+    arguments: Sequence[str] = (),
+    *,
+    given: Mapping[str, Any] | None = None,
+    observers: Sequence[Observer] = (),
+    tick: Callable[[], None] = lambda: None,
+) -> None:
+    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        ROS's own: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
+    given : mapping, optional
+        Parameters of the node that hold whatever its private parameters say.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    tick : callable
+        Called now and then; may raise KeyboardInterrupt.
+
+    Raises
+    ------
+    ConfigurationError
+        ROS 1 is not there, or a parameter is out of range.
+    ArgumentError
+        There is no master.
+    """
+    rospy = _modules()["rospy"]
+    try:
+        rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
+    except rospy.ROSInitException as error:
+        raise ArgumentError("ROS_MASTER_URI", "a master that answers", error) from None
+    private = rospy.get_param("~", {})
+    parameters = node_parameters({**private, **(given or {})})
+    node = Ros1Node(parameters, observers)
+    try:
+        while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
+            tick()
+    except KeyboardInterrupt:  # the usual end of a node
+        pass
+    finally:
+        closed(node.core, parameters.out)
+        rospy.signal_shutdown("done")
+    if node.core.failure is not None:
+        raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure

@@ -1,0 +1,199 @@
+"""The node in a real ROS 1: bags are played into it by rosbag, and programs of ROS say what they see of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import xmlrpc.client
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridslam.api import convert_log, map_log
+from gridslam.config import Configuration
+from gridslam.io.log import LogOptions
+
+SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
+SUPPORT = Path(__file__).resolve().parents[1] / "support"
+LINKS = ("map:odom", "odom:base_link", "map:base_link")
+NODE = f"""
+import sys
+sys.path.append({PACKAGES!r})  # behind this environment's own packages: rospy is plain Python
+from gridslam.cli.interrupt import handled_signals
+from gridslam.cli.ros import ros1
+with handled_signals():
+    ros1(sys.argv[1:])
+"""
+
+
+def lacking() -> str:
+    """What is not installed of ROS 1; empty where all is."""
+    tools = ("roscore", "rosbag", "rostopic", "rosservice")
+    missing = [name for name in tools if not Path("/usr/bin", name).exists()]
+    imports = "import rospy, tf2_ros, nav_msgs.srv, std_srvs.srv, diagnostic_msgs.msg, tf2_msgs.msg, sensor_msgs.msg"
+    if not missing and subprocess.run([SYSTEM_PYTHON, "-c", imports], capture_output=True).returncode:
+        missing = [f"what this needs: {imports}"]
+    return ", ".join(missing)
+
+
+pytestmark = pytest.mark.skipif(bool(lacking()), reason=f"ROS 1 (Debian's packages) is not installed: {lacking()}")
+
+
+class Ros:
+    """A master of its own, on a free port, with the time of what is played."""
+
+    def __init__(self, folder: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        self.folder, self.uri = folder, f"http://127.0.0.1:{port}"
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "PYTHON"))}
+        self.environment = {
+            **kept, "ROS_MASTER_URI": self.uri, "ROS_HOSTNAME": "127.0.0.1", "ROS_HOME": str(folder),
+            "ROS_LOG_DIR": str(folder),
+        }  # fmt: skip
+        self.processes: list[subprocess.Popen[str]] = []
+        self.start(["roscore", "-p", str(port)], "roscore")
+        self.master = xmlrpc.client.ServerProxy(self.uri)
+        assert self.until(lambda: bool(self.master.setParam("/test", "/use_sim_time", True)))
+        assert self.until(lambda: "/rosout" in str(self.master.getSystemState("/test")))
+
+    def start(self, command: list[str], log: str, **environment: str) -> subprocess.Popen[str]:
+        with (self.folder / f"{log}.log").open("w") as out:
+            process = subprocess.Popen(
+                command, env={**self.environment, **environment}, stdout=out, stderr=subprocess.STDOUT, text=True,
+                start_new_session=True,
+            )  # fmt: skip
+        self.processes.append(process)
+        return process
+
+    def node(self, *arguments: str) -> subprocess.Popen[str]:
+        path = str(SUPPORT.parents[1] / "src")
+        process = self.start([sys.executable, "-c", NODE, *arguments], "node", PYTHONPATH=path)
+        assert self.until(lambda: "/dynamic_map" in str(self.master.getSystemState("/test"))), self.log("node")
+        assert self.until(lambda: "/tf_static" in str(self.master.getSystemState("/test")[2][1])), self.log("node")
+        return process
+
+    def play(self, bag: Path, rate: float, *options: str) -> dict:
+        """Play a bag, and give what an independent program has seen of it in the end."""
+        ended = self.folder / "ended"
+        ended.unlink(missing_ok=True)
+        watcher = self.start([SYSTEM_PYTHON, str(SUPPORT / "ros1_watcher.py"), str(ended), *LINKS], "watcher")
+        self.run("rosbag", "play", "--clock", "--quiet", "--delay=2", "-r", str(rate), *options, str(bag))
+        time.sleep(1.5)  # the last map comes at its interval
+        ended.touch()
+        assert watcher.wait(30) == 0, self.log("watcher")
+        return json.loads(self.log("watcher").splitlines()[-1])
+
+    def run(self, *command: str) -> str:
+        done = subprocess.run(command, env=self.environment, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}\n{self.log('node')}"
+        return done.stdout
+
+    def log(self, name: str) -> str:
+        return (self.folder / f"{name}.log").read_text()
+
+    def until(self, true, seconds: float = 30.0) -> bool:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            try:
+                if true():
+                    return True
+            except OSError:
+                pass
+            time.sleep(0.1)
+        return False
+
+    def close(self) -> None:
+        self.master("close")()
+        for process in reversed(self.processes):
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(10)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+
+
+@pytest.fixture
+def ros(tmp_path):
+    found = Ros(tmp_path)
+    yield found
+    found.close()
+
+
+def pose(link: list[float]) -> np.ndarray:
+    x, y, sine, cosine = link
+    return np.array([x, y, 2 * math.atan2(sine, cosine)])
+
+
+def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
+    bag, record, out = tmp_path / "robot.bag", tmp_path / "scans.csv", tmp_path / "out"
+    others = "topic != '/tf' or m.transforms[0].header.frame_id != 'map'"  # its own map to odom is in the bag, too
+    ros.run("rosbag", "filter", str(data_dir / "bags" / "p3dx_trace0.bag"), str(bag), others)
+    node = ros.node(
+        "scan:=base_scan", "_preset:=default", "_particles:=8", "_xmin:=-10.0", f"_record:={record}", f"_out:={out}",
+        "_map_update_interval:=0.5", "_transform_wait:=2.0", "_queue:=5.0",
+    )  # fmt: skip
+    assert "parameters that are ignored: xmin (the map grows by itself)" in ros.log("node")
+    seen = ros.play(bag, 3, "-u", "20")
+    grid = seen["map"]
+    assert grid == seen["dynamic_map"]
+    assert (grid["frame"], round(grid["resolution"], 6), grid["origin"][2]) == ("map", 0.05, 1.0)
+    assert grid["cells"] == grid["width"] * grid["height"]
+    assert seen["metadata_width"] == grid["width"]
+    assert set(grid["counts"]) == {"-1", "0", "100"}
+    assert grid["counts"]["100"] > 300
+    assert grid["counts"]["0"] > 5000
+    values = seen["diagnostics"]["values"]
+    assert int(values["accepted"]) >= 190
+    assert values["dropped"] == "0"
+    offline = map_log(bag, 8, options=LogOptions(duration_s=20.0), repair="none")
+    difference = pose(seen["map:base_link"]) - offline.online_trajectory.poses[-1]
+    assert np.abs(difference).max() < 0.15, (seen, offline.online_trajectory.poses[-1])
+    assert "OccupancyGrid" in ros.run("rostopic", "type", "/map")
+    assert "frame_id: \"map\"" in ros.run("rostopic", "echo", "-n", "1", "/map/header")
+    assert "success: True" in ros.run("rosservice", "call", "/slam_gmapping/save")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(30) == 0, ros.log("node")
+    map_log(record, configuration=Configuration(particles=8), repair="none").save(tmp_path / "replayed")
+    for name in ("map.pgm", "trajectory.tum", "trajectory_online.tum", "graph.g2o"):
+        assert (out / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
+
+
+def test_a_converted_log_is_played_twice_and_the_services_serve(ros, data_dir, tmp_path):
+    bag = tmp_path / "intel.bag"
+    convert_log(data_dir / "intel.clf.bz2", bag, options=LogOptions(duration_s=60.0))
+    ros.node("scan:=scan", "_particles:=5", "_linearUpdate:=0.5", "_map_update_interval:=0.3", "_queue:=5.0")
+    assert "ERROR" in subprocess.run(
+        ["rosservice", "call", "/dynamic_map"], env=ros.environment, capture_output=True, text=True, timeout=20
+    ).stderr
+    first = ros.play(bag, 15)
+    assert first["diagnostics"]["values"]["session"] == "1"
+    assert first["map"]["counts"]["0"] > 1000
+    second = ros.play(bag, 15)
+    assert second["diagnostics"]["values"]["session"] == "2"
+    assert "time jumped back" in ros.log("node")
+    apart = pose(first["map:odom"]) - pose(second["map:odom"])
+    assert np.abs(apart).max() < 0.5
+    assert "paused" in ros.run("rosservice", "call", "/slam_gmapping/pause", "true")
+    ros.run("rosservice", "call", "/slam_gmapping/reset")
+    assert ros.until(lambda: "a new map is begun: reset" in ros.log("node"))
+
+
+def test_what_is_no_scan_is_named_and_the_node_lives(ros):
+    node = ros.node("scan:=scan")
+    ros.run("rostopic", "pub", "-1", "/scan", "std_msgs/String", "data: hello")
+    assert ros.until(lambda: "expected sensor_msgs/LaserScan on /scan, got std_msgs/String" in ros.log("node"), 10)
+    three = "{header: {stamp: now, frame_id: laser}, angle_min: -1.0, angle_increment: 0.5, ranges: [1.0, 1.0, 1.0]}"
+    ros.start(["rostopic", "pub", "-1", "/scan", "sensor_msgs/LaserScan", three], "publisher")
+    assert ros.until(lambda: "3 beams are too few" in ros.log("node"), 15), ros.log("node") + ros.log("publisher")
+    assert node.poll() is None

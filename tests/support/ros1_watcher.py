@@ -1,0 +1,66 @@
+"""An independent program of ROS 1, run by the system's Python, that tells as JSON what it sees of a node.
+
+It listens to transforms until the file named first appears, and only then joins to see the map.
+
+Nothing of the package is imported: messages are those of ROS, transforms are looked up by tf2.
+"""
+
+import json
+import os
+import sys
+import threading
+import time
+
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+from nav_msgs.srv import GetMap
+
+
+def described(grid):
+    cells = list(grid.data)
+    return {
+        "frame": grid.header.frame_id,
+        "width": grid.info.width,
+        "height": grid.info.height,
+        "resolution": grid.info.resolution,
+        "origin": [grid.info.origin.position.x, grid.info.origin.position.y, grid.info.origin.orientation.w],
+        "cells": len(cells),
+        "counts": {str(value): cells.count(value) for value in sorted(set(cells))},
+        "sum": sum(k % 9973 * value for k, value in enumerate(cells)),
+    }
+
+
+def main():
+    rospy.init_node("watcher", anonymous=True, disable_signals=True)
+    buffer = tf2_ros.Buffer()
+    listener = tf2_ros.TransformListener(buffer)
+    told, seen = {}, threading.Event()
+
+    def diagnostics(message):
+        status = message.status[0]
+        told["level"], told["values"] = status.level, {pair.key: pair.value for pair in status.values}
+        seen.set()
+
+    while not os.path.exists(sys.argv[1]):
+        time.sleep(0.05)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, diagnostics)
+    found = {
+        "map": described(rospy.wait_for_message("/map", OccupancyGrid, timeout=10)),
+        "metadata_width": rospy.wait_for_message("/map_metadata", MapMetaData, timeout=10).width,
+        "dynamic_map": described(rospy.ServiceProxy("/dynamic_map", GetMap)().map),
+    }
+    for name in sys.argv[2:]:
+        parent, child = name.split(":")
+        try:
+            link = buffer.lookup_transform(parent, child, rospy.Time(0), rospy.Duration(0)).transform
+            found[name] = [link.translation.x, link.translation.y, link.rotation.z, link.rotation.w]
+        except tf2_ros.TransformException as error:
+            found[name] = str(error)
+    seen.wait(5)
+    print(json.dumps({**found, "diagnostics": told}))
+    listener.unregister()
+
+
+main()
