@@ -9,10 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gridslam.api import MapResult, map_log
+    from gridslam.api import MapResult, convert_log, map_log
     from gridslam.config import Configuration, build, preset
+    from gridslam.doctor import diagnose
     from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError, OutputError
     from gridslam.io.carmen import CarmenLog
+    from gridslam.io.log import LogOptions, open_log
     from gridslam.pipeline import run
     from gridslam.slam.graph_slam import GraphSlam
     from gridslam.slam.grid_fastslam import GridFastSlam
@@ -23,18 +25,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GraphSlam", "GridFastSlam",
-    "GridFastSlamState", "GridslamError", "InputError", "LaserScan", "LoopClosure", "MapResult", "OccupancyGrid",
-    "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory", "__version__", "build",
-    "map_log", "preset", "run",
+    "GridFastSlamState", "GridslamError", "InputError", "LaserScan", "LogOptions", "LoopClosure", "MapResult",
+    "OccupancyGrid", "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory", "__version__",
+    "build", "convert_log", "diagnose", "map_log", "open_log", "preset", "run",
 ]  # fmt: skip
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "api": ("MapResult", "map_log"),
+    "api": ("MapResult", "convert_log", "map_log"),
     "config": ("Configuration", "build", "preset"),
+    "doctor": ("diagnose",),
     "errors": ("ArgumentError", "ConfigurationError", "GridslamError", "InputError", "OutputError"),
     "io.carmen": ("CarmenLog",),
+    "io.log": ("LogOptions", "open_log"),
     "pipeline": ("run",),
     "slam.graph_slam": ("GraphSlam",),
     "slam.grid_fastslam": ("GridFastSlam",),

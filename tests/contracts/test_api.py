@@ -58,7 +58,7 @@ def test_ones_own_loop_gives_the_same(log):
     [
         ({"seed": -1}, "seed: expected a number >= 0, got -1"),
         ({"threads": 0}, "threads: expected at least one, got 0"),
-        ({"particles": 3, "configuration": gridslam.Configuration()}, "particles: expected none where"),
+        ({"particles": 3, "configuration": gridslam.Configuration()}, "particles, laser: expected none where"),
     ],
 )
 def test_bad_calls_are_told(log, options, message):

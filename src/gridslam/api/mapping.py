@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.api.result import MapResult
 from gridslam.api.source import opened_log
-from gridslam.config import Configuration, build, override
+from gridslam.config import Configuration, build, override, with_laser
 from gridslam.config import preset as preset_of
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog
@@ -34,6 +34,7 @@ def map_log(
     *,
     options: LogOptions | None = None,
     preset: str = "default",
+    laser: str | None = None,
     configuration: Configuration | None = None,
     loop_closure: bool = True,
     threads: int = 1,
@@ -56,8 +57,10 @@ def map_log(
         What to read of the log at a path.
     preset : str
         "default", "fast", "accurate" or "gmapping".
+    laser : str, optional
+        What the laser is, a name of `gridslam.config.LASERS`: limits and cells that suit it, over the preset.
     configuration : Configuration, optional
-        Instead of a preset.
+        Instead of a preset and a laser.
     loop_closure : bool
         False for the filter alone, whatever the configuration says.
     threads : int, >= 1
@@ -76,15 +79,16 @@ def map_log(
     Raises
     ------
     ArgumentError
-        The seed is negative, there is no thread, both `particles` and `configuration` are given, or both `options` and
+        The seed is negative, there is no thread, `configuration` and one of `particles` and `laser` are given, or both `options` and
         a log that is open already.
     InputError
         The log cannot be read.
     ConfigurationError
-        There is no such preset, or the number of particles is out of range.
+        There is no such preset or laser, or the number of particles is out of range.
     """
-    _check(seed, threads, particles, configuration)
+    _check(seed, threads, particles if laser is None else laser, configuration)
     config = configuration or preset_of(preset, particles)
+    config = config if laser is None else with_laser(config, laser)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
     read = opened_log(log, options)
@@ -131,13 +135,13 @@ def _result(
     return result
 
 
-def _check(seed: int, threads: int, particles: int | None, configuration: Configuration | None) -> None:
+def _check(seed: int, threads: int, chosen: int | str | None, configuration: Configuration | None) -> None:
     if seed < 0:
         raise ArgumentError("seed", "a number >= 0", seed)
     if threads < 1:
         raise ArgumentError("threads", "at least one", threads)
-    if particles is not None and configuration is not None:
-        raise ArgumentError("particles", "none where a configuration is given", particles)
+    if chosen is not None and configuration is not None:
+        raise ArgumentError("particles, laser", "none where a configuration is given", chosen)
 
 
 def _kept_in(record: RecordWriter) -> Observer:

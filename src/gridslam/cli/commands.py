@@ -33,13 +33,15 @@ class _MapCommand(click.Command):
 
     def format_epilog(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the parameters that face the user."""
-        from gridslam.config import PARAMETERS, Configuration
+        from gridslam.config import LASERS, PARAMETERS, Configuration
         from gridslam.config.tables import value_of
 
         defaults = Configuration()
         rows = [
             (name, f"{what} [{str(value_of(defaults, path)).lower()}]") for name, (path, what) in PARAMETERS.items()
         ]
+        with formatter.section("Lasers for --laser"):
+            formatter.write_dl([(name, laser.says) for name, laser in LASERS.items()])
         with formatter.section("Parameters for --set (m, rad) [default]"):
             formatter.write_dl(rows)
         formatter.write_paragraph()
@@ -56,6 +58,7 @@ class _MapCommand(click.Command):
 @click.option("--seed", type=_SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
 @click.option("--threads", type=click.IntRange(1, 256), default=1, show_default=True, help="Never changes a result.")
 @click.option("--preset", default="default", show_default=True, help="default, fast, accurate or gmapping.")
+@click.option("--laser", metavar="NAME", help="What the laser is: limits and cells that suit it (see below).")
 @click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's.")
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
 @click.option("--no-loop-closure", is_flag=True, help="The filter alone.")

@@ -14,7 +14,7 @@ from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
-from gridslam.config import Configuration, load, override, preset
+from gridslam.config import Configuration, load, override, preset, with_laser
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
@@ -34,6 +34,7 @@ def map_to_folder(
     seed: int,
     threads: int,
     preset: str,
+    laser: str | None,
     config: Path | None,
     assignments: Sequence[str],
     no_loop_closure: bool,
@@ -42,7 +43,7 @@ def map_to_folder(
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = _configuration(preset, particles, config, assignments, no_loop_closure)
+    configuration = _configuration(preset, laser, particles, config, assignments, no_loop_closure)
     source = checked(open_log(log, options), options)
     with opened(out) as folder:
         result = map_shown(source, configuration, seed, threads, not as_json, watch, repair)
@@ -96,10 +97,12 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
 
 
 def _configuration(
-    name: str, particles: int | None, path: Path | None, assignments: Sequence[str], no_loop_closure: bool
-) -> Configuration:
-    """The preset, then the file, then single parameters; --particles and --no-loop-closure hold whatever these say."""
+    name: str, laser: str | None, particles: int | None, path: Path | None, assignments: Sequence[str],
+    no_loop_closure: bool,
+) -> Configuration:  # fmt: skip
+    """The preset, the laser, the file, single parameters; --particles and --no-loop-closure hold whatever these say."""
     config = preset(name, particles)
+    config = config if laser is None else with_laser(config, laser)
     if path is not None:
         config = load(path, config)
     if particles is not None:
