@@ -57,7 +57,8 @@ class Speaker:
         self._key: StepReport | None = None
         self._drawn: StepReport | None = None
         self._map_from_odom: FloatArray = np.zeros(3)
-        self._told_ns, self._repeat_s = -1, 0.0
+        self._told: tuple[int, StepReport | None] = -1, None
+        self._repeat_s = 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
         self.sessions = 0
@@ -114,9 +115,10 @@ class Speaker:
                 return
             stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
             now_s = time.monotonic()
-            if stamp_ns == self._told_ns and now_s < self._repeat_s:  # a clock at rest: tf complains of repetitions
+            told = stamp_ns, self._report
+            if told == self._told and now_s < self._repeat_s:  # a clock at rest: tf complains of repetitions
                 return
-            self._told_ns, self._repeat_s = stamp_ns, now_s + _REPEATED_S
+            self._told, self._repeat_s = told, now_s + _REPEATED_S
             x, y, theta = self._map_from_odom.tolist()
             half = 0.5 * theta
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
