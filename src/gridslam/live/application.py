@@ -134,7 +134,7 @@ async def _attend(websocket: WebSocket, show: Show) -> None:
                 viewer.command(command)
                 news.set()
     except (ArgumentError, KeyError, TypeError, ValueError) as error:
-        await websocket.close(_BAD_COMMAND, f"{error}"[:100])
+        await websocket.close(_BAD_COMMAND, f"not understood: {error}"[:100])
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:

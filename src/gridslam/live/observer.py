@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.io.record import RecordFlag
 from gridslam.live.control import Control
-from gridslam.live.tiles import Box, TileChanges, TileWatch
+from gridslam.live.tiles import NOWHERE, Box, TileChanges, TileWatch
 from gridslam.particles.ancestry import Ancestry
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
@@ -128,7 +128,8 @@ class LiveObserver:
         self._closures: list[tuple[int, int]] = []
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_REMEMBERED)
         self._requests: deque[tuple[int, int, int]] = deque()
-        self._watches, self._rows = {BEST: TileWatch()}, {BEST: 0}
+        self._watches = {BEST: TileWatch()}
+        self._lines: dict[int, IntArray] = {}  # of each channel the particles that continue the chosen one
 
     def measured(
         self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None
@@ -180,8 +181,7 @@ class LiveObserver:
             self._written.append((report.poses, self._scan))
         if report.parents is not None:
             self._resamplings.append((self._keys, report.parents))
-            if len(self._rows) > 1:
-                self._rows = {channel: _child(row, report.parents) for channel, row in self._rows.items()}
+            self._lines = {channel: _children(line, report.parents) for channel, line in self._lines.items()}
         self._control.reached_key_scan()
 
     def _while_waiting(self) -> None:
@@ -194,17 +194,18 @@ class LiveObserver:
         self._due, self._busy, self._fresh = now + self.period_s, True, False
         report, state = self._latest
         self._serve_requests()
-        self._rows[BEST] = state.best
+        rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
+        rows[BEST] = state.best
         written = None if self._everything else self._box()
         self._everything = False
         maps = {
-            channel: watch.look(state.maps, self._rows[channel], written)
+            channel: watch.look(state.maps, rows[channel], written)
             for channel, watch in self._watches.items()
-            if self._rows[channel] != _DIED_OUT
+            if rows[channel] != _DIED_OUT
         }
         snapshot = Snapshot(
             report, self._scan, self._scans, self._keys, state.poses, state.log_weights, state.ancestry.snapshot(),
-            self._series, self._closures, maps, dict(self._rows), state.maps.resolution_m,
+            self._series, self._closures, maps, rows, state.maps.resolution_m,
             state.maps.nbytes, self.share(), now,
         )  # fmt: skip
         self._series, self._closures, self._written = [], [], []
@@ -213,7 +214,7 @@ class LiveObserver:
     def _box(self) -> Box | None:
         """Where maps were written to since the last snapshot."""
         if not self._written:
-            return Box((0.0, 0.0), (0.0, 0.0))
+            return NOWHERE
         reach = 0.0
         for _, scan in self._written:
             if scan is None:
@@ -227,15 +228,15 @@ class LiveObserver:
             channel, row, keys = self._requests.popleft()
             if row < 0:
                 self._watches.pop(channel, None)
-                self._rows.pop(channel, None)
+                self._lines.pop(channel, None)
                 continue
+            line = np.array([row])
             for key, parents in self._resamplings:
                 if key > keys:
-                    row = _child(row, parents)
-            self._watches[channel], self._rows[channel] = TileWatch(), row
+                    line = _children(line, parents)
+            self._watches[channel], self._lines[channel] = TileWatch(), line
 
 
-def _child(row: int, parents: IntArray) -> int:
-    """The first particle that continues the one at `row`; -1 where none does."""
-    children = np.flatnonzero(parents == row)
-    return int(children[0]) if len(children) else _DIED_OUT
+def _children(line: IntArray, parents: IntArray) -> IntArray:
+    """The particles that continue one of `line`."""
+    return np.flatnonzero(np.isin(parents, line))

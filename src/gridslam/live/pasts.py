@@ -45,12 +45,18 @@ class Pasts:
 
         Of several descendants it is the first.
         """
-        for key in range(before, after):
-            children = np.flatnonzero(self._record.parents[key] == particle)
-            particle = int(children[0]) if len(children) else -1
+        parents = self._record.parents
+        if particle < 0:
+            return -1
         for key in range(before - 1, after - 1, -1):
-            particle = int(self._record.parents[key, particle]) if particle >= 0 else -1
-        return particle
+            particle = int(parents[key, particle])
+        if after <= before:
+            return particle
+        pasts = np.arange(parents.shape[1])
+        for key in range(after - 1, before - 1, -1):
+            pasts = parents[key, pasts]
+        descendants = np.flatnonzero(pasts == particle)
+        return int(descendants[0]) if len(descendants) else -1
 
     def _advance(self) -> None:
         record, at = self._record, self._at

@@ -153,7 +153,7 @@ class LiveRun:
     def scene(self, channel: int) -> Scene:
         """What a viewer of this channel can see now."""
         row = self._rows.get(channel, -1)
-        stage = "paused" if self._stage == "running" and self.control.paused else self._stage
+        stage = "paused" if self._stage in ("waiting", "running") and self.control.paused else self._stage
         status = {
             **self._status, "stage": stage, "speed": self.control.speed, "viewers": len(self._viewers),
             "channel": channel, "watched": None if channel == BEST or stage == "done" else row,

@@ -16,7 +16,7 @@ from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["Box", "TileChanges", "TileMirror", "TileWatch", "tiles_of"]
+__all__ = ["NOWHERE", "Box", "TileChanges", "TileMirror", "TileWatch", "tiles_of"]
 
 _MARGIN_M = 2 * TILE * 0.05  # what undoing the robot's motion during a scan may move the end of a beam
 
@@ -35,6 +35,10 @@ class Box:
         reach = reach_m + _MARGIN_M
         (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
         return cls((x0 - reach, y0 - reach), (x1 + reach, y1 + reach))
+
+
+NOWHERE = Box((1.0, 1.0), (-1.0, -1.0))
+"""A box that holds nothing."""
 
 
 @final
@@ -80,8 +84,8 @@ class TileWatch:
         self._ids, self._corner = ids, corner
         if before.shape != ids.shape or before_at != corner:
             origin = min(corner[0], before_at[0]), min(corner[1], before_at[1])
-            ends = [(at[k] + table.shape[k] for table, at in ((ids, corner), (before, before_at))) for k in (0, 1)]
-            shape = max(ends[0]) - origin[0], max(ends[1]) - origin[1]
+            ends = [max(corner[k] + ids.shape[k], before_at[k] + before.shape[k]) for k in (0, 1)]
+            shape = ends[0] - origin[0], ends[1] - origin[1]
             ids, before = _placed(ids, corner, origin, shape), _placed(before, before_at, origin, shape)
             corner = origin
         changed = ids != before

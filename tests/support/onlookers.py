@@ -1,0 +1,68 @@
+"""Viewers of the live page without a browser: they put messages together as the page does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gridslam.live.protocol import decode, unpacked
+from gridslam.live.tiles import TileMirror, tiles_of
+from gridslam.types import OccupancyGrid
+
+
+class Onlooker:
+    """What a page has after some messages."""
+
+    def __init__(self) -> None:
+        self.hello: dict[str, Any] = {}
+        self.status: dict[str, Any] = {}
+        self.tiles: dict[tuple[int, int], np.ndarray] = {}
+        self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 4), np.float32)
+        self.arrays: dict[str, np.ndarray] = {}
+        self.messages = self.bytes = 0
+        self.more = False
+
+    def receive(self, message: bytes) -> None:
+        self.messages, self.bytes = self.messages + 1, self.bytes + len(message)
+        header, arrays = decode(message)
+        if "hello" in header and header["hello"]["session"] != self.hello.get("session"):
+            messages, sent = self.messages, self.bytes
+            self.__init__()
+            self.messages, self.bytes = messages, sent
+        self.hello, self.status = header.get("hello", self.hello), header.get("status", self.status)
+        if header.get("clear"):
+            self.tiles = {}
+        if "tiles" in arrays:
+            self.tiles.update(zip(map(tuple, arrays["tiles_at"].tolist()), unpacked(arrays["tiles"]), strict=True))
+        if "path" in arrays:
+            self.path = np.concatenate([self.path[: header["path"]], arrays["path"]])
+        if "series" in arrays:
+            self.series = np.concatenate([self.series[: header["series"]], arrays["series"]])
+        self.arrays.update(arrays)
+        self.more = header.get("more", False)
+
+    def catch_up(self, viewer: Any) -> None:
+        """Take all messages that there are."""
+        while (message := viewer.message()) is not None:
+            self.receive(message)
+
+    def sees(self, grid: OccupancyGrid) -> bool:
+        """Whether the map looks like this one, cell by cell."""
+        mirror = TileMirror()
+        mirror.apply(tiles_of(grid))
+        at, looks, _ = mirror.since(0, 10**9)
+        expected = {tuple(where): look for where, look in zip(at.tolist(), looks, strict=True) if look.any()}
+        seen = {where: look for where, look in self.tiles.items() if look.any()}
+        return expected.keys() == seen.keys() and all(np.array_equal(seen[where], expected[where]) for where in seen)
+
+    def past_of(self, particle: int) -> np.ndarray:
+        """Places (T, 2) of a particle's past, as the page draws it."""
+        at, places = int(self.arrays["tree_leaves"][particle]), []
+        while at >= 0:
+            places.append(self.arrays["tree"][at])
+            at = int(self.arrays["tree_parents"][at])
+        stem = self.path if at == -1 else np.zeros((0, 2), np.float32)
+        return np.concatenate([stem, np.array(places[::-1]).reshape(-1, 2)])
+
+

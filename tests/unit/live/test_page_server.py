@@ -1,0 +1,270 @@
+"""The server: several viewers, a lost connection that comes back, a restart, and who is let in."""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+import time
+import urllib.error
+import urllib.request
+import zipfile
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+from loops import PROVOKED, loop_drive
+from onlookers import Onlooker
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from gridslam.config import build
+from gridslam.errors import ArgumentError, OutputError
+from gridslam.io.map_server import read_map
+from gridslam.live import application
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+from gridslam.pipeline import Stopwatch, run
+
+FREE = LiveOptions(port=0)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return loop_drive().measurements[:120]
+
+
+@contextmanager
+def viewing(url, **options):
+    """A connection and what came by it so far."""
+    address, _, query = url.partition("?")
+    target = f"{address.replace('http', 'ws', 1)}socket" + (f"?{query}" if query else "")
+    with connect(target, max_size=None, compression=None, **options) as socket:
+        yield socket, Onlooker()
+
+
+def receive(socket, onlooker, timeout_s=5.0):
+    onlooker.receive(socket.recv(timeout_s))
+    socket.send(json.dumps({"do": "got"}))
+
+
+def receive_until(socket, onlooker, condition, timeout_s=10.0):
+    until = time.monotonic() + timeout_s
+    while not condition() or onlooker.more:
+        assert time.monotonic() < until, f"it did not happen; status {onlooker.status}"
+        receive(socket, onlooker)
+
+
+def mapped(page, measurements, watch=None):
+    """Run the filter as a page wants it."""
+    slam, rng = build(PROVOKED), np.random.default_rng(3)
+    return run(page.paced(measurements, watch), slam, particles=4, rng=rng, observers=[page.observer], stopwatch=watch)
+
+
+def last(state):
+    return lambda onlooker: onlooker.sees(state.maps.occupancy(state.best))
+
+
+def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
+        receive(socket, onlooker)
+        assert onlooker.status["stage"] == "waiting"
+        state = mapped(page, drive)
+        grid = state.maps.occupancy(state.best)
+        receive_until(socket, onlooker, lambda: onlooker.sees(grid))
+        with viewing(page.url) as (other_socket, other):
+            receive_until(other_socket, other, lambda: other.sees(grid))
+            assert other.status["scans"] == 120
+            assert page.viewers == 2
+            receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 2)
+        assert onlooker.hello["particles"] == 4
+        assert onlooker.status["stage"] == "last word"
+
+
+def test_a_connection_that_is_lost_comes_back_to_all_there_is(drive):
+    with LivePage("loop", FREE, range_max_m=30.0) as page:
+        with viewing(page.url) as (socket, onlooker):
+            mapped(page, drive[:60])
+            receive(socket, onlooker)
+            session = onlooker.hello["session"]
+            socket.socket.close()  # without a word
+        with viewing(page.url) as (socket, again):
+            receive_until(socket, again, lambda: again.status.get("scans") == 60)
+            assert again.hello["session"] == session
+            assert again.tiles
+
+
+def test_a_restart_is_another_session_at_the_same_port():
+    with LivePage("one", FREE) as page:
+        url = page.url
+        with viewing(url) as (socket, onlooker):
+            receive(socket, onlooker)
+            port = int(url.rstrip("/").rpartition(":")[2])
+            page.__exit__()
+            with pytest.raises(ConnectionClosed):
+                receive(socket, onlooker)
+    with LivePage("two", LiveOptions(port=port)) as page, viewing(url) as (socket, again):
+        receive(socket, again)
+        assert page.url == url
+        assert again.hello["title"] == "two"
+        assert again.hello["session"] != onlooker.hello["session"]
+
+
+def test_pause_and_step_hold_the_filter_and_its_stopwatch(drive):
+    watch = Stopwatch()
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
+        socket.send(json.dumps({"do": "pause"}))
+        receive_until(socket, onlooker, lambda: onlooker.status.get("stage") == "paused")
+        thread = threading.Thread(target=mapped, args=(page, drive[:30], watch))
+        thread.start()
+        for scans in (1, 2, 3):
+            socket.send(json.dumps({"do": "step", "to_key_scan": False}))
+            receive_until(socket, onlooker, lambda scans=scans: onlooker.status.get("scans") == scans)
+            assert onlooker.status["stage"] == "paused"
+        socket.send(json.dumps({"do": "watch", "particle": 2}))
+        receive_until(socket, onlooker, lambda: onlooker.status["watched"] == 2 and onlooker.tiles)
+        time.sleep(0.3)
+        socket.send(json.dumps({"do": "resume"}))
+        thread.join(10)
+        assert not thread.is_alive()
+    assert watch.stages["read"][0] < 0.3, "a pause counted as reading"
+
+
+def test_the_map_can_be_had_as_map_server_files(drive, tmp_path):
+    with LivePage("loop", FREE, range_max_m=30.0) as page:
+        state = mapped(page, drive)
+        with urllib.request.urlopen(page.url + "map.zip", timeout=10) as answer:
+            assert answer.headers["content-type"] == "application/zip"
+            zipfile.ZipFile(io.BytesIO(answer.read())).extractall(tmp_path)
+        got, grid = read_map(tmp_path / "map.yaml"), state.maps.occupancy(state.best)
+        assert got.resolution_m == grid.resolution_m
+        assert ((got.log_odds > 0) & got.known).sum() == (grid.known & (grid.probability > 0.65)).sum()
+
+
+def test_the_page_needs_nothing_from_elsewhere():
+    with LivePage("loop", FREE) as page:
+        with urllib.request.urlopen(page.url, timeout=10) as answer:
+            text = answer.read().decode()
+            assert "default-src 'self'" in answer.headers["content-security-policy"]
+        assert "//" not in text.replace("<!doctype html>", "")
+        for name in ("app.js", "page.css", "icon.svg", "socket.js"):
+            with urllib.request.urlopen(page.url + name, timeout=10) as answer:
+                assert answer.status == 200
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(page.url + "../page.py", timeout=10)
+
+
+def status_of(url, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_pages_of_other_sites_are_not_let_in():
+    with LivePage("loop", FREE) as page:
+        port = page.url.rstrip("/").rpartition(":")[2]
+        assert status_of(page.url, Host="evil.example") == 421
+        assert status_of(page.url, Host=f"localhost:{port}") == 200
+        with viewing(page.url, origin="http://evil.example") as (socket, _), pytest.raises(ConnectionClosed) as closed:
+            socket.recv(5)
+        assert closed.value.rcvd.code == 4401
+        with viewing(page.url, origin=page.url.rstrip("/")) as (socket, onlooker):
+            receive(socket, onlooker)
+        with pytest.raises(InvalidStatus), viewing(page.url, additional_headers={"Host": "evil.example"}):
+            pass
+
+
+def test_other_hosts_need_the_token(monkeypatch):
+    monkeypatch.setenv("GRIDSLAM_LIVE_TOKEN", "secret")
+    with LivePage("loop", LiveOptions(host="0.0.0.0", port=0)) as page:
+        assert page.url.endswith("/?token=secret")
+        port = page.url.partition("/?")[0].rpartition(":")[2]
+        here = f"http://127.0.0.1:{port}/"
+        assert status_of(here + "map.zip") == 403
+        assert status_of(here + "map.zip?token=secret") == 200
+        for query in ("", "?token=wrong"):
+            with viewing(here + query) as (socket, _), pytest.raises(ConnectionClosed) as closed:
+                socket.recv(5)
+            assert closed.value.rcvd.code == 4401
+        with viewing(here + "?token=secret") as (socket, onlooker):
+            receive(socket, onlooker)
+    monkeypatch.delenv("GRIDSLAM_LIVE_TOKEN")
+    with LivePage("loop", LiveOptions(host="0.0.0.0", port=0)) as page:
+        assert len(page.url.partition("token=")[2]) >= 16
+
+
+@pytest.mark.parametrize("text", ["no json", "[1]", '{"do": "fly"}', '{"do": "speed", "times": "fast"}', '{"x": 1}'])
+def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
+        receive(socket, onlooker)
+        with viewing(page.url) as (other, _):
+            other.send(text)
+            with suppress(ConnectionClosed):
+                while True:
+                    other.recv(5)
+            assert other.close_code == 4400
+        receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
+
+
+def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
+    """A slow line must not be filled with what is old when it arrives."""
+    monkeypatch.setattr(application, "PERIOD_S", 0.001)
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
+        page.wait_for_viewer(5)
+        page.observer.period_s = 0.0
+        state = mapped(page, drive)
+        got = 0
+        while True:
+            try:
+                onlooker.receive(socket.recv(0.3))
+                got += 1
+            except TimeoutError:
+                break
+        assert got <= 2
+        socket.send(json.dumps({"do": "got"}))
+        receive_until(socket, onlooker, lambda: onlooker.sees(state.maps.occupancy(state.best)))
+
+
+def test_a_port_that_is_taken_is_told_with_the_remedy():
+    with LivePage("one", FREE) as page:
+        port = int(page.url.rstrip("/").rpartition(":")[2])
+        with pytest.raises(OutputError, match=f"port {port} of .* is taken; --live-port 0 takes one"):
+            LivePage("two", LiveOptions(port=port)).__enter__()
+
+
+def test_an_address_of_another_machine_is_refused():
+    with pytest.raises(OutputError, match="cannot listen at 192.0.2.1"):
+        LivePage("one", LiveOptions(host="192.0.2.1", port=0)).__enter__()
+
+
+def test_options_are_checked():
+    for bad in ({"port": -1}, {"port": 65536}, {"speed": 0.0}):
+        with pytest.raises(ArgumentError):
+            LiveOptions(**bad)
+    local = {"127.0.0.1": True, "localhost": True, "::1": True, "0.0.0.0": False, "192.168.1.2": False, "robot": False}
+    assert {host: LiveOptions(host=host).is_local for host in local} == local
+
+
+def test_a_filter_outlives_its_page(drive):
+    page = LivePage("loop", FREE, range_max_m=30.0)
+    with page:
+        pass
+    assert mapped(page, drive[:20]).best >= 0
+
+
+def test_the_page_stays_for_those_who_look_and_for_nobody_else(drive):
+    with LivePage("loop", FREE) as page:
+        began = time.monotonic()
+        page.linger()
+        assert not page.wait_for_viewer(0.05)
+        assert time.monotonic() - began < 1.0
+        with viewing(page.url):
+            assert page.wait_for_viewer(5)
+            waiting = threading.Thread(target=page.linger)
+            waiting.start()
+            waiting.join(0.3)
+            assert waiting.is_alive()
+        waiting.join(8)
+        assert not waiting.is_alive()

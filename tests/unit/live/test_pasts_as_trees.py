@@ -1,0 +1,122 @@
+"""Pasts, told as a path and a tree, are those of the ancestry: thinned, rooted, and at any time of a record."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridslam.io.record import Record, RecordFlag
+from gridslam.live.pasts import Pasts
+from gridslam.live.scene import rooted, tree_of
+from gridslam.particles.ancestry import Ancestry
+
+N = 5
+
+
+def record_of(steps, seed, share=0.4):
+    """A run of N particles, resampled now and then."""
+    rng = np.random.default_rng(seed)
+    resampled = rng.random(steps) < share
+    parents = np.where(resampled[:, None], np.sort(rng.integers(0, N, (steps, N)), axis=1), np.arange(N))
+    return Record(
+        stamps_ns=np.arange(steps, dtype=np.int64), poses=rng.normal(size=(steps, N, 3)).astype(np.float32),
+        log_weights=np.full((steps, N), -np.log(N)), parents=parents.astype(np.int32),
+        best=np.zeros(steps, np.int32), n_eff=np.ones(steps),
+        flags=(resampled * RecordFlag.RESAMPLED).astype(np.uint8), latency_s=np.ones(steps),
+    )  # fmt: skip
+
+
+def past_of(record, particle, key):
+    """The past (T, 2) of a particle as it was before the resampling at a key scan."""
+    places = []
+    for step in range(key, -1, -1):
+        places.append(record.poses[step, particle, :2])
+        particle = record.parents[step - 1, particle] if step else -1
+    return np.array(places[::-1])
+
+
+def walked(tree, particle, stem):
+    at, places = tree.leaves[particle], []
+    while at >= 0:
+        places.append(tree.places[at])
+        at = tree.parents[at]
+    places = np.array(places[::-1], np.float32).reshape(-1, 2)
+    return np.concatenate([stem, places]) if at == -1 else places
+
+
+def ancestry_of(record, key):
+    ancestry = Ancestry.start(record.poses[0])
+    for step in range(key):
+        ancestry.resample(record.parents[step])
+        ancestry.extend(record.poses[step + 1])
+    return ancestry
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.2, 0.6]))
+def test_path_and_tree_are_the_pasts(steps, seed, share):
+    record = record_of(steps, seed, share)
+    ancestry = ancestry_of(record, steps - 1)
+    trunk, tree = tree_of(ancestry)
+    for particle in range(N):
+        expected = past_of(record, particle, steps - 1)
+        assert np.array_equal(walked(tree, particle, trunk), expected)
+        assert np.array_equal(walked(rooted(ancestry), particle, trunk[:0]), expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 60), st.integers(0, 2**32 - 1), st.integers(5, 60))
+def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
+    record = record_of(steps, seed, 0.1)
+    ancestry = ancestry_of(record, steps - 1)
+    trunk, tree = tree_of(ancestry, most)
+    assert len(tree.places) <= most + N * (1 + len(tree.places) // most)
+    for particle in range(N):
+        full, thin = past_of(record, particle, steps - 1), walked(tree, particle, trunk)
+        kept = [int(np.flatnonzero((full == place).all(axis=1))[0]) for place in thin]
+        assert kept == sorted(kept)
+        assert kept[-1] == steps - 1
+        assert kept[: len(trunk)] == list(range(len(trunk)))
+
+
+def test_pasts_shared_by_all_are_no_tree():
+    trunk, tree = tree_of(Ancestry.along(np.arange(9.0).reshape(3, 3), 4))
+    assert trunk.tolist() == [[0, 1], [3, 4], [6, 7]]
+    assert tree.leaves.tolist() == [-1] * 4
+    assert rooted(Ancestry.along(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 150), st.lists(st.integers(0, 149), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
+def test_pasts_at_any_time_in_any_order(steps, keys, seed):
+    record = record_of(steps, seed)
+    pasts = Pasts(record)
+    for key in (min(key, steps - 1) for key in keys):
+        ancestry = pasts.at(key)
+        assert ancestry.steps == key + 1
+        for particle in range(N):
+            assert np.array_equal(ancestry.trajectory(particle)[:, :2], past_of(record, particle, key))
+
+
+@given(st.integers(0, N - 1), st.integers(0, 29), st.integers(0, 29), st.integers(0, 2**32 - 1))
+def test_relatives(particle, before, after, seed):
+    """The past of a descendant is the particle; and whoever has none left has no other relative later."""
+    record = record_of(30, seed, 0.15)
+    pasts = Pasts(record)
+    other = pasts.relative(particle, before, after)
+    if after <= before:
+        assert other == pasts.relative(other, after, after)
+        assert np.array_equal(past_of(record, particle, before)[after], record.poses[after, other, :2])
+    elif other >= 0:
+        assert np.array_equal(past_of(record, other, after)[before], record.poses[before, particle, :2])
+    else:
+        lines = [past_of(record, child, after)[before] for child in range(N)]
+        assert not any(np.array_equal(line, record.poses[before, particle, :2]) for line in lines)
+
+
+def test_who_died_out_has_no_past_either():
+    assert Pasts(record_of(4, 1)).relative(-1, 3, 0) == -1
+    with pytest.raises(ValueError, match="empty"):
+        Pasts(record_of(4, 1)).at(-1)

@@ -1,0 +1,174 @@
+"""A finished run is shown at any time of it as its files tell."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+
+import numpy as np
+import pytest
+from loops import PROVOKED, loop_drive
+from onlookers import Onlooker
+
+from gridslam.api import map_log
+from gridslam.config import override
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.map_server import read_map
+from gridslam.live.replay import Replay
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("replay")
+    write_carmen(folder / "loop.clf.gz", loop_drive().measurements[:330])
+    configuration = override(PROVOKED, "when_to_resample.fraction=0.9", "particles=5")
+    result = map_log(folder / "loop.clf.gz", configuration=configuration, repair="none")
+    result.save(folder / "out")
+    assert len(result.loops.closures), "the drive was to close its loop"
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def replay(out):
+    return Replay(out)
+
+
+def looking(replay):
+    viewer, onlooker = replay.join(lambda: None), Onlooker()
+    onlooker.catch_up(viewer)
+    return viewer, onlooker
+
+
+def test_it_begins_with_the_end(replay, out):
+    viewer, onlooker = looking(replay)
+    keys = len(replay.record)
+    assert onlooker.sees(read_map(out / "map.yaml"))
+    assert (onlooker.status["at"], onlooker.status["stage"]) == (keys - 1, "paused")
+    assert np.array_equal(onlooker.path, replay.key_poses[:, :2].astype(np.float32))
+    assert onlooker.series.shape == (keys, 4)
+    assert len(onlooker.arrays["closures"]) == len(replay.closures) > 0
+    assert onlooker.hello["mode"] == "replay"
+    assert onlooker.hello["title"] == "loop.clf.gz"
+    assert viewer.message() is None
+
+
+def test_any_time_can_be_looked_at_in_any_order(replay):
+    viewer, onlooker = looking(replay)
+    record = replay.record
+    for at in (0, 50, 49, len(record) - 1, 7, 120):
+        viewer.command({"do": "seek", "at": at})
+        onlooker.catch_up(viewer)
+        assert onlooker.status["at"] == at
+        assert onlooker.status["time_s"] == pytest.approx(1e-9 * (record.stamps_ns[at] - record.stamps_ns[0]))
+        assert np.array_equal(onlooker.path, replay.key_poses[: at + 1, :2].astype(np.float32))
+        particles = onlooker.arrays["particles"]
+        assert np.array_equal(particles[:, :3], record.poses[at])
+        assert particles[:, 3].sum() == pytest.approx(1.0)
+        assert len(onlooker.arrays["closures"]) == (replay.closures[:, 1] <= at).sum()
+        for particle in range(5):
+            assert np.array_equal(onlooker.past_of(particle)[-1], record.poses[at, particle, :2])
+            assert len(onlooker.past_of(particle)) == at + 1
+    viewer.command({"do": "seek", "at": 10**6})
+    onlooker.catch_up(viewer)
+    assert onlooker.status["at"] == len(record) - 1
+
+
+def test_what_is_sent_after_a_step_is_little(replay):
+    viewer, onlooker = looking(replay)
+    viewer.command({"do": "seek", "at": 60})
+    onlooker.catch_up(viewer)
+    before = onlooker.bytes
+    viewer.command({"do": "step"})
+    onlooker.catch_up(viewer)
+    assert onlooker.status["at"] == 61
+    assert onlooker.bytes - before < 4000
+
+
+def test_two_viewers_look_at_times_of_their_own(replay):
+    (one, first), (other, second) = looking(replay), looking(replay)
+    one.command({"do": "seek", "at": 5})
+    other.command({"do": "seek", "at": 100})
+    for viewer, onlooker, at in ((one, first, 5), (other, second, 100)):
+        onlooker.catch_up(viewer)
+        assert (onlooker.status["at"], len(onlooker.path)) == (at, at + 1)
+
+
+def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(time, "perf_counter", lambda: now)
+    viewer, onlooker = looking(replay)
+    viewer.command({"do": "speed", "times": 20})
+    viewer.command({"do": "resume"})  # at the end: it begins anew
+    onlooker.receive(viewer.message())
+    assert (onlooker.status["at"], onlooker.status["stage"]) == (0, "running")
+    for passed in (0.5, 1.0, 2.0):
+        now = 100.0 + passed
+        onlooker.receive(viewer.message())
+        assert onlooker.status["time_s"] == pytest.approx(20 * passed)
+        at = onlooker.status["at"]
+        assert replay.times_s[at] <= 20 * passed < replay.times_s[at + 1]
+    viewer.command({"do": "pause"})
+    onlooker.catch_up(viewer)
+    now += 50
+    assert viewer.message() is None
+    viewer.command({"do": "resume"})
+    now += 50
+    onlooker.receive(viewer.message())
+    assert (onlooker.status["at"], onlooker.status["stage"]) == (len(replay.record) - 1, "paused")
+
+
+def test_a_chosen_particle_keeps_its_line(replay):
+    viewer, onlooker = looking(replay)
+    viewer.command({"do": "seek", "at": 80})
+    viewer.command({"do": "watch", "particle": 3})
+    onlooker.catch_up(viewer)
+    past = onlooker.past_of(3)
+    viewer.command({"do": "seek", "at": 20})
+    onlooker.catch_up(viewer)
+    assert np.array_equal(onlooker.past_of(onlooker.status["watched"]), past[:21])
+    with pytest.raises(ArgumentError, match="below 5"):
+        viewer.command({"do": "watch", "particle": 5})
+    with pytest.raises(ArgumentError, match="seek"):
+        viewer.command({"do": "dance"})
+
+
+def broken(out, tmp_path, name, text):
+    folder = tmp_path / "broken"
+    shutil.copytree(out, folder)
+    (folder / name).unlink()
+    if text is not None:
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("run.json", None, "run.json: no such file; expected the folder"),
+        ("run.json", "{", "expected JSON"),
+        ("run.json", "[]", "expected a document of schema"),
+        ("run.json", json.dumps({"schema": "gridslam.graph/1"}), "expected a document of schema"),
+        ("record.npz", "nothing", "expected a record of a run"),
+        ("map.yaml", None, "map.yaml"),
+        ("trajectory.tum", "", "trajectory.tum"),
+        ("graph.g2o", "VERTEX_SE2 0 0 0 0\n", "expected 1 key scans, got"),
+    ],
+)
+def test_what_is_missing_or_does_not_belong_together_is_told(out, tmp_path, name, text, says):
+    with pytest.raises(InputError, match=says):
+        Replay(broken(out, tmp_path, name, text))
+
+
+def test_a_folder_that_is_none(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        Replay(tmp_path / "nowhere")
+
+
+def test_a_run_without_loop_closure(out, tmp_path):
+    document = json.loads((out / "run.json").read_text())
+    document["loop_closure"] = False
+    replay = Replay(broken(out, tmp_path, "run.json", json.dumps(document)))
+    assert replay.closures.shape == (0, 2)
+    looking(replay)
