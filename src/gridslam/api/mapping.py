@@ -79,8 +79,8 @@ def map_log(
     Raises
     ------
     ArgumentError
-        The seed is negative, there is no thread, `configuration` and one of `particles` and `laser` are given, or both `options` and
-        a log that is open already.
+        The seed is negative, there is no thread, `configuration` and one of `particles` and `laser` are given, or
+        both `options` and a log that is open already.
     InputError
         The log cannot be read.
     ConfigurationError

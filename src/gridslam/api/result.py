@@ -133,8 +133,8 @@ class MapResult:
         """Lines that tell what was mapped."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
         log, wall = self.log, self.stopwatch.total()[0]
-        loops = self.loops
-        places = "" if loops is None else f", {len(loops.closures)} places recognized, {len(loops.revisits)} known again"
+        found, known = (0, 0) if self.loops is None else (len(self.loops.closures), len(self.loops.revisits))
+        places = "" if self.loops is None else f", {found} places recognized, {known} known again"
         return [
             f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {self.driven}{places}",
             f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
