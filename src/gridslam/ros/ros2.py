@@ -1,0 +1,251 @@
+"""The node in ROS 2, by rclpy, where a sourced ROS 2 provides it.
+
+Scans, transforms and what the node says go through rclpy as bytes: no message becomes a Python object on its way.
+With the parameter `lifecycle` it is a managed node: it maps while it is active, pauses when it is deactivated, and
+forgets when it is cleaned up.
+"""
+
+from __future__ import annotations
+
+import array
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+from gridslam.errors import ConfigurationError, GridslamError
+from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
+from gridslam.pipeline import Observer
+from gridslam.ros.core import NodeCore
+from gridslam.ros.messages import Level
+from gridslam.ros.parameters import NodeParameters, node_parameters
+from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs
+from gridslam.ros.services import closed, saved
+
+__all__ = ["NODE_NAME", "Ros2Node", "run_ros2"]
+
+NODE_NAME = "gridslam"
+
+_POLL_S = 0.2
+_ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
+"""Parameters that rclpy sees to, or that are read before the node is made."""
+
+
+def _module(name: str) -> Any:  # noqa: ANN401
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        hint = "source a ROS 2's setup.bash, or use --transport dds"
+        raise ConfigurationError(f"ROS 2 is not there ({error}): {hint}") from None
+
+
+def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
+    package, _, kind = name.partition("/")
+    return getattr(_module(f"{package}.{folder}"), kind)
+
+
+@final
+class Ros2Node:
+    """Publishers, subscriptions and services on a node of rclpy.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Or a managed one.
+    parameters : NodeParameters
+        What its parameters come to.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    """
+
+    def __init__(self, node: Any, parameters: NodeParameters, observers: Sequence[Observer] = ()) -> None:  # noqa: ANN401
+        self._node, self._qos = node, _module("rclpy.qos")
+        self._out = parameters.out or Path("gridslam-map")
+        self._publishers = {
+            topic: node.create_publisher(
+                _type(kind), topic, self._profile(latched=topic in LATCHED, depth=1 if topic in LATCHED else 10)
+            )
+            for topic, kind in TOPICS.items()
+        }
+        outputs = Ros2Outputs(self._publish, self._now_ns, self._say, node.get_name())
+        self.core = NodeCore(
+            parameters.settings, parameters.configuration, outputs, record=parameters.record, observers=observers
+        )
+        if parameters.warning:
+            self._say(Level.WARN, parameters.warning)
+        self.core.start()
+        self._serve()
+        self._subscribe()
+
+    def _publish(self, topic: str, data: bytes) -> None:
+        self._publishers[topic].publish(data)
+
+    def _now_ns(self) -> int:
+        return int(self._node.get_clock().now().nanoseconds)
+
+    def _say(self, level: Level, text: str) -> None:
+        logger = self._node.get_logger()
+        {Level.OK: logger.info, Level.WARN: logger.warning, Level.ERROR: logger.error}[level](text)
+
+    def _profile(self, *, reliable: bool = True, latched: bool = False, depth: int) -> Any:  # noqa: ANN401
+        qos = self._qos
+        return qos.QoSProfile(
+            history=qos.HistoryPolicy.KEEP_LAST,
+            depth=depth,
+            reliability=qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT,
+            durability=qos.DurabilityPolicy.TRANSIENT_LOCAL if latched else qos.DurabilityPolicy.VOLATILE,
+        )
+
+    def _subscribe(self) -> None:
+        node, sensor = self._node, self._node.resolve_topic_name("scan")
+
+        def on_scan(data: bytes) -> None:
+            self.core.on_scan(decode_scan(data, wire_of_cdr(data)), sensor)
+
+        def on_transforms(static: bool) -> Callable[[bytes], None]:
+            return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
+
+        for topic, kind, take, profile in (
+            ("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), self._profile(latched=True, depth=100)),
+            ("/tf", "tf2_msgs/TFMessage", on_transforms(False), self._profile(depth=100)),
+            ("scan", "sensor_msgs/LaserScan", on_scan, self._profile(reliable=False, depth=5)),
+        ):
+            node.create_subscription(_type(kind), topic, self._heard(topic, take), profile, raw=True)
+
+    def _heard(self, topic: str, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+        """Call back, and complain of bytes that are no message."""
+
+        def heard(data: bytes) -> None:
+            try:
+                take(data)
+            except MessageError as error:
+                self.core.refuse("message", f"{topic}: {error}")
+
+        return heard
+
+    def _serve(self) -> None:
+        core, node = self.core, self._node
+
+        def dynamic_map(request: Any, response: Any) -> Any:  # noqa: ANN401
+            latest = core.dynamic_map()
+            if latest is not None:
+                grid = response.map
+                height, width = latest.cells.shape
+                stamp = grid.header.stamp.sec, grid.header.stamp.nanosec = divmod(latest.stamp_ns, 1_000_000_000)
+                grid.header.frame_id = latest.frame
+                grid.info.map_load_time.sec, grid.info.map_load_time.nanosec = stamp
+                grid.info.resolution, grid.info.width, grid.info.height = latest.resolution_m, width, height
+                grid.info.origin.position.x, grid.info.origin.position.y = latest.origin
+                grid.info.origin.orientation.w = 1.0
+                grid.data = array.array("b", latest.cells.tobytes())
+            return response
+
+        def reset(request: Any, response: Any) -> Any:  # noqa: ANN401
+            core.reset()
+            return response
+
+        def pause(request: Any, response: Any) -> Any:  # noqa: ANN401
+            core.pause(request.data)
+            response.success, response.message = True, "paused" if request.data else "mapping"
+            return response
+
+        def save(request: Any, response: Any) -> Any:  # noqa: ANN401
+            response.success, response.message = saved(core, self._out)
+            return response
+
+        # A service that takes its time must not hold up the scans.
+        apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
+        node.create_service(_type("nav_msgs/GetMap", "srv"), "dynamic_map", dynamic_map)
+        node.create_service(_type("std_srvs/Empty", "srv"), "~/reset", reset)
+        node.create_service(_type("std_srvs/SetBool", "srv"), "~/pause", pause)
+        node.create_service(_type("std_srvs/Trigger", "srv"), "~/save", save, callback_group=apart)
+
+
+def _given(node: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Parameters that launch files and arguments have set; no others are declared, so that presets hold."""
+    there = node.get_parameters_by_prefix("")
+    return {name: held.value for name, held in there.items() if name not in _ROS_S and "." not in name}
+
+
+def _managed(base: Any) -> Any:  # noqa: ANN401
+    """Node class whose transitions pause and reset the core."""
+    done = _module("rclpy.lifecycle").TransitionCallbackReturn.SUCCESS
+
+    class Managed(base):  # type: ignore[misc]
+        core: NodeCore | None = None
+
+        def on_configure(self, state: Any) -> Any:  # noqa: ANN401
+            return done
+
+        def on_activate(self, state: Any) -> Any:  # noqa: ANN401
+            if self.core is not None:
+                self.core.pause(False)
+            return super().on_activate(state)
+
+        def on_deactivate(self, state: Any) -> Any:  # noqa: ANN401
+            if self.core is not None:
+                self.core.pause(True)
+            return super().on_deactivate(state)
+
+        def on_cleanup(self, state: Any) -> Any:  # noqa: ANN401
+            if self.core is not None:
+                self.core.reset()
+            return done
+
+    return Managed
+
+
+def run_ros2(
+    arguments: Sequence[str] = (),
+    *,
+    given: Mapping[str, Any] | None = None,
+    observers: Sequence[Observer] = (),
+    tick: Callable[[], None] = lambda: None,
+) -> None:
+    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        ROS's own: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
+    given : mapping, optional
+        Parameters that hold whatever ROS's say.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    tick : callable
+        Called now and then; may raise KeyboardInterrupt.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no ROS 2, or a parameter is wrong.
+    """
+    rclpy = _module("rclpy")
+    rclpy.init(args=["gridslam", *arguments])
+    options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
+    node = _module("rclpy.node").Node(NODE_NAME, **options)
+    managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
+    if managed:
+        node.destroy_node()
+        node = _managed(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
+    parameters = node_parameters({**_given(node), **(given or {})}, "default")
+    ours = Ros2Node(node, parameters, observers)
+    if managed:
+        node.core = ours.core
+        ours.core.pause(True)
+    executors = _module("rclpy.executors")
+    executor = executors.MultiThreadedExecutor(2)
+    executor.add_node(node)
+    try:
+        while rclpy.ok() and not ours.core.ended.is_set():
+            executor.spin_once(timeout_sec=_POLL_S)
+            tick()
+    except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
+        pass
+    finally:
+        closed(ours.core, parameters.out)
+        node.destroy_node()
+        rclpy.try_shutdown()
+    if ours.core.failure is not None:
+        raise GridslamError(f"the filter has ended: {ours.core.failure}") from ours.core.failure
+

@@ -1,0 +1,219 @@
+"""The node on the wire of ROS 2: topics and services as `ros2 topic` and rclcpp see them, by Cyclone DDS."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, final
+
+from gridslam.errors import ConfigurationError, GridslamError
+from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
+from gridslam.pipeline import Observer
+from gridslam.ros.cdr import decoded, encoded
+from gridslam.ros.core import NodeCore
+from gridslam.ros.dds import DdsParticipant
+from gridslam.ros.messages import Level
+from gridslam.ros.parameters import NodeParameters, node_parameters
+from gridslam.ros.ros2_arguments import RosArguments, parse_ros_arguments
+from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs, grid_values
+from gridslam.ros.services import closed, saved
+
+__all__ = ["DdsNode", "run_dds"]
+
+_POLL_S = 0.2
+_LEVELS = {Level.OK: "INFO", Level.WARN: "WARN", Level.ERROR: "ERROR"}
+
+
+@final
+class DdsNode:
+    """Writers, readers and services of the node.
+
+    The services answer clients on rmw_cyclonedds alone: other vendors put who asks elsewhere.
+
+    Parameters
+    ----------
+    arguments : RosArguments
+        Names.
+    parameters : NodeParameters
+        What the node's parameters come to.
+    domain : int
+        ROS_DOMAIN_ID.
+    interfaces : sequence of str
+        Network interfaces; those that the library chooses if empty.
+    simulated : bool
+        Whether the time is that of /clock.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    """
+
+    def __init__(
+        self,
+        arguments: RosArguments,
+        parameters: NodeParameters,
+        *,
+        domain: int = 0,
+        interfaces: Sequence[str] = (),
+        simulated: bool = False,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        self._arguments, self._out = arguments, parameters.out or Path("gridslam-map")
+        self._clock_ns: int | None = 0 if simulated else None
+        self._participant = DdsParticipant(domain, interfaces)
+        self._writers = {topic: f"rt{arguments.resolve(topic)}" for topic in TOPICS}
+        for topic, kind in TOPICS.items():
+            self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
+        outputs = Ros2Outputs(self._publish, self._now_ns, self._say, arguments.node)
+        self.core = NodeCore(
+            parameters.settings, parameters.configuration, outputs, record=parameters.record, observers=observers
+        )
+        if parameters.warning:
+            self._say(Level.WARN, parameters.warning)
+        self._listen()
+        self._serve()
+        self.core.start()
+        self._participant.start()
+
+    def close(self, out: Path | None) -> None:
+        """End, and write what was mapped to `out`, where that is given."""
+        try:
+            closed(self.core, out)
+        finally:
+            self._participant.close()
+
+    def _publish(self, topic: str, data: bytes) -> None:
+        self._participant.publish(self._writers[topic], data)
+
+    def _now_ns(self) -> int:
+        return time.time_ns() if self._clock_ns is None else self._clock_ns
+
+    def _say(self, level: Level, text: str) -> None:
+        print(f"[{_LEVELS[level]}] [{time.time():.3f}] [{self._arguments.node}]: {text}", file=sys.stderr, flush=True)
+
+    def _listen(self) -> None:
+        sensor = self._arguments.resolve("scan")
+
+        def on_scan(data: bytes) -> None:
+            self.core.on_scan(decode_scan(data, wire_of_cdr(data)), sensor)
+
+        def on_transforms(static: bool) -> Callable[[bytes], None]:
+            return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
+
+        def on_clock(data: bytes) -> None:
+            seconds, nanoseconds = decoded("rosgraph_msgs/Clock", data)
+            self._clock_ns = seconds * 1_000_000_000 + nanoseconds
+
+        self._read("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), latched=True, depth=100)
+        self._read("/tf", "tf2_msgs/TFMessage", on_transforms(False), depth=100)
+        self._read("scan", "sensor_msgs/LaserScan", on_scan, reliable=False, depth=10)
+        if self._clock_ns is not None:
+            self._read("/clock", "rosgraph_msgs/Clock", on_clock, reliable=False, depth=1)
+
+    def _read(self, topic: str, kind: str, take: Callable[[bytes], None], **qos: Any) -> None:  # noqa: ANN401
+        name = self._arguments.resolve(topic)
+
+        def heard(data: bytes) -> None:
+            try:
+                take(data)
+            except (MessageError, ValueError) as error:
+                self.core.refuse("message", f"{name}: {error}")
+
+        self._participant.add_reader(f"rt{name}", kind, heard, **qos)
+
+    def _serve(self) -> None:
+        core = self.core
+
+        def dynamic_map() -> tuple[Any, ...]:
+            latest = core.dynamic_map()
+            return (grid_values(latest) if latest is not None else _EMPTY_GRID,)
+
+        def reset() -> tuple[Any, ...]:
+            core.reset()
+            return (0,)
+
+        def pause(paused: bool) -> tuple[Any, ...]:
+            core.pause(paused)
+            return True, "paused" if paused else "mapping"
+
+        self._answer("dynamic_map", "nav_msgs/GetMap", lambda unused: dynamic_map())
+        self._answer("~/reset", "std_srvs/Empty", lambda unused: reset())
+        self._answer("~/pause", "std_srvs/SetBool", pause)
+        self._answer("~/save", "std_srvs/Trigger", lambda unused: saved(core, self._out), slow=True)
+
+    def _answer(self, service: str, kind: str, serve: Callable[[Any], tuple[Any, ...]], *, slow: bool = False) -> None:
+        """Answer requests; a slow service does so in a thread of its own."""
+        name = self._arguments.resolve(service)
+        reply = f"rr{name}Reply"
+        self._participant.add_writer(reply, f"{kind}_Response")
+
+        def answered(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
+            self._participant.publish(reply, encoded(f"{kind}_Response", (guid, sequence, *serve(value))))
+
+        def asked(data: bytes) -> None:
+            try:
+                request = decoded(f"{kind}_Request", data)
+            except ValueError as error:
+                self.core.refuse("request", f"{name}: {error}")
+                return
+            if slow:
+                threading.Thread(target=answered, args=tuple(request), daemon=True).start()
+            else:
+                answered(*request)
+
+        self._participant.add_reader(f"rq{name}Request", f"{kind}_Request", asked)
+
+
+_EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))), b"")
+
+
+def run_dds(
+    arguments: Sequence[str] = (),
+    *,
+    given: Mapping[str, Any] | None = None,
+    interfaces: Sequence[str] = (),
+    observers: Sequence[Observer] = (),
+    tick: Callable[[], None] = lambda: None,
+) -> None:
+    """Be the node until Ctrl-C, then write the results where `out` says so.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        ROS's own, see `parse_ros_arguments`.
+    given : mapping, optional
+        Parameters that hold whatever the arguments say.
+    interfaces : sequence of str
+        Network interfaces, by address or name; those that the library chooses if empty.
+    observers : sequence of Observer
+        Called after each scan, in the filter's thread.
+    tick : callable
+        Called now and then; may raise KeyboardInterrupt.
+
+    Raises
+    ------
+    ConfigurationError
+        Cyclone DDS is not installed, or an argument or parameter is wrong.
+    """
+    ros = parse_ros_arguments(arguments)
+    values = {**ros.parameters, **(given or {})}
+    simulated = values.pop("use_sim_time", False) is True
+    parameters = node_parameters(values, "default")
+    try:
+        domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    except ValueError:
+        raise ConfigurationError("ROS_DOMAIN_ID: expected a number, got " + os.environ["ROS_DOMAIN_ID"]) from None
+    node = DdsNode(
+        ros, parameters, domain=domain, interfaces=interfaces, simulated=simulated, observers=observers
+    )  # fmt: skip
+    try:
+        while not node.core.ended.wait(_POLL_S):
+            tick()
+    except KeyboardInterrupt:  # the usual end of a node
+        pass
+    finally:
+        node.close(parameters.out)
+    if node.core.failure is not None:
+        raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure

@@ -1,0 +1,112 @@
+"""What the node says in ROS 2, as bytes, for whatever carries them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, final
+
+import numpy as np
+
+from gridslam.ros.cdr import encoded
+from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+
+__all__ = ["LATCHED", "TOPICS", "Ros2Outputs", "grid_values"]
+
+TOPICS: Final = {
+    "map": "nav_msgs/OccupancyGrid",
+    "map_metadata": "nav_msgs/MapMetaData",
+    "/tf": "tf2_msgs/TFMessage",
+    "~/pose": "geometry_msgs/PoseWithCovarianceStamped",
+    "~/entropy": "std_msgs/Float64",
+    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
+}
+"""What is published, and its type."""
+
+LATCHED: Final = ("map", "map_metadata")
+"""What late joiners get, too: published reliable and transient-local."""
+
+_LEVEL_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+@final
+class Ros2Outputs:
+    """Outputs of the core that encodes them.
+
+    Parameters
+    ----------
+    publish : callable
+        Takes the name of one of `TOPICS`, and the bytes.
+    now_ns : callable
+        The node's clock.
+    say : callable
+        Tells people.
+    name : str
+        Of the node.
+    """
+
+    def __init__(
+        self,
+        publish: Callable[[str, bytes], None],
+        now_ns: Callable[[], int],
+        say: Callable[[Level, str], None],
+        name: str,
+    ) -> None:
+        self._publish, self._now_ns, self._say, self._name = publish, now_ns, say, name
+
+    def now_ns(self) -> int:
+        """Time now, or that of the simulation, ns."""
+        return self._now_ns()
+
+    def say(self, level: Level, text: str) -> None:
+        """Tell people."""
+        self._say(level, text)
+
+    def map(self, message: GridMessage) -> None:
+        """Publish the map and its metadata."""
+        values = grid_values(message)
+        self._send("map_metadata", values[1])
+        self._send("map", values)
+
+    def transform(self, message: StampedTransform) -> None:
+        """Publish on /tf."""
+        pose = message.pose
+        link = (_header(message.stamp_ns, message.parent), message.child, (pose[:3], pose[3:]))
+        self._send("/tf", ([link],))
+
+    def pose(self, message: PoseMessage) -> None:
+        """Publish on ~/pose."""
+        x, y, theta = message.pose.tolist()
+        full = np.zeros((6, 6))
+        full[np.ix_((0, 1, 5), (0, 1, 5))] = message.covariance
+        turn = (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
+        self._send("~/pose", (_header(message.stamp_ns, message.frame), (((x, y, 0.0), turn), full.ravel().tolist())))
+
+    def entropy(self, nats: float) -> None:
+        """Publish on ~/entropy."""
+        self._send("~/entropy", (nats,))
+
+    def diagnostics(self, message: Diagnostics) -> None:
+        """Publish on /diagnostics."""
+        status = (int(message.level), f"{self._name}: SLAM", message.summary, "", list(message.values.items()))
+        self._send("/diagnostics", (_header(self.now_ns(), ""), [status]))
+
+    def _send(self, topic: str, values: Any) -> None:  # noqa: ANN401
+        self._publish(topic, encoded(TOPICS[topic], values))
+
+
+def grid_values(message: GridMessage) -> tuple[Any, ...]:
+    """Fields of nav_msgs/OccupancyGrid."""
+    height, width = message.cells.shape
+    x, y = message.origin
+    origin = (x, y, 0.0), _LEVEL_TURN
+    info = _stamp(message.stamp_ns), message.resolution_m, width, height, origin
+    return _header(message.stamp_ns, message.frame), info, message.cells.tobytes()
+
+
+def _stamp(stamp_ns: int) -> tuple[int, int]:
+    return divmod(stamp_ns, 1_000_000_000)
+
+
+def _header(stamp_ns: int, frame: str) -> tuple[tuple[int, int], str]:
+    return _stamp(stamp_ns), frame

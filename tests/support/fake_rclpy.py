@@ -1,0 +1,142 @@
+"""A stand-in for rclpy with the part of its interface that the node uses. It is no ROS 2."""
+
+from __future__ import annotations
+
+import sys
+import types
+from collections.abc import Callable
+from enum import Enum
+from types import SimpleNamespace
+from typing import Any
+
+TYPES = {
+    "sensor_msgs.msg": ["LaserScan"], "tf2_msgs.msg": ["TFMessage"], "nav_msgs.msg": ["OccupancyGrid", "MapMetaData"],
+    "geometry_msgs.msg": ["PoseWithCovarianceStamped"], "std_msgs.msg": ["Float64"], "nav_msgs.srv": ["GetMap"],
+    "diagnostic_msgs.msg": ["DiagnosticArray"], "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
+}  # fmt: skip
+
+
+class World:
+    """What went through the stand-in, and what tests put into it."""
+
+    def __init__(self, parameters: dict[str, Any]) -> None:
+        self.parameters = parameters
+        self.published: dict[str, list[bytes]] = {}
+        self.publishers: dict[str, tuple[str, Any]] = {}
+        self.subscriptions: dict[str, tuple[str, Any, Callable[[bytes], None]]] = {}
+        self.services: dict[str, Callable[[Any, Any], Any]] = {}
+        self.logged: list[tuple[str, str]] = []
+        self.nodes: list[Any] = []
+        self.clock_ns = 0
+        self.running = True
+        self.spun: Callable[[], None] = lambda: None
+
+
+class Node:
+    world: World
+
+    def __init__(self, name: str, **options: bool) -> None:
+        assert options == {
+            "allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True,
+        }  # fmt: skip
+        self.name, self.destroyed = name, False
+        self.world.nodes.append(self)
+
+    def get_name(self) -> str:
+        return self.name
+
+    def has_parameter(self, name: str) -> bool:
+        return name in self.world.parameters
+
+    def get_parameter(self, name: str) -> Any:
+        return SimpleNamespace(value=self.world.parameters[name])
+
+    def get_parameters_by_prefix(self, prefix: str) -> dict[str, Any]:
+        assert prefix == ""
+        return {name: SimpleNamespace(value=value) for name, value in self.world.parameters.items()}
+
+    def resolve_topic_name(self, name: str) -> str:
+        return f"/{name}"
+
+    def create_publisher(self, kind: type, topic: str, profile: Any) -> Any:
+        self.world.publishers[topic] = kind.__name__, profile
+        return SimpleNamespace(publish=lambda data: self.world.published.setdefault(topic, []).append(data))
+
+    def create_subscription(
+        self, kind: type, topic: str, callback: Callable[[bytes], None], profile: Any, *, raw: bool
+    ) -> None:
+        assert raw
+        self.world.subscriptions[topic] = kind.__name__, profile, callback
+
+    def create_service(
+        self, kind: type, name: str, callback: Callable[[Any, Any], Any], *, callback_group: Any = None
+    ) -> None:
+        self.world.services[name] = callback
+
+    def get_clock(self) -> Any:
+        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.clock_ns))
+
+    def get_logger(self) -> Any:
+        said = self.world.logged
+        return SimpleNamespace(
+            **{level: lambda text, level=level: said.append((level, text)) for level in ("info", "warning", "error")}
+        )
+
+    def destroy_node(self) -> None:
+        self.destroyed = True
+
+
+class LifecycleNode(Node):
+    def on_activate(self, state: Any) -> str:
+        return "success"
+
+    def on_deactivate(self, state: Any) -> str:
+        return "success"
+
+
+def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
+    """Put the stand-in where `import rclpy` finds it."""
+    world = World(parameters)
+    Node.world = world
+
+    class ExternalShutdownException(Exception):  # noqa: N818 - rclpy's name
+        pass
+
+    class MultiThreadedExecutor:
+        def __init__(self, threads: int) -> None:
+            assert threads == 2
+
+        def add_node(self, node: Node) -> None:
+            assert node in world.nodes
+
+        def spin_once(self, timeout_sec: float) -> None:
+            world.spun()
+
+    def module(name: str, **contents: Any) -> None:
+        made = types.ModuleType(name)
+        made.__dict__.update(contents)
+        monkeypatch.setitem(sys.modules, name, made)
+
+    module("rclpy", init=lambda args: None, ok=lambda: world.running, try_shutdown=lambda: None)
+    module("rclpy.node", Node=Node)
+    module(
+        "rclpy.lifecycle",
+        LifecycleNode=LifecycleNode,
+        TransitionCallbackReturn=Enum("TransitionCallbackReturn", "SUCCESS"),
+    )
+    module(
+        "rclpy.executors",
+        MultiThreadedExecutor=MultiThreadedExecutor,
+        ExternalShutdownException=ExternalShutdownException,
+    )
+    module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
+    module(
+        "rclpy.qos", QoSProfile=lambda **policies: SimpleNamespace(**policies),
+        HistoryPolicy=Enum("HistoryPolicy", "KEEP_LAST"),
+        ReliabilityPolicy=Enum("ReliabilityPolicy", "RELIABLE BEST_EFFORT"),
+        DurabilityPolicy=Enum("DurabilityPolicy", "VOLATILE TRANSIENT_LOCAL"),
+    )  # fmt: skip
+    for name, kinds in TYPES.items():
+        module(name.partition(".")[0])
+        module(name, **{kind: type(kind, (), {}) for kind in kinds})
+    return world

@@ -1,0 +1,129 @@
+"""The node on rclpy, against a stand-in for it (tests/support/fake_rclpy.py): no ROS 2 takes part in these tests."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import fake_rclpy
+import numpy as np
+import pytest
+from ros_node import mounting, odometry_message, scan_message, until
+
+from gridslam.errors import ConfigurationError
+from gridslam.ros.cdr import encoded
+from gridslam.ros.ros2 import run_ros2
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+SHIFT_NS = 1_700_000_000 * 10**9
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(1)
+    log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+    return list(log.measurements)[:40]
+
+
+def header(stamp_ns, frame):
+    return divmod(stamp_ns, 10**9), frame
+
+
+def transforms(link):
+    values = [(header(link.stamp_ns, link.parent), link.child, (link.pose[:3], link.pose[3:]))]
+    return encoded("tf2_msgs/TFMessage", (values,))
+
+
+def send(world, measurement):
+    message = scan_message(measurement, SHIFT_NS)
+    world.clock_ns = message.stamp_ns
+    world.subscriptions["/tf"][2](transforms(odometry_message(measurement, SHIFT_NS)))
+    values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
+    scan = header(message.stamp_ns, message.frame), *values, message.ranges.tolist(), []
+    world.subscriptions["scan"][2](encoded("sensor_msgs/LaserScan", scan))
+
+
+def run(world, script, **options):
+    """Run the node, whose executor runs the script once."""
+
+    def spun():
+        try:
+            script()
+        finally:
+            world.running = False
+
+    world.spun = spun
+    run_ros2([], **options)
+
+
+def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
+    world = fake_rclpy.installed(monkeypatch, {"particles": 4, "map_update_interval": 0.1, "xmin": -5.0})
+
+    def script():
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        for one in drive:
+            send(world, one)
+        assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
+        assert until(lambda: len(world.published.get("map", ())) >= 2)
+        world.subscriptions["scan"][2](b"\0\1\0\0nonsense")
+        grid = SimpleNamespace(
+            header=SimpleNamespace(stamp=SimpleNamespace()),
+            info=SimpleNamespace(
+                map_load_time=SimpleNamespace(),
+                origin=SimpleNamespace(position=SimpleNamespace(), orientation=SimpleNamespace()),
+            ),
+        )
+        response = world.services["dynamic_map"](None, SimpleNamespace(map=grid)).map
+        assert len(response.data) == response.info.width * response.info.height
+        assert response.header.frame_id == "map"
+        saved = world.services["~/save"](None, SimpleNamespace())
+        assert saved.success, saved.message
+        assert world.services["~/pause"](SimpleNamespace(data=True), SimpleNamespace()).message == "paused"
+        world.services["~/reset"](None, SimpleNamespace())
+        assert until(lambda: "a new map is begun: reset" in str(world.logged))
+
+    run(world, script, given={"out": str(tmp_path / "out")})
+    assert (tmp_path / "out" / "map.pgm").is_file()
+    assert "message refused: scan: " in str(world.logged)
+    assert "parameters that are ignored: xmin" in str(world.logged)
+    assert world.nodes[0].destroyed
+
+
+def test_quality_of_service(monkeypatch):
+    world = fake_rclpy.installed(monkeypatch, {})
+
+    def told(profile):
+        return profile.reliability.name, profile.durability.name, profile.depth
+
+    run(world, lambda: None)
+    assert told(world.publishers["map"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+    assert told(world.publishers["map_metadata"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+    assert told(world.publishers["/tf"][1]) == ("RELIABLE", "VOLATILE", 10)
+    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 5)
+    assert told(world.subscriptions["/tf_static"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 100)
+
+
+def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
+    world = fake_rclpy.installed(monkeypatch, {"lifecycle": True, "particles": 4})
+
+    def script():
+        node = world.nodes[-1]
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        node.on_configure(None)
+        send(world, drive[0])
+        assert node.core.diagnostics().values["paused"] == "1"
+        node.on_activate(None)
+        send(world, drive[1])
+        assert until(lambda: len(world.published.get("~/pose", ())) == 1)
+        node.on_deactivate(None)
+        send(world, drive[2])
+        assert node.core.diagnostics().values["paused"] == "2"
+        node.on_cleanup(None)
+        assert until(lambda: "a new map is begun: reset" in str(world.logged))
+
+    run(world, script)
+    assert world.nodes[0].destroyed
+
+
+def test_without_ros_the_other_way_is_named():
+    with pytest.raises(ConfigurationError, match=r"ROS 2 is not there .*--transport dds"):
+        run_ros2()
