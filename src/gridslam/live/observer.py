@@ -19,10 +19,12 @@ from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, Odometry, StepReport
 
-__all__ = ["BEST", "CORRECTED", "LiveObserver", "Snapshot"]
+__all__ = ["BEST", "CORRECTED", "SEEN_S", "UNSEEN_S", "LiveObserver", "Snapshot"]
 
 BEST = 0
 """The channel that shows the best particle's map, whichever that is."""
+SEEN_S, UNSEEN_S = 0.1, 1.0
+"""Time between snapshots while somebody looks, and while nobody does, s."""
 CORRECTED = 8
 """Beside the flags of a record: the past was corrected after this key scan."""
 
@@ -103,7 +105,7 @@ class LiveObserver:
     Attributes
     ----------
     period_s : float, s
-        Least time between two snapshots.
+        Least time between two snapshots; set by whoever knows whether somebody looks.
     share : callable
         Tells how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
@@ -116,7 +118,7 @@ class LiveObserver:
         range_max_m: float = math.inf,
     ) -> None:
         """Begin before the first scan."""
-        self.period_s = 0.1
+        self.period_s = UNSEEN_S
         self.share: Callable[[], float] = lambda: math.nan
         self._post, self._control, self._range_max_m = post, control, range_max_m
         self._scans = self._keys = 0

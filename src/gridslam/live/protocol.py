@@ -68,7 +68,7 @@ _LEVEL_OF = _table()
 
 def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
     """Levels (...) of stored log-odds (...), 0 to 15."""
-    found: NDArray[np.uint8] = _LEVEL_OF[log_odds.view(np.uint16)]
+    found: NDArray[np.uint8] = _LEVEL_OF.take(log_odds.view(np.uint16))
     return found
 
 

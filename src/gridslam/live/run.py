@@ -15,7 +15,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
 from gridslam.kernels import TILE
 from gridslam.live.control import Control, checked_speed
-from gridslam.live.observer import BEST, LiveObserver, Snapshot
+from gridslam.live.observer import BEST, SEEN_S, UNSEEN_S, LiveObserver, Snapshot
 from gridslam.live.protocol import STEP_NATS
 from gridslam.live.scene import Float32Array, Scene, Sent, Tree, Way, tree_of
 from gridslam.live.tiles import TileMirror, tiles_of
@@ -170,7 +170,7 @@ class LiveRun:
 
     def _count_viewers(self) -> None:
         if self.observer is not None:
-            self.observer.period_s = 0.1 if self._viewers else 1.0
+            self.observer.period_s = SEEN_S if self._viewers else UNSEEN_S
         self.tell_all()
 
     def _take_series(self, snapshot: Snapshot) -> None:

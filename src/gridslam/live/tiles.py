@@ -133,11 +133,12 @@ class TileMirror:
         if not len(changes.at):
             return
         places = np.array([self._place_of(row, column) for row, column in changes.at.tolist()])
-        looks = levels(changes.log_odds)
-        changed = np.flatnonzero((looks != levels(self._cells[places])).any(axis=(1, 2)))
-        self._cells[places] = changes.log_odds
-        self._numbers[places[changed]] = self.sequence + 1 + np.arange(len(changed))
-        self.sequence += len(changed)
+        before = self._cells[places]
+        changed = np.flatnonzero((changes.log_odds != before).any(axis=(1, 2)))
+        seen = (levels(changes.log_odds[changed]) != levels(before[changed])).any(axis=(1, 2))
+        self._cells[places[changed]] = changes.log_odds[changed]
+        self._numbers[places[changed[seen]]] = self.sequence + 1 + np.arange(seen.sum())
+        self.sequence += int(seen.sum())
 
     def replace(self, changes: TileChanges) -> None:
         """Become the map that consists of these tiles alone."""
