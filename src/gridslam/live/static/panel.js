@@ -35,7 +35,7 @@ export class Panel {
     $("#title").textContent = hello.title;
     $("#layers [name=scan]").parentElement.hidden = this.mode !== "live"; // a record does not hold the scans
     const unlimited = $("#speed option[value='']");
-    if (this.mode === "live" && !unlimited) $("#speed").add(new Option("as fast as can be", ""));
+    if (this.mode === "live" && !unlimited) $("#speed").add(new Option("max", ""));
     if (this.mode !== "live") unlimited?.remove();
   }
 
