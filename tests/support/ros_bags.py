@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -138,8 +138,14 @@ class Maker:
         return bytes(self.store.serialize_cdr(message, said.type, little_endian=little_endian))
 
 
-def write(folder: Path, kind: str, messages: Iterable[Said], compression: str = "", name: str = "log") -> Path:
-    """Write messages in the order given; `compression` is bz2 or lz4 (ROS 1), file, message or storage (ROS 2)."""
+def write(
+    folder: Path, kind: str, messages: Iterable[Said], compression: str = "", name: str = "log",
+    altered: Callable[[bytes], bytes] = bytes,
+) -> Path:  # fmt: skip
+    """Write messages in the order given; `compression` is bz2 or lz4 (ROS 1), file, message or storage (ROS 2).
+
+    The bytes of each message are what `altered` makes of them.
+    """
     from rosbags import rosbag1, rosbag2
 
     maker = Maker(kind == "ros1")
@@ -159,7 +165,7 @@ def write(folder: Path, kind: str, messages: Iterable[Said], compression: str = 
         for said in messages:
             if said.topic not in connections:
                 connections[said.topic] = writer.add_connection(said.topic, said.type, typestore=maker.store)
-            writer.write(connections[said.topic], said.time_ns, maker.bytes_of(said))
+            writer.write(connections[said.topic], said.time_ns, altered(maker.bytes_of(said)))
     return path
 
 

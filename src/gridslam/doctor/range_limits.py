@@ -115,7 +115,7 @@ class RangeCounts:
 
 
 def _bins(ranges: FloatArray) -> IntArray:
-    bins: IntArray = np.minimum(ranges / _BIN_M + 0.5, _BINS).astype(np.int64)
+    bins: IntArray = (np.minimum(ranges, _BINS * _BIN_M) / _BIN_M + 0.5).astype(np.int64)
     return bins
 
 

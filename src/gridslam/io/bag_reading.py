@@ -135,7 +135,10 @@ class BagReading:
             statistics.missing_transforms[f"mounting: {laser.mounting.source}"] += 1
         if laser.has_moved:
             statistics.moving_mountings[topic] += 1
-        measurement = Measurement(odometry, self._maker.scan(message, scan.stamp_ns, topic, laser.base_from_laser))
+        made = self._maker.scan(message, scan.stamp_ns, topic, laser.base_from_laser)
+        if message.time_increment > 0 and made.beam_times_s is None:
+            statistics.remarks[f"by the time_increment of {topic} a scan takes 10 s or more: not used"] += 1
+        measurement = Measurement(odometry, made)
         statistics.count(measurement)
         statistics.bytes_read = self._source.bytes_read
         return measurement

@@ -8,11 +8,11 @@ from typing import final
 
 import numpy as np
 
+from gridslam.io.measurement import LONGEST_SCAN_S
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.types import BeamStatus, FloatArray, LaserScan, ScanGeometry
 
 __all__ = ["ScanMaker"]
-
 _KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
 _INVALID = np.uint8(BeamStatus.INVALID)
 _SMALLEST = 5e-324  # a range of 0 is none
@@ -31,7 +31,8 @@ class ScanMaker:
     def scan(self, message: ScanMessage, stamp_ns: int, sensor: str, base_from_laser: FloatArray) -> LaserScan:
         """Make a scan, by the rules of `LaserScan.from_ranges`.
 
-        A maximum that is not above the minimum and 0 is no maximum, a minimum below 0 or NaN no minimum.
+        A maximum that is not above the minimum and 0 is no maximum, a minimum below 0 or NaN no minimum. A time
+        increment by which the scan takes 10 s or more is none.
         """
         lower = message.range_min if message.range_min > 0 else 0.0
         upper = message.range_max if message.range_max > lower else math.inf
@@ -58,7 +59,7 @@ class ScanMaker:
 
     def _times(self, message: ScanMessage) -> FloatArray | None:
         increment = message.time_increment
-        if not 0 < increment < math.inf:
+        if not (increment > 0 and increment * len(message.ranges) < LONGEST_SCAN_S):
             return None
         times: FloatArray = np.arange(len(message.ranges), dtype=np.float64)
         times *= increment

@@ -16,7 +16,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lines import LineError, parse_stamp_ns
 from gridslam.io.csv_columns import COLUMNS, LASER, ODOMETRY, REQUIRED, angles_of_rotation, rotation_of_angles
 from gridslam.io.log_statistics import LogStatistics, Mounting
-from gridslam.io.measurement import Measurement
+from gridslam.io.measurement import LONGEST_SCAN_S, Measurement
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -256,13 +256,16 @@ def _laser(cells: dict[str, str], beams: int) -> _Laser:
     mounting = np.eye(4)
     mounting[:3, :3] = rotation_of_angles(*angles)
     mounting[:3, 3] = x, y, z
-    time = texts["time_increment_s"]
-    times: FloatArray = np.arange(beams, dtype=np.float64) * (_number("time_increment_s", time) if time else math.nan)
+    time = _number("time_increment_s", texts["time_increment_s"] or "0")
+    if not abs(time) * beams < LONGEST_SCAN_S:
+        got = f"{beams} beams in steps of {time:g} s"
+        raise _CellError("time_increment_s", f"a scan that takes less than {LONGEST_SCAN_S:g} s", got)
+    times: FloatArray = time * np.arange(beams, dtype=np.float64)
     return _Laser(
         sensor=texts["sensor"],
         frame=texts["frame"],
         geometry=ScanGeometry(start + step * np.arange(beams), mounting),
-        beam_times_s=times if time else None,
+        beam_times_s=times if texts["time_increment_s"] else None,
         range_min_m=_number("range_min_m", texts["range_min_m"], 0.0),
         range_max_m=_number("range_max_m", texts["range_max_m"], 0.0, infinite=True),
     )

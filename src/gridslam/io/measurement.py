@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 from gridslam.types import LaserScan, Odometry
 
-__all__ = ["Measurement"]
+__all__ = ["LONGEST_SCAN_S", "Measurement"]
+
+LONGEST_SCAN_S = 10.0
+"""No planar laser takes so long for a scan: times of beams that say so are none."""
 
 
 class Measurement(NamedTuple):

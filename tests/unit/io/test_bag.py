@@ -54,6 +54,14 @@ def test_mounting_and_beams(tmp_path):
     assert (laser.range_min_m, laser.range_max_m) == (0.5, 3.5)
 
 
+@pytest.mark.parametrize("increment", [2.5, 3e38, math.inf])
+def test_beam_times_that_mean_nothing_are_told(tmp_path, increment):
+    log = log_of(tmp_path, [*drive(scans=False), scan("/scan", 1.0, FOUR, time_increment=increment)])
+    ((_, laser),) = log
+    assert laser.beam_times_s is None
+    assert log.statistics.remarks["by the time_increment of /scan a scan takes 10 s or more: not used"] == 1
+
+
 def test_scans_share_geometry_and_are_read_only(tmp_path):
     scans = [measurement.scan for measurement in log_of(tmp_path, drive())]
     assert len({id(laser.geometry) for laser in scans}) == 1

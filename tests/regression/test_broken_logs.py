@@ -1,0 +1,14 @@
+"""A damaged log of any format gives a map or one named error: no other exception, no hang, no half of an output.
+
+Two thousand of them are in the long tier.
+"""
+
+from __future__ import annotations
+
+from broken_runs import run_broken_logs
+
+
+def test_two_hundred_broken_logs(tmp_path):
+    came = run_broken_logs(tmp_path, 200, seed=0, whole_command_every=9)
+    assert came.keys() == {"map", "error"}
+    assert min(came.values()) > 40  # the damage is neither always fatal nor never
