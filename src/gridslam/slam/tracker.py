@@ -18,11 +18,12 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import Deskew
 from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, pose_of
 from gridslam.slam.tracker_velocity import ConstantVelocity
-from gridslam.types import Beams, FloatArray, Odometry
+from gridslam.types import Beams, FloatArray, Match, Odometry
 
 __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
@@ -64,6 +65,9 @@ class Tracker:
         Share of the beams that must agree more after such a match than before it.
     matcher : GaussNewton
         How a scan is matched.
+    steady_matcher : GaussNewton
+        The same where the odometry's errors are known: what the scan tells but weakly, the odometry tells better. Where
+        directions are better determined than that, the odometry's errors are learned.
     velocity : ConstantVelocity
         What is predicted where there is no odometry.
     search_share : float
@@ -73,6 +77,8 @@ class Tracker:
         Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
     deskew : Deskew or None
         How scans with beam times are deskewed; None: they are taken as they are.
+    calibration : OdometryCalibration or None
+        How the odometry's errors are learned; None: it is taken as it is.
     """
 
     still_m: float = Field(default=0.005, ge=0)
@@ -87,10 +93,12 @@ class Tracker:
     slip_m: float = Field(default=0.08, gt=0)
     slip_gain: float = Field(default=0.1, ge=0, le=1)
     matcher: GaussNewton = GaussNewton()
+    steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
     velocity: ConstantVelocity = ConstantVelocity()
     search_share: float = Field(default=0.7, ge=0, le=1)
     patience: int = Field(default=3, ge=1)
     deskew: Deskew | None = Deskew()
+    calibration: OdometryCalibration | None = OdometryCalibration()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
@@ -116,13 +124,15 @@ class Tracker:
             state.matched_pose, state.matched_odometry = found.pose, at
         state.stamp_ns, state.odometry = stamp_ns, at
         if found.matched:
+            self._learn(state, found)
             self._insert(state, found, beams)
         return Tracked(found.pose, found.predicted.pose, beams)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
-        increment = between(state.matched_odometry, at)
-        if math.isnan(increment[0]) or self._jumped(state, at, stamp_ns):
+        told = between(state.matched_odometry, at)
+        if math.isnan(told[0]) or not state.learned.trusted or self._jumped(state, at, stamp_ns):
             return self._by_velocity(state, seconds)
+        increment = state.learned.corrected(told)
         moved, turned = _motion(increment)
         sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
         pose = compose(state.matched_pose, increment)
@@ -166,8 +176,11 @@ class Tracker:
 
     def _matched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
-        match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
-        pose, score = match.poses[0], float(match.score[0])
+        known = self.calibration is not None and self.calibration.is_known(state.learned)
+        matcher = self.steady_matcher if known else self.matcher
+        match = matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
+        best, score = match.poses[0], float(match.score[0])
+        pose = best
         if score < self.poor_share * len(beams):
             return Found(predicted.pose, predicted, matched=True, poor=True)
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
@@ -175,7 +188,8 @@ class Tracker:
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = _LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
-        return Found(pose, predicted, matched=True, poor=False, share=score / len(beams))
+        determined = pose is best and self._determined(match)
+        return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
 
     def _searched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
@@ -190,9 +204,10 @@ class Tracker:
                 match = other if convinces and other.score[0] >= self.search_share * count else match
         if match.score[0] < self.poor_share * count:
             return Found(predicted.pose, predicted, matched=True, poor=True)
-        pose, share = match.poses[0], float(match.score[0]) / count
+        pose, score = match.poses[0], float(match.score[0])
         stands = _within(state.pose, pose, self.still_m, self.still_rad)
-        return Found(state.pose if stands else pose, predicted, matched=True, poor=False, share=share)
+        determined = self._determined(match)
+        return Found(state.pose if stands else pose, predicted, True, False, score / count, determined)
 
     def _advance(self, state: TrackerState, found: Found) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
@@ -204,6 +219,17 @@ class Tracker:
         if found.poor:
             state.doubt_m2 += predicted.sigma_m**2
             state.doubt_rad2 += predicted.sigma_rad**2
+
+    def _learn(self, state: TrackerState, found: Found) -> None:
+        """Learn what the odometry's errors are, from where the scan was taken."""
+        if self.calibration is not None:
+            believed = found.share >= self.search_share
+            self.calibration.learn(state.learned, found.pose, state.odometry, believed, found.determined)
+
+    def _determined(self, match: Match) -> bool:
+        """Whether a match tells the position in all directions, better than odometry whose errors are known."""
+        least = self.steady_matcher.min_information
+        return undetermined(match.information[0], float(match.score[0]), least) is None
 
     def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.odometry_calibration import LearnedOdometry
 from gridslam.types import Beams, FloatArray, Odometry
 
 __all__ = ["Found", "Prediction", "Seen", "Tracked", "TrackerState", "pose_of"]
@@ -32,7 +33,7 @@ class Seen(NamedTuple):
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> Seen:
         """After its first scan, from `pose` (3,)."""
-        return cls(stamp_ns, pose, 0.0, pose, np.zeros(3))
+        return cls(stamp_ns, pose, 1.0, pose, np.zeros(3))
 
 
 @final
@@ -54,6 +55,8 @@ class TrackerState:
         Of the last scan that was matched, from which odometry goes on.
     sensors : dict of str to Seen
         The last of each laser.
+    learned : LearnedOdometry
+        What the odometry's errors are.
     twist : (3,) float64
         Velocity of the base in its own frame, m/s and rad/s.
     period_s : float
@@ -77,6 +80,7 @@ class TrackerState:
     matched_pose: FloatArray
     matched_odometry: FloatArray
     sensors: dict[str, Seen]
+    learned: LearnedOdometry = field(default_factory=LearnedOdometry)
     twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     period_s: float = 0.1
     even: bool = False
@@ -115,7 +119,7 @@ class TrackerState:
 
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
-        return replace(self, maps=self.maps.snapshot())
+        return replace(self, maps=self.maps.snapshot(), learned=self.learned.snapshot())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
@@ -128,18 +132,21 @@ class TrackerState:
         arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
         arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
         arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
+        arrays |= {f"learned.{name}": array for name, array in self.learned.to_arrays().items()}
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
+        learned = LearnedOdometry.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
         stamp_ns, active, first, second, blind, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
         last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, strict=True)]
         return cls(
-            maps, stamp_ns=stamp_ns, sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
+            maps, stamp_ns=stamp_ns, learned=learned,
+            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
             period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
             blind_scans=blind, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
             **{name: np.array(arrays[name], np.float64) for name in _POSES},
@@ -183,6 +190,7 @@ class Found(NamedTuple):
     matched: bool  # whether the map was asked
     poor: bool  # nothing that is known of the pose is to be trusted
     share: float = 0.0  # of the beams that agree with the map; 0 where the match is not believed
+    determined: bool = False  # by the scan, in all directions
 
 
 @final

@@ -154,9 +154,12 @@ def test_a_key_scan_without_beams_waits_for_the_next_one(drive, play, usual):
 
 
 def test_a_sensor_covered_for_a_while_leaves_the_odometry(drive, play):
-    """For 5 s the poses move as odometry does, to rounding, and then matching goes on."""
+    """For 5 s the poses move as odometry does, to rounding, and then matching goes on.
+
+    What was learned of the odometry before makes that better; here nothing is.
+    """
     log = [(o, blind(scan) if 40 <= k < 65 else scan) for k, (o, scan) in enumerate(drive.measurements)]
-    _, reports = play(GridFastSlam(), log)
+    _, reports = play(GridFastSlam(tracker=Tracker(calibration=None)), log)
     poses, odometry = np.array([report.pose for report in reports]), drive.odometry.poses
     np.testing.assert_allclose(between(poses[40], poses[41:65]), between(odometry[40], odometry[41:65]), atol=1e-9)
     assert {report.skipped for report in reports[55:65]} == {SkipReason.NO_VALID_BEAM}
@@ -249,7 +252,7 @@ def two_lasers(measurements):
     return log
 
 
-@pytest.mark.parametrize(("with_odometry", "band_m"), [(True, BAND_M), (False, 3 * BAND_M)])
+@pytest.mark.parametrize(("with_odometry", "band_m"), [(True, 2 * BAND_M), (False, 3 * BAND_M)])
 def test_two_lasers_draw_one_map(drive, play, usual, with_odometry, band_m):
     """Each has its key scans, however near to the other's: the map is that of one laser that sees both sides."""
     log = [(odometry if with_odometry else None, scan) for odometry, scan in two_lasers(drive.measurements)]

@@ -1,0 +1,188 @@
+"""What the tracker learns of the odometry as it goes: its systematic errors, its noise, and whether it helps at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between
+from gridslam.types import FloatArray
+
+__all__ = ["LearnedOdometry", "OdometryCalibration"]
+
+_EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+
+@final
+@dataclass(slots=True, eq=False)
+class LearnedOdometry:
+    """What is known of the odometry; arrays in it are replaced, never written to.
+
+    Attributes
+    ----------
+    factors : (6,) float64
+        True increments [x, y, theta] are [a x - c y + p theta, c x + a y + q theta, g theta + b x] of those measured,
+        by a, c, p m/rad, q m/rad, g, b rad/m: a and c are the scale and a turn of the direction of motion, p and q
+        say where the wheels turn about, seen from the base, g and b how the heading errs by radian and by metre.
+    position, heading : (4, 5), (2, 3) float64
+        Normal equations of a, c, p, q and of g, b: the matrix, and the right side as the last column.
+    variances : (2,) float64
+        Of what is left over a stretch, m^2 (each of x and y) and rad^2.
+    stretches : float
+        Number of stretches learned from.
+    sums : (4,) float64
+        What was left and what was moved over the last stretches, m and rad: left, moved, left, turned.
+    trusted : bool
+        Whether the odometry helps.
+    begin_pose, begin_odometry : (3,) float64
+        Begin of the present stretch, in the tracker's frame and in the odometry's; NaN where there is none.
+    determined : bool
+        Whether all scans of the present stretch told where they were in all directions.
+    """
+
+    factors: FloatArray = field(default_factory=_EXACT.copy)
+    position: FloatArray = field(default_factory=lambda: np.zeros((4, 5)))
+    heading: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
+    variances: FloatArray = field(default_factory=lambda: np.array([0.03**2, 0.05**2]))
+    stretches: float = 0.0
+    sums: FloatArray = field(default_factory=lambda: np.zeros(4))
+    trusted: bool = True
+    begin_pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    begin_odometry: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    determined: bool = True
+
+    def corrected(self, increment: FloatArray) -> FloatArray:
+        """The increment (3,) of the odometry without its systematic errors."""
+        x, y, theta = increment.tolist()
+        a, c, p, q, g, b = self.factors.tolist()
+        turn = math.remainder(g * theta + b * x, math.tau)
+        return np.array([a * x - c * y + p * theta, c * x + a * y + q * theta, turn])
+
+    def snapshot(self) -> LearnedOdometry:
+        """Keep a copy for later."""
+        return replace(self)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` continues to the same bytes."""
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
+        arrays["stretches"] = np.array(self.stretches)
+        return arrays | {"flags": np.array([self.trusted, self.determined])}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LearnedOdometry:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        trusted, determined = arrays["flags"].tolist()
+        own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+        return cls(stretches=float(arrays["stretches"]), trusted=trusted, determined=determined, **own)
+
+
+_ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", "begin_odometry")
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class OdometryCalibration:
+    """Learns from what the tracker makes of the odometry, stretch by stretch.
+
+    The six factors of `LearnedOdometry` are the least squares solution over past stretches, of which older ones count
+    less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which the
+    scans did not determine the position teach the heading alone, as the tracker has the rest from the odometry itself.
+
+    Parameters
+    ----------
+    stretch_m, stretch_rad : float
+        A stretch ends after either; the tracker's own error over it is a centimetre.
+    memory : float
+        Number of stretches after which one counts a third (1/e).
+    prior : float
+        Weight of the odometry's being exact, in squared metres and radians moved.
+    known_stretches : float
+        After so many the odometry's errors are known,
+    known_sigma_m : float, m
+        ... if it keeps to them as closely as this over a stretch.
+    useless : float
+        Odometry that leaves so much of the motion unexplained, or of the turning, is not used; it is used again once it
+        leaves half of that.
+    """
+
+    stretch_m: float = Field(default=0.5, gt=0)
+    stretch_rad: float = Field(default=0.5, gt=0)
+    memory: float = Field(default=200.0, ge=1)
+    prior: float = Field(default=0.5, gt=0)
+    known_stretches: float = Field(default=20, ge=0)
+    known_sigma_m: float = Field(default=0.05, gt=0)
+    useless: float = Field(default=0.6, gt=0)
+
+    def is_known(self, learned: LearnedOdometry) -> bool:
+        """Whether enough was learned, and the odometry keeps to it."""
+        return learned.stretches >= self.known_stretches and learned.variances[0] < self.known_sigma_m**2
+
+    def learn(
+        self, learned: LearnedOdometry, pose: FloatArray, odometry: FloatArray, believed: bool, determined: bool
+    ) -> None:
+        """Take note of a scan that was matched.
+
+        Parameters
+        ----------
+        learned : LearnedOdometry
+            Updated at the end of a stretch.
+        pose, odometry : (3,) float64
+            Of the scan, in the tracker's frame and in the odometry's; NaN where there is no odometry.
+        believed : bool
+            Whether the match was good; else a new stretch begins.
+        determined : bool
+            Whether the scan told where it was in all directions.
+        """
+        moved, told = between(learned.begin_pose, pose), between(learned.begin_odometry, odometry)
+        known = believed and not math.isnan(moved[0] + told[0])
+        learned.determined &= determined
+        if known and not (self._is_long(moved) or self._is_long(told)):
+            return
+        if known:
+            self._judge(learned, moved, told)
+            if learned.trusted:
+                self._fit(learned, moved, told)
+        learned.begin_pose, learned.begin_odometry, learned.determined = pose, odometry, True
+
+    def _is_long(self, increment: FloatArray) -> bool:
+        x, y, turn = increment.tolist()
+        return math.hypot(x, y) >= self.stretch_m or abs(turn) >= self.stretch_rad
+
+    def _judge(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+        """Whether the odometry, as corrected, explains the motion."""
+        (x, y, turn), (dx, dy, left) = moved.tolist(), between(learned.corrected(told), moved).tolist()
+        new = [math.hypot(dx, dy), math.hypot(x, y), abs(left), abs(turn)]
+        learned.sums = 0.95 * learned.sums + np.array(new)
+        left_m, moved_m, left_rad, turned = learned.sums.tolist()
+        limit = self.useless if learned.trusted else 0.5 * self.useless
+        # 2 m and 1 rad count as explained beside: a stretch or two do not decide
+        learned.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
+
+    def _fit(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+        """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
+        (x, y, theta), (mx, my, turned) = told.tolist(), moved.tolist()
+        left = between(learned.corrected(told), moved)
+        squares = np.array([0.5 * (left[0] ** 2 + left[1] ** 2), left[2] ** 2])
+        weights = 1 / np.square(1 + squares / (4 * learned.variances))
+        keep = 1 - 1 / self.memory
+        if learned.determined:
+            rows = np.array([[x, -y, theta, 0.0, mx], [y, x, 0.0, theta, my]])
+            learned.position = keep * learned.position + weights[0] * rows[:, :4].T @ rows
+        row = np.array([[theta, x, theta + math.remainder(turned - theta, math.tau)]])
+        learned.heading = keep * learned.heading + weights[1] * row[:, :2].T @ row
+        solved = self._solved(learned.position, _EXACT[:4]), self._solved(learned.heading, _EXACT[4:])
+        learned.factors = np.concatenate(solved)
+        learned.stretches = keep * learned.stretches + 1
+        news = np.minimum(squares, 9 * learned.variances) - learned.variances
+        learned.variances = learned.variances + news * [learned.determined, True] / (learned.stretches + 10)
+
+    def _solved(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
+        matrix = equations[:, :-1] + self.prior * np.eye(len(exact))
+        return np.asarray(np.linalg.solve(matrix, equations[:, -1] + self.prior * exact), np.float64)

@@ -1,0 +1,145 @@
+"""What is learned of the odometry: its factors, its noise, and whether it helps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gridslam.geometry.se2 import compose
+from gridslam.slam.odometry_calibration import LearnedOdometry, OdometryCalibration
+
+LEARN = OdometryCalibration()
+PERIOD_M = 0.05
+
+# Where the wheels turn about, 0.1 m from the base, appears as q; a heading biased by metre and by radian as b and g.
+FACTORS = np.array([0.95, 0.02, -0.03, 0.1, 0.93, 0.04])
+
+
+def drive(steps, rng):
+    """Increments (N, 3) of a robot that drives ahead and turns as it likes."""
+    ahead = PERIOD_M * (1 + 0.3 * np.sin(np.arange(steps) / 50))
+    turns = 0.06 * np.sin(np.arange(steps) / 23) + 0.02 * rng.standard_normal(steps)
+    return np.column_stack([ahead, np.zeros(steps), turns])
+
+
+def true_of(told, factors):
+    """What the robot did, of what the odometry tells (N, 3)."""
+    x, y, theta = told.T
+    a, c, p, q, g, b = factors
+    return np.column_stack([a * x - c * y + p * theta, c * x + a * y + q * theta, g * theta + b * x])
+
+
+def walk(increments):
+    poses = [np.zeros(3)]
+    for increment in increments:
+        poses.append(compose(poses[-1], increment))
+    return np.array(poses)
+
+
+def taught(true, told, *, determined=True, learned=None):
+    """What is learned along a drive of increments (N, 3), of which every scan is matched exactly."""
+    learned = learned or LearnedOdometry()
+    for pose, odometry in zip(walk(true), walk(told), strict=True):
+        LEARN.learn(learned, pose, odometry, True, determined)
+    return learned
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.tuples(*(st.floats(low, high) for low, high in [(0.85, 1.15), (-0.1, 0.1), (-0.2, 0.2), (-0.2, 0.2)])),
+    st.tuples(st.floats(0.93, 1.07), st.floats(-0.05, 0.05)),
+)
+def test_systematic_errors_are_found(position, heading):
+    """To what the prior of half a squared metre and radian leaves of them after 100 m, and the stretches' curvature."""
+    factors, told = np.array([*position, *heading]), drive(2000, np.random.default_rng(0))
+    learned = taught(true_of(told, factors), told)
+    np.testing.assert_allclose(learned.factors, factors, atol=0.03)
+    increment = np.array([0.05, 0.0, 0.05])
+    np.testing.assert_allclose(learned.corrected(increment), true_of(increment[None], factors)[0], atol=0.003)
+
+
+def test_noise_is_found():
+    """Of odometry that is right in the mean: a stretch has ten scans or more, and ten times the variances of one."""
+    rng = np.random.default_rng(1)
+    told = drive(4000, rng)
+    noise = np.array([0.004, 0.004, 0.002]) * rng.standard_normal(told.shape)
+    learned = taught(told + noise, told)
+    sigma_m, sigma_rad = np.sqrt(learned.variances)
+    assert np.sqrt(10) * 0.004 < sigma_m < 1.4 * np.sqrt(10) * 0.004
+    assert np.sqrt(10) * 0.002 < sigma_rad < 1.4 * np.sqrt(10) * 0.002
+    assert LEARN.is_known(learned)
+
+
+def test_exact_odometry_is_left_as_it_is():
+    told = drive(400, np.random.default_rng(2))
+    np.testing.assert_allclose(taught(told, told).factors, [1, 0, 0, 0, 1, 0], atol=1e-9)
+
+
+def test_slips_are_not_learned():
+    """In each twentieth stretch the wheels spin for half a metre: 5 % of the way, and none of the scale."""
+    told = drive(4000, np.random.default_rng(3))
+    true = true_of(told, FACTORS)
+    slips = np.arange(len(told)) % 200 < 10
+    true[slips] = 0
+    learned = taught(true, told)
+    np.testing.assert_allclose(learned.factors, FACTORS, atol=0.03)
+    assert learned.factors[0] > 0.94
+    assert learned.trusted
+
+
+def test_what_changes_is_learned_anew():
+    """From the floor onto a carpet, on which the wheels go 6 % farther."""
+    told, rng = drive(4000, np.random.default_rng(4)), np.random.default_rng(5)
+    noise = 0.002 * rng.standard_normal(told.shape)
+    learned = taught(told + noise, told)
+    assert learned.factors[0] == pytest.approx(1, abs=0.01)
+    LEARN.learn(learned, np.zeros(3), np.zeros(3), False, True)
+    taught(told * [0.94, 1, 1] + noise, told, learned=learned)
+    assert learned.factors[0] == pytest.approx(0.94, abs=0.012)
+
+
+def test_scans_that_leave_a_direction_open_teach_the_heading_alone():
+    told = drive(2000, np.random.default_rng(6))
+    learned = taught(true_of(told, FACTORS), told, determined=False)
+    np.testing.assert_array_equal(learned.factors[:4], [1, 0, 0, 0])
+    np.testing.assert_allclose(learned.factors[4:], FACTORS[4:], atol=0.02)
+
+
+@pytest.mark.parametrize("times", [(0, 0, 0), (1, 1, -1), (-1, -1, 1)], ids=["frozen", "reflected", "backward"])
+def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
+    true = drive(1000, np.random.default_rng(8))
+    learned = LearnedOdometry()
+    poses, odometry = walk(true), walk(true * times)
+    for pose, told in zip(poses[:200], odometry[:200], strict=True):  # 10 m
+        LEARN.learn(learned, pose, told, True, True)
+    assert not learned.trusted
+    taught(true, true, learned=learned)
+    assert learned.trusted
+    assert np.abs(learned.factors - [1, 0, 0, 0, 1, 0]).max() < 0.02
+
+
+def test_a_scan_that_is_not_believed_or_has_no_odometry_begins_a_stretch():
+    told = drive(30, np.random.default_rng(9))
+    learned, poses = LearnedOdometry(), walk(told)
+    for k, pose in enumerate(poses):
+        LEARN.learn(learned, pose, np.full(3, np.nan) if k % 5 == 0 else pose, True, True)
+    assert learned.stretches == 0
+    learned = LearnedOdometry()
+    for k, pose in enumerate(poses):
+        LEARN.learn(learned, pose, pose, k % 5 != 0, True)
+    assert learned.stretches == 0
+
+
+def test_a_copy_goes_on_to_the_same_bytes():
+    told = drive(600, np.random.default_rng(10))
+    true = true_of(told, FACTORS)
+    learned = taught(true[:310], told[:310])
+    twin, kept = LearnedOdometry.from_arrays(learned.to_arrays()), learned.snapshot()
+    before = {name: array.tobytes() for name, array in kept.to_arrays().items()}
+    for one in (learned, twin):
+        taught(true, told, learned=one)
+    ends = [{name: array.tobytes() for name, array in one.to_arrays().items()} for one in (learned, twin)]
+    assert ends[0] == ends[1]
+    assert {name: array.tobytes() for name, array in kept.to_arrays().items()} == before != ends[0]
