@@ -9,7 +9,7 @@ import time
 import urllib.error
 import urllib.request
 import zipfile
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -53,6 +53,11 @@ def receive_until(socket, onlooker, condition, timeout_s=10.0):
     while not condition() or onlooker.more:
         assert time.monotonic() < until, f"it did not happen; status {onlooker.status}"
         receive(socket, onlooker)
+
+
+def drain(socket):
+    while True:
+        socket.recv(5)
 
 
 def mapped(page, measurements, watch=None):
@@ -201,10 +206,9 @@ def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
         receive(socket, onlooker)
         with viewing(page.url) as (other, _):
             other.send(text)
-            with suppress(ConnectionClosed):
-                while True:
-                    other.recv(5)
-            assert other.close_code == 4400
+            with pytest.raises(ConnectionClosed) as closed:
+                drain(other)
+            assert closed.value.rcvd.code == 4400
         receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
 
 
