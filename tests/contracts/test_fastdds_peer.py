@@ -54,7 +54,7 @@ def test_another_vendor_s_program_is_understood_and_understands(peer, tmp_path):
         assert node.wait(20) == 0, (tmp_path / "node.log").read_text()
     found = json.loads(done.stdout)
     grid = found["map"]
-    assert found["links"] >= 60  # one for each scan that came, which are sent best effort, and 20 a second
+    assert found["links"] >= 30  # of 80 scans those before the first heartbeat may be lost; and 20 a second
     assert (grid["frame"], grid["resolution"], grid["origin"][2]) == ("map", 0.05, 1.0)
     assert grid["cells"] == grid["width"] * grid["height"]
     assert grid["unknown"] + grid["free"] + grid["occupied"] == grid["cells"]
