@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.io.csv_columns import angles_of_rotation, rotation_of_angles
-from gridslam.io.measurement import Measurement
+from gridslam.io.measurement import LONGEST_SCAN_S, Measurement
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -103,9 +103,10 @@ class ScanMaker:
         lower = float(message.range_min) if message.range_min > 0 else 0.0
         upper = float(message.range_max) if message.range_max > lower else math.inf
         tick = float(message.time_increment)
+        timed = tick > 0 and tick * len(message.ranges) < LONGEST_SCAN_S
         form = LaserForm(
             sensor, message.frame, self._mounted(base_from_laser), float(message.angle_min),
-            float(message.angle_increment), tick if 0 < tick < math.inf else None, lower, upper, len(message.ranges),
+            float(message.angle_increment), tick if timed else None, lower, upper, len(message.ranges),
         )  # fmt: skip
         geometry, times = self._shared(form)
         scan = LaserScan.from_ranges(
