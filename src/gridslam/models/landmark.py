@@ -18,7 +18,7 @@ from gridslam.models.parameters import STRICT
 from gridslam.models.sightings import Sightings
 from gridslam.types import FloatArray
 
-__all__ = ["LandmarkModel", "RangeBearing", "RelativePosition"]
+__all__ = ["DepthBearing", "LandmarkModel", "RangeBearing", "RelativePosition"]
 
 
 @runtime_checkable
@@ -59,22 +59,16 @@ class RangeBearing:
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[range m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
         dx, dy = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
-        square = dx * dx + dy * dy
-        distance = np.sqrt(square)
-        predicted = np.stack([distance, wrap(np.arctan2(dy, dx) - poses[..., 2])], axis=-1)
-        by_landmark = np.empty((*distance.shape, 2, 2))
+        distance = np.sqrt(dx * dx + dy * dy)
+        predicted, by_pose, by_landmark = _bearing(dx, dy, poses[..., 2])
+        predicted[..., 0] = distance
         by_landmark[..., 0, 0], by_landmark[..., 0, 1] = dx / distance, dy / distance
-        by_landmark[..., 1, 0], by_landmark[..., 1, 1] = -dy / square, dx / square
-        by_pose = np.zeros((*distance.shape, 2, 3))
-        by_pose[..., :2] = -by_landmark
-        by_pose[..., 1, 2] = -1.0
+        by_pose[..., 0, :2] = -by_landmark[..., 0, :]
         return predicted, by_pose, by_landmark
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
         """Measured minus predicted, the bearing's in [-pi, pi)."""
-        difference: FloatArray = measured - predicted
-        difference[..., 1] = wrap(difference[..., 1])
-        return difference
+        return _with_bearing_wrapped(measured - predicted)
 
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
         """Return the point (..., 2) in this distance and direction from the pose."""
@@ -85,6 +79,50 @@ class RangeBearing:
     def noise(self, sightings: Sightings) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K sightings."""
         return _noise(sightings, self.sigma_range_m, self.sigma_bearing_rad)
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class DepthBearing:
+    """Depth and bearing to a landmark, as a camera measures them: the depth is taken along the optical axis.
+
+    A camera that tells how far a mark is from how large it looks tells its depth, d = r cos(bearing), also where it is
+    called a range. It does in MRCLAM: there the ratio of what is called range to the true range falls from 1.02 ahead
+    to 0.90 at 31 degrees, as the cosine does, and what is called range errs by 0.12 to 0.17 m, as depth by 0.04 m.
+
+    Parameters
+    ----------
+    sigma_depth_m : float, m, > 0
+        0.04 m of noise and, on MRCLAM, up to 0.1 m that scale and mounting leave.
+    sigma_bearing_rad : float, rad, > 0
+        As for `RangeBearing`; some pixels.
+    """
+
+    sigma_depth_m: float = Field(default=0.1, gt=0)
+    sigma_bearing_rad: float = Field(default=0.02, gt=0)
+
+    def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """[depth m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
+        dx, dy = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
+        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        predicted, by_pose, by_landmark = _bearing(dx, dy, poses[..., 2])
+        predicted[..., 0] = c * dx + s * dy
+        by_landmark[..., 0, 0], by_landmark[..., 0, 1] = c, s
+        by_pose[..., 0, 0], by_pose[..., 0, 1], by_pose[..., 0, 2] = -c, -s, c * dy - s * dx
+        return predicted, by_pose, by_landmark
+
+    def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
+        """Measured minus predicted, the bearing's in [-pi, pi)."""
+        return _with_bearing_wrapped(measured - predicted)
+
+    def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
+        """Return the point (..., 2) at this depth in this direction."""
+        across = measured[..., 0] * np.tan(measured[..., 1])
+        return transform_points(poses, np.stack([measured[..., 0], across], axis=-1))
+
+    def noise(self, sightings: Sightings) -> FloatArray:
+        """Q (K, 2, 2) [m^2, m rad, rad^2] of K sightings."""
+        return _noise(sightings, self.sigma_depth_m, self.sigma_bearing_rad)
 
 
 @final
@@ -127,6 +165,21 @@ class RelativePosition:
     def noise(self, sightings: Sightings) -> FloatArray:
         """Q (K, 2, 2) [m^2] of K sightings."""
         return _noise(sightings, self.sigma_x_m, self.sigma_y_m)
+
+
+def _bearing(dx: FloatArray, dy: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Measurement (..., 2) and its Jacobians, of which the second row, the bearing's, is filled in."""
+    square = dx * dx + dy * dy
+    predicted, by_pose, by_landmark = (np.zeros((*square.shape, *shape)) for shape in ((2,), (2, 3), (2, 2)))
+    predicted[..., 1] = wrap(np.arctan2(dy, dx) - heading)
+    by_landmark[..., 1, 0], by_landmark[..., 1, 1] = -dy / square, dx / square
+    by_pose[..., 1, :2], by_pose[..., 1, 2] = -by_landmark[..., 1, :], -1.0
+    return predicted, by_pose, by_landmark
+
+
+def _with_bearing_wrapped(residual: FloatArray) -> FloatArray:
+    residual[..., 1] = wrap(residual[..., 1])
+    return residual
 
 
 def _noise(sightings: Sightings, first: float, second: float) -> FloatArray:

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.models.landmark import LandmarkModel, RangeBearing, RelativePosition
+from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, OdometryMotion
 from gridslam.models.sightings import NOTHING_SEEN, LandmarkStep, Sightings
 from gridslam.types import MotionSampler
 
-MODELS = [RangeBearing(), RelativePosition()]
+MODELS = [RangeBearing(), DepthBearing(), RelativePosition()]
 poses = st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.1, 3.1)).map(np.array)
 offsets = st.tuples(st.floats(0.5, 30), st.floats(-3.1, 3.1)).map(
     lambda p: p[0] * np.array([np.cos(p[1]), np.sin(p[1])])

@@ -1,0 +1,176 @@
+"""EKF SLAM: one Gaussian over the robot's pose and all landmarks.
+
+It is online SLAM, p(x_t, m | z_1:t, u_1:t): each prediction integrates the pose before out, and what that pose and the
+landmarks had in common stays, as correlation between the landmarks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.geometry.angles import wrap
+from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.sightings import Sightings
+from gridslam.slam.association import NEW, Association, Told
+from gridslam.slam.ekf_slam_state import EkfSlamState
+from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
+from gridslam.slam.small_gaussians import mahalanobis
+from gridslam.types import FloatArray, IntArray, MotionSampler
+
+__all__ = ["EkfSlam"]
+
+
+@final
+@dataclass(frozen=True)
+class EkfSlam:
+    """The filter; what it knows is in the state that goes in and comes out of `step`.
+
+    Attributes
+    ----------
+    sensor : LandmarkModel
+        p(z | x, m) of one landmark.
+    association : Association
+        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not.
+    existence : Existence
+        Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
+        but the pose learns nothing from it.
+
+    Source: Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). Where the tables correct by
+    one sighting after the other, all of one step correct at once here: the same for a linear model, and one change of
+    the covariance, whose cost grows with the square of the number of landmarks, instead of many.
+    """
+
+    sensor: LandmarkModel = field(default_factory=RangeBearing)
+    association: Association = field(default_factory=Told)
+    existence: Existence = field(default_factory=Existence)
+
+    def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact, without landmarks."""
+        return EkfSlamState.at(pose)
+
+    def step(
+        self, state: EkfSlamState, motion: MotionSampler, sightings: Sightings
+    ) -> tuple[EkfSlamState, LandmarkReport]:
+        """Take one step; consumes `state` (keep one for later with `state.snapshot()`).
+
+        Parameters
+        ----------
+        state : EkfSlamState
+        motion : MotionSampler
+            The motion model, conditioned on u_t.
+        sightings : Sightings
+            z_t, with c_t where the association needs it; perhaps none.
+
+        Raises
+        ------
+        ArgumentError
+            The association goes by what the sightings tell, and they tell nothing.
+        """
+        state, noise = state.take(), self.sensor.noise(sightings)
+        self._predict(state, motion)
+        places = self._correspondences(state, sightings, noise)
+        known = np.flatnonzero(places >= 0)
+        firm = state.evidence[places[known]] >= self.existence.confirmed
+        self._correct(state, places[known[firm]], sightings.values[known[firm]], noise[known[firm]])
+        for k in known[~firm].tolist():
+            self._correct_provisional(state, int(places[k]), sightings.values[k], noise[k])
+        for k in np.flatnonzero(places == NEW).tolist():
+            places[k] = self._add(state, sightings, k, noise[k])
+        told = places.copy()
+        told[places >= 0] = state.names[places[places >= 0]]
+        self._count(state, places[places >= 0], sightings)
+        return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), told)
+
+    def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
+        """Return the landmarks that are held for real."""
+        return state.landmark_map(self.existence.confirmed)
+
+    def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
+        """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves."""
+        (pose,), (motion_noise,) = motion.moments(state.pose[None])
+        G = np.eye(3)
+        G[:2, 2] = state.mean[1] - pose[1], pose[0] - state.mean[0]
+        state.mean[:3], P = pose, state.covariance
+        P[:3] = G @ P[:3]
+        P[:, :3] = P[:, :3] @ G.T
+        P[:3, :3] += motion_noise
+
+    def _correspondences(self, state: EkfSlamState, sightings: Sightings, noise: FloatArray) -> IntArray:
+        """Table 10.2, lines 9 to 16: the place of each sighting's landmark in the state."""
+        predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions)
+        H = np.concatenate([H_x, H_m], axis=-1)
+        P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
+        P[:, :3, :3], P[:, 3:, 3:] = state.pose_covariance, state.position_covariances
+        P[:, :3, 3:] = state.covariance[:3, 3:].reshape(3, -1, 2).swapaxes(0, 1)
+        P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
+        residuals = self.sensor.residual(sightings.values[:, None], predicted)
+        S = H @ P @ H.swapaxes(1, 2) + noise[:, None]
+        return self.association(sightings, state.names, *mahalanobis(residuals, S))
+
+    def _correct(self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray) -> None:
+        """Table 10.1, lines 12 to 20, for K sightings at once: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
+        if not len(places):
+            return
+        residuals, HP, S = self._innovation(state, places, measured, noise)
+        W = np.linalg.solve(L := np.linalg.cholesky(S), HP)
+        state.mean += np.linalg.solve(L, residuals) @ W
+        state.mean[2] = wrap(float(state.mean[2]))
+        state.covariance -= W.T @ W
+
+    def _correct_provisional(self, state: EkfSlamState, place: int, measured: FloatArray, noise: FloatArray) -> None:
+        """Correct one landmark alone: the gain of all else is 0 (Schmidt's consider filter)."""
+        residual, HP, S = self._innovation(state, np.array([place]), measured[None], noise[None])
+        own = slice(3 + 2 * place, 5 + 2 * place)
+        gain = np.linalg.solve(S, HP[:, own]).T
+        state.mean[own] += gain @ residual
+        state.covariance[own] -= gain @ HP
+        state.covariance[:, own] = state.covariance[own].T
+
+    def _innovation(
+        self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (2 K,), H P (2 K, n) and S = H P H' + Q (2 K, 2 K), of the few columns where H is not 0."""
+        predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions[places])
+        P, count = state.covariance, len(places)
+        columns = 3 + 2 * places[:, None] + np.arange(2)
+        HP = H_x @ P[:3] + H_m @ P[columns]
+        S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
+        S[np.arange(count), :, np.arange(count)] += noise
+        residuals = self.sensor.residual(measured, predicted)
+        return residuals.ravel(), HP.reshape(2 * count, -1), S.reshape(2 * count, 2 * count)
+
+    def _add(self, state: EkfSlamState, sightings: Sightings, k: int, noise: FloatArray) -> int:
+        """Tables 10.1, lines 9 to 11, and 10.2, line 8: put a landmark where it is seen.
+
+        z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e).
+        """
+        position = self.sensor.locate(state.pose, sightings.values[k])
+        _, H_x, H_m = self.sensor.linearize(state.pose, position)
+        by_measured = np.linalg.inv(H_m)
+        by_pose = -by_measured @ H_x
+        with_others = by_pose @ state.covariance[:3]
+        own = with_others[:, :3] @ by_pose.T + by_measured @ noise @ by_measured.T
+        if self.association.told and sightings.landmarks is not None:
+            name = int(sightings.landmarks[k])
+        else:
+            name, state.next_name = state.next_name, state.next_name + 1
+        state.append(name, position, with_others, own)
+        return len(state.names) - 1
+
+    def _count(self, state: EkfSlamState, places: IntArray, sightings: Sightings) -> None:
+        """Count sightings and evidence, and drop what there is evidence against."""
+        state.sightings[places] += 1
+        if self.association.told:
+            state.evidence[places] = math.inf
+        elif len(sightings):  # a sensor that sees nothing may not have looked
+            seen = np.zeros(len(state.names), np.bool_)
+            seen[places] = True
+            state.evidence = self.existence(state.evidence, seen, state.pose, state.positions)
+            if (state.evidence < 0).any():
+                state.keep(state.evidence >= 0)

@@ -1,0 +1,117 @@
+"""The state of EKF SLAM: one Gaussian over the pose and all landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ConsumedStateError
+from gridslam.particles.initial import at_pose
+from gridslam.slam.landmark_report import LandmarkMap
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["EkfSlamState"]
+
+
+@final
+@dataclass(slots=True, eq=False)
+class EkfSlamState:
+    """Everything that the filter knows between two steps; it has one owner, who changes it.
+
+    Attributes
+    ----------
+    mean, covariance : (3 + 2 M,), (3 + 2 M, 3 + 2 M) float64
+        Of [x, y, theta, m_1x, m_1y, m_2x, ...], in m and rad, map frame.
+    names : (M,) int64
+        Signatures of the landmarks, or numbers in the order of first sight.
+    evidence : (M,) float64, nats
+        Log odds that each exists; infinite where its signature is known.
+    sightings : (M,) int64
+        How often each was seen.
+    next_name : int
+        Number of the next landmark without a signature.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    names: IntArray
+    evidence: FloatArray
+    sightings: IntArray
+    next_name: int = 0
+    consumed: bool = False
+
+    @classmethod
+    def at(cls, pose: ArrayLike) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact; raises ArgumentError where it is none."""
+        nothing = np.empty(0, np.int64)
+        return cls(at_pose(1, pose)[0], np.zeros((3, 3)), nothing, np.empty(0), nothing)
+
+    @property
+    def pose(self) -> FloatArray:
+        """Mean pose (3,)."""
+        return self.mean[:3]
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the pose."""
+        return self.covariance[:3, :3]
+
+    @property
+    def positions(self) -> FloatArray:
+        """Mean positions (M, 2) of the landmarks."""
+        return self.mean[3:].reshape(-1, 2)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """Covariance (M, 2, 2) of each landmark."""
+        count = np.arange(len(self.names))
+        blocks: FloatArray = self.covariance[3:, 3:].reshape(len(count), 2, len(count), 2)[count, :, count]
+        return blocks
+
+    def landmark_map(self, least_evidence: float) -> LandmarkMap:
+        """Return the landmarks whose log odds are at least so great."""
+        kept = self.evidence >= least_evidence
+        parts = self.names, self.positions, self.position_covariances, self.sightings
+        return LandmarkMap(*(part[kept] for part in parts))
+
+    def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
+        """Add a landmark at the end.
+
+        Parameters
+        ----------
+        name : int
+        position : (2,) float64
+        with_others : (2, n) float64
+            Its covariance with all that is in the state.
+        own : (2, 2) float64
+            Its own covariance.
+        """
+        self.mean = np.concatenate([self.mean, position])
+        self.covariance = np.block([[self.covariance, with_others.T], [with_others, own]])
+        self.names = np.append(self.names, name)
+        self.evidence, self.sightings = np.append(self.evidence, 0.0), np.append(self.sightings, 0)
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Forget all landmarks but those `kept` (M,)."""
+        rows = np.flatnonzero(np.concatenate([np.ones(3, np.bool_), np.repeat(kept, 2)]))
+        self.mean, self.covariance = self.mean[rows], self.covariance[np.ix_(rows, rows)]
+        self.names, self.evidence, self.sightings = self.names[kept], self.evidence[kept], self.sightings[kept]
+
+    def take(self) -> EkfSlamState:
+        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
+        self._check()
+        self.consumed = True
+        return replace(self, consumed=False)
+
+    def snapshot(self) -> EkfSlamState:
+        """Return an independent copy for later."""
+        self._check()
+        arrays = (self.mean, self.covariance, self.names, self.evidence, self.sightings)
+        return EkfSlamState(*(array.copy() for array in arrays), next_name=self.next_name)
+
+    def _check(self) -> None:
+        if self.consumed:
+            raise ConsumedStateError

@@ -1,0 +1,106 @@
+"""FastSLAM 2.0: as FastSLAM 1.0, but the pose is drawn with the sightings in mind.
+
+Where the motion is noisier than the sensor, most poses drawn from the motion model fit no sighting, and their particles
+die. Here the motion's Gaussian is first corrected by the sightings, as an EKF would, for each particle by its own map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.geometry.angles import wrap
+from gridslam.models.sightings import Sightings
+from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
+from gridslam.particles.resampling import Systematic
+from gridslam.slam.landmark_filters import Innovation, LandmarkFilters
+from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2
+from gridslam.types import FloatArray, MotionSampler, Resampler
+
+__all__ = ["FastSlam2"]
+
+
+@final
+@dataclass(frozen=True)
+class FastSlam2:
+    """The filter; what it knows is in the state that goes in and comes out of `step`.
+
+    The pose is drawn from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the mean
+    so far, one sighting after the other. As long as nothing is seen nothing is drawn, and the Gaussian goes on. The
+    weight is p(z_t | x_t-1, u_t, c_t), in which neither the drawn pose nor the landmarks that it then corrects have a
+    part: what the proposal takes into account is not weighed again.
+
+    Attributes
+    ----------
+    landmarks, resampler, when_to_resample
+        As for `FastSlam1`.
+
+    Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
+    correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
+    each landmark and compares their likelihoods; and the tables resample at every step.
+    """
+
+    landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
+    resampler: Resampler = Systematic()
+    when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+
+    def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
+        """Begin with all particles at one pose (3,), without landmarks."""
+        return LandmarkParticles.at(particles, pose)
+
+    def step(
+        self, state: LandmarkParticles, motion: MotionSampler, sightings: Sightings, rng: np.random.Generator
+    ) -> tuple[LandmarkParticles, LandmarkReport]:
+        """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
+        state = state.take()
+        mean, spread = _predict(state, motion)  # of p(x_t | x_t-1, u_t)
+        if not len(sightings):
+            state.wait(mean, spread)
+            return state, state.report(np.empty((len(state), 0), np.int64))
+        log_weights, columns = np.zeros(len(state)), np.empty((len(state), len(sightings)), np.int64)
+        for k in range(len(sightings)):
+            columns[:, k] = self.landmarks.correspond(state, sightings, k, mean, spread, columns[:, :k])
+            rows = np.flatnonzero(columns[:, k] >= 0)
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], mean, spread, sightings, k)
+            log_weights += self.landmarks.log_likelihood(seen, len(state), sightings, k)  # w = p(z | x_t-1, u_t)
+            _correct(mean, spread, seen)
+        poses = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
+        for k in range(len(sightings)):
+            self.landmarks.update(state, columns[:, k], poses, sightings, k)
+        state.advance(poses, log_weights)
+        self.landmarks.count(state, columns)
+        report = state.report(columns)
+        if self.when_to_resample(report.n_eff, len(state)):
+            drawn = self.resampler(np.exp(state.log_weights), len(state), rng)
+            report = replace(report, parents=state.resample(drawn))
+        return state, report
+
+    def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
+        """Return the landmarks that the best particle holds for real."""
+        return state.landmark_map(self.landmarks.existence.confirmed)
+
+
+def _predict(state: LandmarkParticles, motion: MotionSampler) -> tuple[FloatArray, FloatArray]:
+    """Move the poses' Gaussians: means (N, 3) and covariances (N, 3, 3)."""
+    mean, noise = motion.moments(state.poses)
+    G = np.tile(np.eye(3), (len(state), 1, 1))
+    G[:, 0, 2], G[:, 1, 2] = state.poses[:, 1] - mean[:, 1], mean[:, 0] - state.poses[:, 0]
+    return mean, G @ state.spread @ G.swapaxes(1, 2) + noise
+
+
+def _correct(mean: FloatArray, spread: FloatArray, seen: Innovation) -> None:
+    """Condition the poses' Gaussians, mean (N, 3) and covariance (N, 3, 3), on a sighting, where it has a landmark.
+
+    Equations 13.26 to 13.28 in the form of a Kalman gain, which needs no inverse of the motion's covariance: that may
+    be singular.
+    """
+    before = spread[seen.rows]
+    gain = before @ seen.by_pose.swapaxes(1, 2) @ inverse_2x2(seen.covariances)
+    mean[seen.rows] += (gain @ seen.residuals[:, :, None])[:, :, 0]
+    mean[:, 2] = wrap(mean[:, 2])
+    spread[seen.rows] = before - gain @ seen.by_pose @ before

@@ -1,0 +1,186 @@
+"""What FastSLAM 1.0 and 2.0 share: the correspondences and the landmarks of each particle, all particles at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.sightings import Sightings
+from gridslam.slam.association import AMBIGUOUS, NEW, Association, MaximumLikelihood, Told, signatures
+from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Innovation", "LandmarkFilters"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """One sighting, as some of the particles predict it.
+
+    Attributes
+    ----------
+    rows, columns : (R,) int64
+        Which landmark of which particle.
+    residuals, covariances : (R, 2), (R, 2, 2) float64
+        Measured minus predicted, and what it is expected to vary by.
+    by_pose, by_landmark : (R, 2, 3), (R, 2, 2) float64
+        Jacobians of the prediction.
+    """
+
+    rows: IntArray
+    columns: IntArray
+    residuals: FloatArray
+    covariances: FloatArray
+    by_pose: FloatArray
+    by_landmark: FloatArray
+
+
+@final
+@dataclass(frozen=True)
+class LandmarkFilters:
+    """Given its path, each particle's landmarks are independent: an extended Kalman filter for each of them.
+
+    Attributes
+    ----------
+    sensor : LandmarkModel
+        p(z | x, m) of one landmark.
+    association : Association
+        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not: then each particle
+        finds its own.
+    existence : Existence
+        Which landmarks are real, where correspondences are unknown.
+    """
+
+    sensor: LandmarkModel = field(default_factory=RangeBearing)
+    association: Association = field(default_factory=Told)
+    existence: Existence = field(default_factory=Existence)
+
+    def correspond(
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        taken: IntArray,
+    ) -> IntArray:  # fmt: skip
+        """Columns (N,) of the landmark of sighting k in each particle, or `NEW`, or `AMBIGUOUS`.
+
+        Parameters
+        ----------
+        poses, spread : (N, 3), (N, 3, 3) float64
+            From where it is seen, and that pose's covariance; None where the pose is given.
+        taken : (N, k) int64
+            Columns of the sightings before: a landmark is seen once at a time.
+        """
+        if isinstance(self.association, MaximumLikelihood):
+            return self._likeliest(state, sightings, k, poses, spread, taken, self.association)
+        column = state.column(int(signatures(sightings)[k]))
+        if column == NEW:
+            return np.full(len(state), NEW)
+        everyone = np.arange(len(state))
+        seen = self.innovation(state, everyone, np.full(len(state), column), poses, spread, sightings, k)
+        squared, _ = mahalanobis(seen.residuals, seen.covariances)
+        return np.where(squared <= self.association.believed, column, AMBIGUOUS)
+
+    def innovation(
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
+        spread: FloatArray | None, sightings: Sightings, k: int,
+    ) -> Innovation:  # fmt: skip
+        """Predict sighting k of landmarks (rows, columns) from poses (N, 3) of covariance `spread` (N, 3, 3)."""
+        predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
+        L = H_m @ state.covariances[rows, columns] @ H_m.swapaxes(1, 2) + self.sensor.noise(sightings)[k]
+        if spread is not None:
+            L += H_x @ spread[rows] @ H_x.swapaxes(1, 2)
+        return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
+
+    def log_likelihood(self, seen: Innovation, particles: int, sightings: Sightings, k: int) -> FloatArray:
+        """log p(z) (N,) of sighting k; for the particles that know no landmark for it, that of the threshold."""
+        strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
+        likelihood = np.full(particles, float(strange))
+        likelihood[seen.rows] = log_density(*mahalanobis(seen.residuals, seen.covariances))
+        return likelihood
+
+    def update(
+        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int
+    ) -> Innovation:
+        """Let sighting k correct landmarks `columns` (N,) seen from poses (N, 3), and put new ones where it is.
+
+        Numbers of new landmarks are written into `columns`.
+
+        Source: Probabilistic Robotics, Tables 13.1 and 13.2 (mean and covariance of the features).
+        """
+        rows = np.flatnonzero(columns >= 0)
+        seen = self.innovation(state, rows, columns[rows], poses, None, sightings, k)
+        of = rows, seen.columns
+        covariances = state.covariances[of]
+        gain = covariances @ seen.by_landmark.swapaxes(1, 2) @ inverse_2x2(seen.covariances)
+        state.positions[of] += (gain @ seen.residuals[:, :, None])[:, :, 0]
+        state.covariances[of] = covariances - gain @ seen.by_landmark @ covariances
+        self._add(state, np.flatnonzero(columns == NEW), columns, poses, sightings, k)
+        return seen
+
+    def count(self, state: LandmarkParticles, columns: IntArray) -> None:
+        """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
+
+        Source: Probabilistic Robotics, Table 13.2 (the counters i), as log odds.
+        """
+        rows, k = np.nonzero(columns >= 0)
+        of = rows, columns[rows, k]
+        state.sightings[of] += 1
+        if self.association.told:
+            state.evidence[of] = math.inf
+        elif columns.shape[1]:  # a sensor that sees nothing may not have looked
+            seen = np.zeros(state.evidence.shape, np.bool_)
+            seen[of] = True
+            evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
+            state.evidence = np.where(evidence < 0, -math.inf, evidence)
+
+    def _likeliest(
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        taken: IntArray, within: MaximumLikelihood,
+    ) -> IntArray:  # fmt: skip
+        """Table 13.2, the maximum likelihood correspondence of each particle."""
+        rows, columns = np.nonzero(self._near(state, sightings, k, poses, spread, within.other))
+        seen = self.innovation(state, rows, columns, poses, spread, sightings, k)
+        squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
+        distance, cost = (np.full((len(state), max(1, len(state.names))), math.inf) for _ in range(2))
+        distance[rows, columns] = squared
+        cost[rows, columns] = np.where(squared <= within.same, squared + log_dets, math.inf)
+        of, j = np.nonzero(taken >= 0)
+        cost[of, taken[of, j]] = math.inf
+        likeliest = cost.argmin(axis=1)
+        strange = np.where(distance.min(axis=1) > within.other, NEW, AMBIGUOUS)
+        return np.where(np.isfinite(cost[np.arange(len(state)), likeliest]), likeliest, strange)
+
+    def _near(
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        distance: float,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
+        at = self.sensor.locate(poses, sightings.values[k])
+        _, H_x, H_m = self.sensor.linearize(poses, at)
+        L = self.sensor.noise(sightings)[k] + (0.0 if spread is None else H_x @ spread @ H_x.swapaxes(1, 2))
+        root = inverse_2x2(H_m)
+        reach = np.trace(root @ L @ root.swapaxes(1, 2), axis1=1, axis2=2)
+        reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
+        x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))
+        return np.asarray(state.exists & (x * x + y * y <= distance * reach))
+
+    def _add(
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray, sightings: Sightings,
+        k: int,
+    ) -> None:  # fmt: skip
+        """Tables 13.1 and 13.2, a feature never seen before: mean h^-1(z, x), covariance H^-1 Q H^-1'."""
+        if not len(rows):
+            return
+        name = int(signatures(sightings)[k]) if self.association.told else None
+        columns[rows] = state.new_columns(rows, name)
+        of = rows, columns[rows]
+        state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
+        root = inverse_2x2(self.sensor.linearize(poses[rows], state.positions[of])[2])
+        state.covariances[of] = root @ self.sensor.noise(sightings)[k] @ root.swapaxes(1, 2)
+        state.evidence[of], state.sightings[of] = 0.0, 0

@@ -1,0 +1,52 @@
+"""Many Gaussians of two and three dimensions at once, in closed form: calling LAPACK for each would take longer."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gridslam.geometry.angles import wrap
+from gridslam.types import FloatArray
+
+__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis"]
+
+
+def inverse_2x2(matrices: FloatArray) -> FloatArray:
+    """Inverses (..., 2, 2) of matrices (..., 2, 2)."""
+    a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
+    inverse = np.empty(matrices.shape)
+    inverse[..., 0, 0], inverse[..., 0, 1], inverse[..., 1, 0], inverse[..., 1, 1] = d, -b, -c, a
+    inverse /= (a * d - b * c)[..., None, None]
+    return inverse
+
+
+def mahalanobis(residuals: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Squared Mahalanobis distances (...) of residuals (..., 2), and log determinants (...) of the covariances."""
+    a, b, d = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
+    x, y = residuals[..., 0], residuals[..., 1]
+    determinant = a * d - b * b
+    return np.asarray((d * x * x - 2 * b * x * y + a * y * y) / determinant), np.log(determinant)
+
+
+def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray:
+    """log N (...) in nats, of what `mahalanobis` returns."""
+    return np.asarray(-0.5 * (squared + log_dets) - math.log(2 * math.pi))
+
+
+def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3), by Cholesky's factor; variances may be 0."""
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariances.transpose(1, 2, 0)
+    a = np.sqrt(np.maximum(xx, 0.0))
+    b, c = _quotient(xy, a), _quotient(xt, a)
+    d = np.sqrt(np.maximum(yy - b * b, 0.0))
+    e = _quotient(yt - b * c, d)
+    f = np.sqrt(np.maximum(tt - c * c - e * e, 0.0))
+    u, v, w = rng.standard_normal(means.shape).T
+    x, y, theta = means.T
+    return np.stack([x + a * u, y + b * u + d * v, wrap(theta + c * u + e * v + f * w)], axis=1)
+
+
+def _quotient(numbers: FloatArray, by: FloatArray) -> FloatArray:
+    """numbers / by, and 0 where `by` is: a coordinate without variance has no covariance."""
+    return np.divide(numbers, by, out=np.zeros_like(numbers), where=by > 0)

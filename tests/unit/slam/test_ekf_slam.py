@@ -1,0 +1,195 @@
+"""EKF SLAM: the Kalman filter where all is linear, what it does with landmarks, and what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from landmark_world import INCREMENT, MOTION, drive, ring
+
+from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.motion import GaussianIncrement
+from gridslam.models.sightings import NOTHING_SEEN, Sightings
+from gridslam.slam.association import AMBIGUOUS, MaximumLikelihood, Told
+from gridslam.slam.ekf_slam import EkfSlam
+from gridslam.slam.landmark_existence import Existence
+
+SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
+ALL_AROUND = Existence(
+    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+)
+EXACT = GaussianIncrement.around(INCREMENT, np.zeros(3))
+
+
+def run(slam, steps, motion=MOTION, known=True):
+    state, reports = slam.init(), []
+    for step in steps:
+        sightings = step.sightings if known else step.sightings.anonymous()
+        state, report = slam.step(state, motion(step.increment) if callable(motion) else motion, sightings)
+        reports.append(report)
+    return state, reports
+
+
+def test_it_is_the_kalman_filter_where_all_is_linear():
+    """A robot that cannot turn, and sees positions: textbook equations over [x, y, m_1, m_2], sighting by sighting."""
+    rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
+    motion = GaussianIncrement.around(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
+    slam = EkfSlam(RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
+    state = slam.init()
+    big = 1e9  # a landmark of which nothing is known, which is what the first sighting of one means
+    mean, P = np.zeros(6), np.diag([0, 0, big, big, big, big])
+    for k in range(12):
+        seen = [[0, 1], [1], [0]][k % 3]
+        z = rng.normal([[3.0, 1.0], [2.0, -2.0]], 0.5)[seen]
+        state, _ = slam.step(state, motion, Sightings.of(z, seen))
+        mean[:2] += [0.5, 0.1]
+        P[:2, :2] += R
+        for j, value in zip(seen, z, strict=True):
+            H = np.zeros((2, 6))
+            H[:, :2], H[:, 2 + 2 * j : 4 + 2 * j] = -np.eye(2), np.eye(2)
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + Q)
+            mean, P = mean + K @ (value - H @ mean), (np.eye(6) - K @ H) @ P
+            P = (P + P.T) / 2
+    some = [0, 1, 3, 4, 5, 6]
+    # The textbook's filter begins with a variance of 1e9, of which rounding leaves 1e9 * 2e-16 * a few.
+    np.testing.assert_allclose(state.mean[some], mean, atol=1e-5)
+    np.testing.assert_allclose(state.covariance[np.ix_(some, some)], P, atol=1e-5)
+    assert state.sightings.tolist() == [8, 8]
+
+
+def test_covariances_stay_covariances_and_a_landmark_never_gets_less_certain():
+    rng = np.random.default_rng(1)
+    steps, truth = drive(ring(12), 150, rng)
+    slam, before = EkfSlam(SENSOR), np.full(12, np.inf)
+    state = slam.init()
+    for step in steps:
+        state, _ = slam.step(state, MOTION(step.increment), step.sightings)
+        assert np.linalg.eigvalsh(state.covariance)[0] > -1e-12
+        np.testing.assert_allclose(state.covariance, state.covariance.T, atol=1e-14)
+        now = np.linalg.det(state.position_covariances)
+        assert (now <= before[: len(now)] * (1 + 1e-9)).all()  # to first order, landmarks stand still
+        before[: len(now)] = now
+    assert sorted(state.names.tolist()) == list(range(100, 112))
+    found = slam.landmark_map(state)
+    errors = found.positions - ring(12)[found.names - 100]
+    # 24 numbers, squared and scaled by their variances: below 1 + 5 sqrt(2 / 24) on average, correlated as they are.
+    scaled = np.einsum("mi,mij,mj->m", errors, np.linalg.inv(found.covariances), errors) / 2
+    assert scaled.mean() < 1 + 5 * np.sqrt(2 / 24)
+    assert np.hypot(*(state.pose - truth[-1])[:2]) < 5 * np.sqrt(np.trace(state.pose_covariance[:2, :2]))
+
+
+def test_what_is_found_is_what_would_have_been_told_where_landmarks_are_far_apart():
+    steps, _ = drive(ring(12), 150, np.random.default_rng(2))
+    told, reports = run(EkfSlam(SENSOR), steps)
+    found, others = run(EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND), steps, known=False)
+    assert len(found.names) == 12
+    assert found.names.tolist() == list(range(12))
+    name = dict(zip(told.names.tolist(), found.names.tolist(), strict=True))
+    for report, other in zip(reports, others, strict=True):
+        believed = other.landmarks != AMBIGUOUS
+        assert [name[k] for k in report.landmarks[believed].tolist()] == other.landmarks[believed].tolist()
+    share = np.mean(np.concatenate([other.landmarks for other in others]) == AMBIGUOUS)
+    assert share < 0.03  # 1 % of true sightings lie beyond the gate
+    assert np.abs(found.mean - told.mean).max() < 0.2
+
+
+def test_all_at_once_is_one_after_the_other_where_noise_is_small():
+    """Batch and sequence differ by relinearization alone, which vanishes with the errors."""
+    sensor = RangeBearing(sigma_range_m=1e-4, sigma_bearing_rad=1e-4)
+    slam, rng, landmarks = EkfSlam(sensor), np.random.default_rng(3), ring(4)
+    state = slam.init()
+    exact = sensor.linearize(np.zeros(3), landmarks)[0]
+    state, _ = slam.step(state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), Sightings.of(exact, range(4)))
+    motion = GaussianIncrement.around(np.zeros(3), np.full(3, 1e-4))
+    seen = Sightings.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
+    together, _ = slam.step(state.snapshot(), motion, seen)
+    state, _ = slam.step(state, motion, NOTHING_SEEN)
+    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    for k in range(4):
+        state, _ = slam.step(state, still, Sightings.of(seen.values[k : k + 1], [k]))
+    np.testing.assert_allclose(together.mean, state.mean, atol=1e-7)
+    np.testing.assert_allclose(together.covariance, state.covariance, rtol=1e-2, atol=1e-11)
+
+
+def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_does():
+    slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
+    seen = Sightings.of([[3.0, 0.3]])
+    state, report = slam.step(slam.init(), MOTION(INCREMENT), seen)
+    assert report.landmarks.tolist() == [0]
+    alone, _ = slam.step(slam.init(), MOTION(INCREMENT), NOTHING_SEEN)
+    alone, _ = slam.step(alone, MOTION(INCREMENT), NOTHING_SEEN)
+    state, report = slam.step(state, MOTION(INCREMENT), Sightings.of([[2.8, 0.28]]))
+    assert report.landmarks.tolist() == [0]
+    np.testing.assert_array_equal(state.pose, alone.pose)
+    np.testing.assert_allclose(state.pose_covariance, alone.pose_covariance, atol=1e-15)
+    assert len(slam.landmark_map(state)) == 0
+    assert np.linalg.eigvalsh(state.covariance)[0] > 0
+    for _ in range(3):
+        z = SENSOR.linearize(state.pose, state.positions[0])[0]
+        before = state.pose_covariance.copy()
+        state, _ = slam.step(state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), Sightings.of([z]))
+    assert len(slam.landmark_map(state)) == 1
+    assert np.trace(state.pose_covariance) < np.trace(before)  # the fifth sighting is of a confirmed landmark
+
+
+def test_a_provisional_landmark_is_corrected_as_the_consider_filter_says():
+    """With K zero but for the landmark's rows: (I - K H) P (I - K H)' + K Q K' (Joseph's form)."""
+    slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
+    state, _ = slam.step(slam.init(), MOTION(INCREMENT), Sightings.of([[3.0, 0.3], [3.0, -0.3]]))
+    z = Sightings.of([[2.85, 0.31]])
+    predicted, _ = slam.step(state.snapshot(), MOTION(INCREMENT), NOTHING_SEEN)
+    corrected, _ = slam.step(state, MOTION(INCREMENT), z)
+    P, Q = predicted.covariance, SENSOR.noise(z)[0]
+    h, H_x, H_m = SENSOR.linearize(predicted.pose, predicted.positions[0])
+    H = np.zeros((2, 7))
+    H[:, :3], H[:, 3:5] = H_x, H_m
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + Q)
+    K[[0, 1, 2, 5, 6]] = 0
+    np.testing.assert_allclose(corrected.mean, predicted.mean + K @ (z.values[0] - h), atol=1e-12)
+    expected = (np.eye(7) - K @ H) @ P @ (np.eye(7) - K @ H).T + K @ Q @ K.T
+    np.testing.assert_allclose(corrected.covariance, expected, atol=1e-14)
+
+
+def test_a_provisional_landmark_that_is_not_seen_again_is_dropped_and_its_name_not_used_again():
+    slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
+    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    state, _ = slam.step(slam.init(), still, Sightings.of([[2.0, 1.0], [3.0, -1.0]]))
+    for _ in range(3):
+        state, _ = slam.step(state, still, Sightings.of([[2.0, 1.0]]))
+    assert state.names.tolist() == [0]
+    assert state.mean.shape == (5,)
+    state, _ = slam.step(state, still, Sightings.of([[2.0, -2.0]]))
+    assert state.names.tolist() == [0, 2]
+
+
+def test_a_sighting_that_cannot_be_believed_changes_nothing():
+    steps, _ = drive(ring(12), 60, np.random.default_rng(4))
+    state, _ = run(EkfSlam(SENSOR), steps)
+    name = int(state.names[0])
+    wrong = Sightings.of([[2.0, 3.0]], [name])
+    one, report = EkfSlam(SENSOR).step(state.snapshot(), EXACT, wrong)
+    other, _ = EkfSlam(SENSOR).step(state.snapshot(), EXACT, NOTHING_SEEN)
+    assert report.landmarks.tolist() == [AMBIGUOUS]
+    np.testing.assert_array_equal(one.mean, other.mean)
+    believing, report = EkfSlam(SENSOR, Told(believed=1e9)).step(state, EXACT, wrong)
+    assert report.landmarks.tolist() == [name]
+    assert np.abs(believing.mean - other.mean).max() > 0.01
+
+
+def test_what_is_refused():
+    slam = EkfSlam(SENSOR)
+    state = slam.init()
+    with pytest.raises(ArgumentError, match="landmarks told"):
+        slam.step(state.snapshot(), EXACT, Sightings.of([[1.0, 0.0]]))
+    kept = state.snapshot()
+    slam.step(state, EXACT, NOTHING_SEEN)
+    for use in (lambda: slam.step(state, EXACT, NOTHING_SEEN), state.snapshot):
+        with pytest.raises(ConsumedStateError):
+            use()
+    slam.step(kept, EXACT, NOTHING_SEEN)
+    with pytest.raises(ArgumentError, match="pose"):
+        slam.init([0.0, 1.0])
+    with pytest.raises(ValueError, match="same <= other"):
+        MaximumLikelihood(same=9, other=8)
+    with pytest.raises(ValueError, match="false_alarm < detection"):
+        Existence(detection=0.1, false_alarm=0.2)

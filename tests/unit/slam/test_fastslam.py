@@ -1,0 +1,290 @@
+"""FastSLAM 1.0 and 2.0: EKF mapping where the path is certain, the proposal against sampling, and the state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
+
+from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.evaluation import align
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose, transform_points
+from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.motion import DiffusionMotion, GaussianIncrement
+from gridslam.models.sightings import NOTHING_SEEN, Sightings
+from gridslam.particles.policies import Always, Never
+from gridslam.slam.association import AMBIGUOUS, NEW, MaximumLikelihood
+from gridslam.slam.ekf_slam import EkfSlam
+from gridslam.slam.fastslam1 import FastSlam1
+from gridslam.slam.fastslam2 import FastSlam2
+from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_filters import LandmarkFilters
+from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
+
+SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
+FILTERS = LandmarkFilters(SENSOR)
+ALL_AROUND = Existence(
+    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+)
+FINDING = LandmarkFilters(SENSOR, MaximumLikelihood(), ALL_AROUND)
+EXACT = GaussianIncrement.around(INCREMENT, np.zeros(3))
+STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+BOTH = pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
+
+
+def run(slam, steps, particles, rng, motion=MOTION, known=True):
+    state, reports = slam.init(particles), []
+    for step in steps:
+        sightings = step.sightings if known else step.sightings.anonymous()
+        state, report = slam.step(state, motion(step.increment), sightings, rng)
+        reports.append(report)
+    return state, reports
+
+
+@BOTH
+def test_one_particle_without_noise_is_ekf_mapping(kind):
+    """The path is certain: EKF SLAM's landmarks are then independent, and each is as the particle's filter says."""
+    exact = DiffusionMotion(sigma_xy_m=0, sigma_theta_rad=0, floor_xy_m=0, floor_theta_rad=0)
+    steps, _ = drive(ring(12), 100, np.random.default_rng(0), motion=exact)
+    rng, ekf = np.random.default_rng(1), EkfSlam(SENSOR)
+    state, expected = kind(FILTERS).init(1), ekf.init()
+    for step in steps:
+        state, report = kind(FILTERS).step(state, exact(step.increment), step.sightings, rng)
+        expected, other = ekf.step(expected, exact(step.increment), step.sightings)
+        assert report.landmarks.tolist() == other.landmarks.tolist()
+        np.testing.assert_allclose(report.pose, other.pose, atol=1e-12)
+    ours, theirs = kind(FILTERS).landmark_map(state), ekf.landmark_map(expected)
+    assert ours.names.tolist() == theirs.names.tolist()
+    assert ours.sightings.tolist() == theirs.sightings.tolist()
+    np.testing.assert_allclose(ours.positions, theirs.positions, atol=1e-9)
+    np.testing.assert_allclose(ours.covariances, theirs.covariances, atol=1e-12)
+    np.testing.assert_allclose(state.ancestry.trajectory(0)[1:], dead_reckoning(100), atol=1e-9)
+
+
+def test_the_proposal_of_fastslam2_is_what_sampling_finds():
+    """Poses drawn from the motion model and weighed by the sightings have the proposal's mean and covariance.
+
+    The sightings are chosen so that linearization errs little: its share of the spread is some spread / range, 1 %.
+    """
+    rng, count = np.random.default_rng(5), 50_000
+    slam = FastSlam2(FILTERS, when_to_resample=Never())
+    base = slam.init(count)
+    seen = SENSOR.linearize(np.zeros(3), np.array([[4.0, 1.0], [2.0, -3.0]]))[0]
+    base, _ = slam.step(base, STILL, Sightings.of(seen, [1, 2]), rng)
+    motion = GaussianIncrement.around(INCREMENT, np.array([0.06, 0.05, 0.03]))
+    truth = np.array([0.24, -0.03, 0.07])
+    z = Sightings.of(SENSOR.linearize(truth, np.array([[4.0, 1.0], [2.0, -3.0]]))[0], [1, 2])
+    drawn, _ = slam.step(base.snapshot(), motion, z, rng)
+
+    one = base.snapshot()
+    poses = motion(one.poses, rng)
+    log_likelihood = np.zeros(count)
+    for k in range(2):
+        predicted, _, H_m = SENSOR.linearize(poses, one.positions[:, k])
+        S = H_m @ one.covariances[:, k] @ H_m.swapaxes(1, 2) + SENSOR.noise(z)[k]
+        log_likelihood += log_density(*mahalanobis(SENSOR.residual(z.values[k], predicted), S))
+    likelihood = np.exp(log_likelihood)
+    weights = likelihood / likelihood.sum()
+    mean, spread = weights @ poses, np.cov(poses.T, aweights=weights)
+    sigma = np.sqrt(np.diag(spread))
+    # With an effective sample of 2,500 the mean errs by 2 % of sigma and covariances by 3 %, linearization by little.
+    assert 1 / np.square(weights).sum() > 2_500
+    assert (np.abs(drawn.poses.mean(axis=0) - mean) < 0.1 * sigma).all()
+    assert (np.abs(np.cov(drawn.poses.T) - spread) < 0.15 * np.outer(sigma, sigma)).all()
+    # The weight is the likelihood of the sightings under the motion model: the mean of the samples' likelihoods.
+    (centre,), (cov,) = motion.moments(np.zeros((1, 3)))
+    H, Q = np.zeros((4, 3)), np.zeros((4, 4))
+    residual = np.zeros(4)
+    for k in range(2):
+        h, H_x, H_m = SENSOR.linearize(centre, one.positions[0, k])
+        rows = slice(2 * k, 2 * k + 2)
+        H[rows], residual[rows] = H_x, SENSOR.residual(z.values[k], h)
+        Q[rows, rows] = H_m @ one.covariances[0, k] @ H_m.T + SENSOR.noise(z)[k]
+    L = H @ cov @ H.T + Q
+    jointly = np.exp(-0.5 * residual @ np.linalg.solve(L, residual)) / np.sqrt(np.linalg.det(2 * np.pi * L))
+    assert likelihood.mean() == pytest.approx(jointly, rel=0.1)
+
+
+def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_motion():
+    """Two particles with different maps: their ratio of weights is that of two Gaussians over both sightings."""
+    slam, rng = FastSlam2(FILTERS, when_to_resample=Never()), np.random.default_rng(6)
+    state, _ = slam.step(slam.init(2), STILL, Sightings.of([[4.0, 0.3], [3.0, -0.8]], [1, 2]), rng)
+    state.positions[1] += 0.05
+    motion = GaussianIncrement.around(INCREMENT, np.array([0.03, 0.03, 0.02]))
+    z = Sightings.of([[3.9, 0.24], [2.9, -0.9]], [1, 2])
+    (centre, _), (cov, _) = motion.moments(np.zeros((2, 3)))
+    logs = []
+    for particle in range(2):
+        H, Q, residual = np.zeros((4, 3)), np.zeros((4, 4)), np.zeros(4)
+        for k in range(2):
+            h, H_x, H_m = SENSOR.linearize(centre, state.positions[particle, k])
+            rows = slice(2 * k, 2 * k + 2)
+            H[rows], residual[rows] = H_x, SENSOR.residual(z.values[k], h)
+            Q[rows, rows] = H_m @ state.covariances[particle, k] @ H_m.T + SENSOR.noise(z)[k]
+        L = H @ cov @ H.T + Q
+        logs.append(-0.5 * (residual @ np.linalg.solve(L, residual) + np.linalg.slogdet(L)[1]))
+    state, _ = slam.step(state, motion, z, rng)
+    # The second sighting is linearized about the mean that the first has corrected, by a centimetre: a few percent.
+    assert state.log_weights[0] - state.log_weights[1] == pytest.approx(logs[0] - logs[1], abs=0.1)
+
+
+@BOTH
+def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(kind):
+    """A robot that cannot turn and sees positions: the posterior is EKF SLAM's, exactly."""
+    sensor = RelativePosition(sigma_x_m=0.3, sigma_y_m=0.3)
+    motion = GaussianIncrement.around(np.array([0.5, 0.0, 0.0]), np.array([0.15, 0.15, 0.0]))
+    slam, ekf = kind(LandmarkFilters(sensor), when_to_resample=Never()), EkfSlam(sensor)
+    rng, seen = np.random.default_rng(7), np.random.default_rng(8)
+    state, expected = slam.init(20_000), ekf.init()
+    for k in range(4):
+        z = np.array([[6.0, 1.0], [3.0, -2.0]]) - [0.5 * k, 0] + seen.normal(0, 0.3, (2, 2))
+        state, report = slam.step(state, motion, Sightings.of(z, [3, 5]), rng)
+        expected, _ = ekf.step(expected, motion, Sightings.of(z, [3, 5]))
+    found, other = slam.landmark_map(state), ekf.landmark_map(expected)
+    # Means err by sigma / sqrt(N_eff) = 0.3 / sqrt(1000) = 0.01 m; five times that. Variances by sqrt(2 / N_eff), 5 %.
+    assert report.n_eff > 1000
+    np.testing.assert_allclose(found.positions, other.positions, atol=0.05)
+    np.testing.assert_allclose(found.covariances, other.covariances, atol=0.2 * other.covariances.max())
+    weights = np.exp(state.log_weights)
+    np.testing.assert_allclose(weights @ state.poses, expected.pose, atol=0.05)
+    np.testing.assert_allclose(report.covariance, expected.pose_covariance, atol=0.2 * expected.pose_covariance.max())
+
+
+@BOTH
+def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
+    steps, truth = drive(ring(12), 140, np.random.default_rng(9))
+    for filters, known in ((FILTERS, True), (FINDING, False)):
+        slam = kind(filters)
+        state, reports = run(slam, steps, 50, np.random.default_rng(10), known=known)
+        found = slam.landmark_map(state)
+        assert len(found) == 12
+        true_from_map = align(
+            state.ancestry.trajectory(state.best)[1:, :2], truth[:, :2]
+        )  # the first steps turn it all
+        nearest = np.hypot(*(transform_points(true_from_map, found.positions)[:, None] - ring(12)).transpose(2, 0, 1))
+        assert sorted(nearest.argmin(axis=1).tolist()) == list(range(12))
+        # Once around with 1.5 % of heading noise a step leaves 0.1 to 0.2 m; neighbours are 3 m apart.
+        assert nearest.min(axis=1).max() < 0.5
+        assert np.hypot(*(compose(true_from_map, reports[-1].pose) - truth[-1])[:2]) < 0.5
+        assert any(report.parents is not None for report in reports)
+
+
+@BOTH
+def test_each_particle_has_its_own_correspondences(kind):
+    """Two landmarks and a sighting between them: particles on one side take it for one, the others for the other."""
+    slam = kind(LandmarkFilters(RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1), MaximumLikelihood(), ALL_AROUND))
+    rng, motion = np.random.default_rng(11), GaussianIncrement.around(np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    state, _ = slam.step(slam.init(300), STILL, Sightings.of([[3.0, 1.0], [3.0, -1.0]]), rng)
+    state.poses[:, 1] = np.repeat([1.0, -1.0, 9.0], 100)
+    columns = slam.landmarks.correspond(
+        state, Sightings.of([[3.0, 0.0]]), 0, state.poses, None, np.empty((300, 0), np.int64)
+    )  # fmt: skip
+    assert columns.tolist() == [0] * 100 + [1] * 100 + [NEW] * 100
+    taken = columns[:, None].copy()
+    again = slam.landmarks.correspond(state, Sightings.of([[3.0, 0.0]] * 2), 1, state.poses, None, taken)
+    assert set(again[:200].tolist()) == {AMBIGUOUS}  # near enough, but seen already
+    state.poses[:, 1] = 0.0
+    state, report = slam.step(state, motion, Sightings.of([[3.0, 0.0]]), rng)
+    assert len(state) == 300
+    assert report.pose.shape == (3,)
+
+
+def test_landmarks_that_are_not_seen_where_they_should_be_are_dropped_and_their_columns_used_again():
+    slam, rng = FastSlam1(FINDING), np.random.default_rng(12)
+    state, _ = slam.step(slam.init(5), STILL, Sightings.of([[2.0, 1.0], [3.0, -1.0]]), rng)
+    for _ in range(3):
+        state, _ = slam.step(state, STILL, Sightings.of([[2.0, 1.0]]), rng)
+    assert state.exists.sum(axis=1).tolist() == [1] * 5
+    assert state.sightings[:, 0].tolist() == [4] * 5
+    state, report = slam.step(state, STILL, Sightings.of([[2.0, -2.0]]), rng)
+    assert state.exists[:, :2].all()
+    assert report.landmarks.tolist() == [1]
+    assert state.sightings[:, 1].tolist() == [1] * 5
+
+
+def test_nothing_is_drawn_while_nothing_is_seen():
+    """FastSLAM 2.0 carries the motion's Gaussian on, as two steps of EKF prediction do."""
+    slam, ekf, rng = FastSlam2(FILTERS), EkfSlam(SENSOR), np.random.default_rng(13)
+    state, expected = slam.init(3), ekf.init()
+    for _ in range(2):
+        state, report = slam.step(state, MOTION(INCREMENT), NOTHING_SEEN, rng)
+        expected, other = ekf.step(expected, MOTION(INCREMENT), NOTHING_SEEN)
+    np.testing.assert_allclose(state.poses, np.tile(expected.pose, (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(report.covariance, other.covariance, atol=1e-14)
+    state, _ = slam.step(state, MOTION(INCREMENT), Sightings.of([[2.0, 0.0]], [4]), rng)
+    assert not state.spread.any()
+    assert len(np.unique(state.poses, axis=0)) == 3
+
+
+@given(seed=st.integers(0, 1000), count=st.integers(1, 12))
+def test_resampling_keeps_what_is_drawn_and_copies_are_apart(seed, count):
+    rng = np.random.default_rng(seed)
+    state = LandmarkParticles.at(count, [0, 0, 0])
+    state.new_columns(np.arange(count), 7)
+    state.poses[:, 0] = state.positions[:, 0, 0] = state.sightings[:, 0] = np.arange(count)
+    drawn = np.sort(rng.integers(0, count, count))
+    parents = state.resample(drawn)
+    assert np.sort(parents).tolist() == drawn.tolist()
+    stays = np.isin(np.arange(count), drawn)
+    assert parents[stays].tolist() == np.flatnonzero(stays).tolist()
+    for kept in (state.poses[:, 0], state.positions[:, 0, 0], state.sightings[:, 0]):
+        assert kept.tolist() == parents.tolist()
+    state.positions[0] = -1.0
+    assert (state.positions[1:, 0, 0] >= 0).all()
+
+
+@BOTH
+def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
+    steps, _ = drive(ring(8), 60, np.random.default_rng(14))
+    slam = kind(FILTERS, when_to_resample=Always())
+    one, _ = run(slam, steps, 10, np.random.default_rng(3))
+    rng, state = np.random.default_rng(3), slam.init(10)
+    for k, step in enumerate(steps):
+        if k == 30:
+            kept, again = state.snapshot(), np.random.default_rng()
+            again.bit_generator.state = rng.bit_generator.state
+        state, _ = slam.step(state, MOTION(step.increment), step.sightings, rng)
+    for step in steps[30:]:
+        kept, _ = slam.step(kept, MOTION(step.increment), step.sightings, again)
+    for other in (state, kept):
+        np.testing.assert_array_equal(one.positions, other.positions)
+        np.testing.assert_array_equal(one.ancestry.trajectories(), other.ancestry.trajectories())
+    with pytest.raises(ConsumedStateError):
+        slam.step(LandmarkParticles.take(kept) and kept, EXACT, NOTHING_SEEN, rng)
+
+
+@BOTH
+def test_what_is_refused(kind):
+    slam, rng = kind(FILTERS), np.random.default_rng(0)
+    with pytest.raises(ArgumentError, match="landmarks told"):
+        slam.step(slam.init(2), EXACT, Sightings.of([[1.0, 0.0]]), rng)
+    with pytest.raises(ArgumentError, match="particle"):
+        slam.init(0)
+
+
+def test_small_gaussians_are_those_of_numpy():
+    rng = np.random.default_rng(15)
+    roots = rng.normal(size=(50, 2, 2))
+    S, residuals = roots @ roots.swapaxes(1, 2) + 0.1 * np.eye(2), rng.normal(size=(50, 2))
+    np.testing.assert_allclose(inverse_2x2(S), np.linalg.inv(S), atol=1e-10)
+    squared, log_det = mahalanobis(residuals, S)
+    np.testing.assert_allclose(squared, np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(S), residuals))
+    np.testing.assert_allclose(log_det, np.linalg.slogdet(S)[1], atol=1e-12)
+    assert np.exp(log_density(0.0, np.log(1.0))) == pytest.approx(1 / (2 * np.pi))
+
+
+def test_poses_are_drawn_from_their_gaussians():
+    rng, count = np.random.default_rng(16), 100_000
+    root = np.array([[0.3, 0, 0], [0.1, 0.0, 0], [-0.2, 0.0, 0.1]])  # singular: y follows x
+    cov = np.tile(root @ root.T, (count, 1, 1))
+    drawn = draw_poses(np.tile([1.0, 2.0, 3.1], (count, 1)), cov, rng) - [1.0, 2.0, 3.1]
+    drawn[:, 2] = wrap(drawn[:, 2])
+    # Five times the sampling error sqrt(2 / count) of a variance of at most 0.09.
+    np.testing.assert_allclose(drawn.T @ drawn / count, cov[0], atol=5 * 0.09 * np.sqrt(2 / count))
+    np.testing.assert_allclose(drawn[:, 1], drawn[:, 0] / 3, atol=1e-9)
+    nothing = draw_poses(np.ones((3, 3)), np.zeros((3, 3, 3)), rng)
+    np.testing.assert_array_equal(nothing, np.ones((3, 3)))
