@@ -23,6 +23,9 @@ ONLY_IN = {
     "rosbags": {"io"},
     "lz4": {"io"},
     "pooch": {"io"},
+    "starlette": {"live"},
+    "uvicorn": {"live"},
+    "websockets": set(),
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 

@@ -34,8 +34,8 @@ RANKS = {
     "viz": 10,
     "api": 11,
     "live": 11,
-    "ros": 11,
-    "cli": 12,
+    "ros": 12,
+    "cli": 13,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
 

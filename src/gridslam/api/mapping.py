@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions
+from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
@@ -40,6 +41,7 @@ def map_log(
     threads: int = 1,
     repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[Observer] = (),
+    gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> MapResult:
@@ -71,6 +73,8 @@ def map_log(
         The result tells it.
     observers : sequence of Observer
         Called after each scan.
+    gate : callable
+        Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
     tick : callable
         Called now and then while the last word is found, after the last scan.
     stopwatch : Stopwatch, optional
@@ -97,7 +101,7 @@ def map_log(
     watch.lap("start")
     slam, rng = build(config, threads), np.random.default_rng(seed)
     watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
-    state = run(source, slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    state = run(gate(source), slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
     full = full_slam(
         state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
     )  # fmt: skip

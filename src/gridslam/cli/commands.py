@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gridslam import __version__
+from gridslam.cli.live import live_options, place_options
 from gridslam.cli.log_options import log_options
 
 __all__ = ["gridslam"]
@@ -67,6 +69,7 @@ class _MapCommand(click.Command):
     help="What is taken out of a log first: what would spoil any map, all that gridslam doctor can measure, nothing.",
 )  # fmt: skip
 @log_options
+@live_options
 @_json
 def map_command(**options: Any) -> None:  # noqa: ANN401
     """Map LOG with grid-based FastSLAM and loop closure.
@@ -150,6 +153,7 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("demo")
 @click.option("-o", "--out", type=_PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
 @click.option("--seed", type=_SEED, default=0, show_default=True, help="Of the simulation and of the filter.")
+@live_options
 @_json
 def demo_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in a small office, and map it; needs no data.
@@ -159,6 +163,65 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.demo import demo
 
     demo(**options)
+
+
+@gridslam.command("view")
+@click.argument("out", type=_PATH)
+@place_options
+def view_command(**options: Any) -> None:  # noqa: ANN401
+    """Show OUT, the results of `gridslam map`, in the browser, with a time line."""
+    from gridslam.cli.view import view
+
+    view(**options)
+
+
+_NODE = (
+    click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
+    click.option("--preset", help="default, fast, accurate or gmapping."),
+    click.option("--particles", type=int, help="Number of particles."),
+    click.option("--seed", type=_SEED, help="The same seed and scans give the same bytes."),
+    click.option("--threads", type=click.IntRange(1, 256), help="Never changes a result."),
+    click.option("--config", type=_PATH, help="TOML file with parameters, over the preset's."),
+    click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see map)."),
+    click.option("-o", "--out", type=_PATH, help="Folder that the node saves its results in."),
+    click.option("--record", type=_PATH, metavar="FILE", help="Keep the accepted scans, to be mapped again."),
+)
+_NODE_SETTINGS = {**_SETTINGS, "ignore_unknown_options": True}
+
+
+def _node_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option in reversed(_NODE):
+        command = option(command)
+    return command
+
+
+@gridslam.command("ros1", context_settings=_NODE_SETTINGS)
+@_node_options
+def ros1_command(**options: Any) -> None:  # noqa: ANN401
+    """Be a node in ROS 1, in the place of slam_gmapping: /scan and /tf in, /map out.
+
+    ARGUMENTS are ROS's own: _name:=value for a parameter, name:=other to remap a topic.
+    """
+    from gridslam.cli.ros import ros1
+
+    ros1(**options)
+
+
+@gridslam.command("ros2", context_settings=_NODE_SETTINGS)
+@_node_options
+@click.option(
+    "--transport", type=click.Choice(["auto", "rclpy", "dds"]), default="auto", show_default=True,
+    help="rclpy of a sourced ROS 2, or Cyclone DDS, which needs no ROS (extra: ros2).",
+)  # fmt: skip
+@click.option("--interface", "interfaces", multiple=True, help="Network interface for DDS; may be repeated.")
+def ros2_command(**options: Any) -> None:  # noqa: ANN401
+    """Be a node in ROS 2: /scan and /tf in, /map out.
+
+    ARGUMENTS are ROS's own, after --ros-args.
+    """
+    from gridslam.cli.ros import ros2
+
+    ros2(**options)
 
 
 @gridslam.command("graph")

@@ -10,6 +10,7 @@ import numpy as np
 
 from gridslam.cli import STARTED_S
 from gridslam.cli.evaluate import against_truth, tell
+from gridslam.cli.live import live_page, wait_for_viewer
 from gridslam.cli.map import map_shown, summary
 from gridslam.cli.output import opened, print_json
 from gridslam.config import Configuration
@@ -18,6 +19,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
+from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Trajectory
@@ -26,26 +28,32 @@ __all__ = ["DEMO_SCHEMA", "demo"]
 
 DEMO_SCHEMA = "gridslam.demo/1"
 
+_SPEED = 30.0  # times as fast as the robot drives, so that one can look on
 _LOG, _TRUTH = "demo.clf.gz", "truth.tum"
 
 
-def demo(out: Path, seed: int, as_json: bool) -> None:
+def demo(out: Path, seed: int, live: LiveOptions | None, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
     watch, rng = Stopwatch(STARTED_S, 0.0), np.random.default_rng(seed)
-    with opened(out) as folder:
-        simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
-        write_carmen(folder.file(_LOG), simulated.measurements)
-        write_tum(folder.file(_TRUTH), simulated.truth)
-        watch.lap("simulate")
-        result = map_shown(CarmenLog(folder.file(_LOG)), Configuration(), seed, 1, not as_json, watch)
-        result = replace(result, source=out / _LOG)
-        document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
-    errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
-    if as_json:
-        print_json({"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry})
-        return
-    lines = [*summary(document, result, out), "against the truth:", *(f"  {line}" for line in tell(errors))]
-    click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in tell(odometry))]))
+    slowed, configuration = None if live is None else replace(live, speed=_SPEED), Configuration()
+    with live_page(slowed, "demo", configuration.range_max_m) as page:
+        with opened(out) as folder:
+            simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+            write_carmen(folder.file(_LOG), simulated.measurements)
+            write_tum(folder.file(_TRUTH), simulated.truth)
+            watch.lap("simulate")
+            wait_for_viewer(page)
+            watch.resume()
+            log = CarmenLog(folder.file(_LOG))
+            result = map_shown(log, configuration, seed, 1, not as_json, watch, page=page)
+            result = replace(result, source=out / _LOG)
+            document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
+        errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
+        if as_json:
+            print_json({"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry})
+            return
+        lines = [*summary(document, result, out), "against the truth:", *(f"  {line}" for line in tell(errors))]
+        click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in tell(odometry))]))
 
 
 def _in_map_frame(truth: Trajectory, estimate: Trajectory) -> Trajectory:

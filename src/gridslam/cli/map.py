@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -12,13 +13,18 @@ from gridslam.api import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.live import live_page, show_result
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
 from gridslam.config import Configuration, load, override, preset, with_laser
 from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
+
+if TYPE_CHECKING:
+    from gridslam.live.page import LivePage
 
 __all__ = ["map_shown", "map_to_folder", "summary"]
 
@@ -39,28 +45,32 @@ def map_to_folder(
     assignments: Sequence[str],
     no_loop_closure: bool,
     repair: Literal["needed", "all", "none"],
+    live: LiveOptions | None,
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, laser, particles, config, assignments, no_loop_closure)
     source = checked(open_log(log, options), options)
-    with opened(out) as folder:
-        result = map_shown(source, configuration, seed, threads, not as_json, watch, repair)
-        document = result.write(folder)
-    for warning in _warnings(result):
-        click.echo(f"gridslam: {log}: {warning}", err=True)
-    if as_json:
-        print_json(document)
-    else:
-        click.echo("\n".join(summary(document, result, out)))
+    with live_page(live, source.path.name, configuration.range_max_m) as page:
+        with opened(out) as folder:
+            result = map_shown(source, configuration, seed, threads, not as_json, watch, repair, page)
+            document = result.write(folder)
+        for warning in _warnings(result):
+            click.echo(f"gridslam: {log}: {warning}", err=True)
+        if as_json:
+            print_json(document)
+        else:
+            click.echo("\n".join(summary(document, result, out)))
 
 
 def map_shown(
     source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
-    repair: Literal["needed", "all", "none"] = "none",
+    repair: Literal["needed", "all", "none"] = "none", page: LivePage | None = None,
 ) -> MapResult:
-    """Map a log while progress is shown."""
+    """Map a log while progress is shown, and the map on a page if there is one."""
+    if page is not None:
+        page.tell_progress(lambda: source.statistics.share_read)
     with progress(lambda: source.statistics, shown=shown) as show:
 
         def observe(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -71,10 +81,13 @@ def map_shown(
             stop_if_interrupted()
             show.last_word()
 
-        return map_log(
-            source, configuration=configuration, seed=seed, threads=threads, observers=[observe], tick=tick,
-            stopwatch=watch, repair=repair,
+        result = map_log(
+            source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
+            observers=[observe] if page is None else [observe, page.observer],
+            gate=iter if page is None else partial(page.paced, stopwatch=watch),
         )  # fmt: skip
+        show_result(page, result)
+        return result
 
 
 def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]:

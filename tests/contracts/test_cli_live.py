@@ -1,0 +1,152 @@
+"""--live and view: what they accept, that results are the same, and that others do not pay for them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+
+import pytest
+from onlookers import Onlooker
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from gridslam.cli import live as live_module
+from gridslam.cli.main import main
+
+SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
+FEW = "--particles", "4"
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def mapped(log, tmp_path_factory):
+    out = tmp_path_factory.mktemp("mapped") / "out"
+    assert main(["map", str(log), "-o", str(out), *FEW]) == 0
+    return out
+
+
+def look(url, onlooker):
+    """Look until the server closes."""
+    try:
+        with connect(url.replace("http", "ws", 1) + "socket", max_size=None, compression=None) as line:
+            while True:
+                onlooker.receive(line.recv(20))
+                line.send(json.dumps({"do": "got"}))
+                if onlooker.status["stage"] == "done":
+                    return
+    except ConnectionClosed:
+        pass
+
+
+def free_port():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return taken.getsockname()[1]
+
+
+def test_the_results_are_the_same_with_and_without(call, log, mapped, tmp_path):
+    status, _, err = call("map", log, "-o", tmp_path / "out", *FEW, "--live", "--live-port", 0)
+    assert status == 0
+    assert "live at http://127.0.0.1:" in err
+    for name in SAME:
+        assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes(), name
+
+
+def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
+    """The command stays until the viewer goes."""
+    port, onlooker, served = free_port(), Onlooker(), live_module.served
+    viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", onlooker))
+
+    @contextmanager
+    def seen(page):
+        with served(page) as entered:
+            viewer.start()
+            assert page.wait_for_viewer(10)
+            yield entered
+
+    monkeypatch.setattr(live_module, "served", seen)
+    status, _, _ = call("map", log, "-o", tmp_path / "out", *FEW, "--live", "--live-port", port)
+    viewer.join(10)
+    assert status == 0
+    assert onlooker.status["stage"] == "done"
+    assert onlooker.status["scans"] == 120
+    assert (tmp_path / "out" / "map.png").is_file()
+
+
+def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_module, "_PATIENCE_S", 0.0)
+    status, _, err = call("demo", "-o", tmp_path / "out", "--live", "--live-port", 0)
+    assert status == 0
+    assert "open the page to begin" in err
+    assert (tmp_path / "out" / "map.png").is_file()
+
+
+def test_a_taken_port_is_bad_usage_and_nothing_is_written(call, log, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        status, _, err = call("map", log, "-o", tmp_path / "out", "--live", "--live-port", port)
+    assert status == 2
+    assert "is taken; --live-port 0" in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--live-port", "0"], "need --live"),
+        (["--live-host", "0.0.0.0"], "need --live"),
+        (["--live", "--live-port", "70000"], "--live-port: expected a number from 0 to 65535"),
+    ],
+)
+def test_options_that_do_not_fit(call, log, tmp_path, arguments, says):
+    status, _, err = call("map", log, "-o", tmp_path / "out", *arguments)
+    assert status == 2
+    assert says in err
+
+
+def test_view_says_what_is_no_result_of_a_run(call, tmp_path):
+    status, _, err = call("view", tmp_path)
+    assert status == 2
+    assert "run.json: no such file; expected the folder that gridslam map wrote" in err
+
+
+def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
+    command = [sys.executable, "-u", "-m", "gridslam.cli.main", "view", str(mapped), "--live-port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
+        line = view.stdout.readline()
+        url = line.split("open ")[1].split(" ")[0]
+        onlooker = Onlooker()
+        with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as channel:
+            onlooker.receive(channel.recv(20))
+        assert onlooker.hello["mode"] == "replay"
+        view.send_signal(signal.SIGINT)
+        assert view.wait(10) == 0
+
+
+def test_a_run_without_a_page_imports_no_server(log, tmp_path):
+    code = (
+        "import sys; from gridslam.cli.main import main\n"
+        f"assert main(['map', {str(log)!r}, '-o', {str(tmp_path / 'out')!r}, '--particles', '2']) == 0\n"
+        "print([name for name in ('starlette', 'uvicorn', 'websockets', 'asyncio') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_help_tells_the_options(call):
+    for command in ("map", "demo"):
+        assert all(option in call(command, "--help")[1] for option in ("--live ", "--live-port", "--live-host"))
+    assert "--live-port" in call("view", "--help")[1]
