@@ -28,6 +28,7 @@ from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.tracker import OdometryTracker, Tracker
+from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -140,7 +141,7 @@ class GridFastSlam:
         beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
-        motion = self.motion(between(state.key_pose, tracked.predicted))  # predict
+        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map

@@ -140,20 +140,20 @@ class OdometryCalibration:
         determined : bool
             Whether the scan told where it was in all directions.
         """
-        moved, told = between(learned.begin_pose, pose), between(learned.begin_odometry, odometry)
-        known = believed and not math.isnan(moved[0] + told[0])
         learned.determined &= determined
-        if known and not (self._is_long(moved) or self._is_long(told)):
+        known = believed and not math.isnan(odometry[0] + learned.begin_odometry[0])
+        if known and not (self._is_long(pose - learned.begin_pose) or self._is_long(odometry - learned.begin_odometry)):
             return
         if known:
+            moved, told = between(learned.begin_pose, pose), between(learned.begin_odometry, odometry)
             self._judge(learned, moved, told)
             if learned.trusted:
                 self._fit(learned, moved, told)
         learned.begin_pose, learned.begin_odometry, learned.determined = pose, odometry, True
 
-    def _is_long(self, increment: FloatArray) -> bool:
-        x, y, turn = increment.tolist()
-        return math.hypot(x, y) >= self.stretch_m or abs(turn) >= self.stretch_rad
+    def _is_long(self, difference: FloatArray) -> bool:
+        x, y, turn = difference.tolist()
+        return math.hypot(x, y) >= self.stretch_m or abs(math.remainder(turn, math.tau)) >= self.stretch_rad
 
     def _judge(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
         """Whether the odometry, as corrected, explains the motion."""

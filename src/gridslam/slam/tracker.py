@@ -111,7 +111,7 @@ class Tracker:
     def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
         """Track one scan; updates `state`."""
         at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
-        predicted = self._predicted(state, at, stamp_ns, seconds)
+        predicted, spread = self._predicted(state, at, stamp_ns, seconds), state.spread
         if self.deskew is None or beams.scan.beam_times_s is None:
             found = self._found(state, predicted, beams)
         else:
@@ -120,13 +120,14 @@ class Tracker:
                 lambda sharp: self._found(state, predicted, sharp),
             )  # fmt: skip
         self._advance(state, found)
+        state.overruled += odometry is not None and not found.predicted.by_odometry
         if found.matched or not found.predicted.by_odometry:
             state.matched_pose, state.matched_odometry = found.pose, at
         state.stamp_ns, state.odometry = stamp_ns, at
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
-        return Tracked(found.pose, found.predicted.pose, beams)
+        return Tracked(found.pose, found.predicted.pose, beams, None if found.predicted.by_odometry else spread)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
@@ -214,6 +215,8 @@ class Tracker:
         predicted = found.predicted
         blind = found.poor and not predicted.by_odometry
         state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, predicted.seconds)
+        if found.share and not predicted.by_odometry:
+            state.spread = self.velocity.spread(state.spread, between(predicted.pose, found.pose))
         state.blind_scans = state.blind_scans + 1 if blind else 0
         state.pose = found.pose
         if found.poor:

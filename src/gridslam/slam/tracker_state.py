@@ -59,6 +59,8 @@ class TrackerState:
         What the odometry's errors are.
     twist : (3,) float64
         Velocity of the base in its own frame, m/s and rad/s.
+    spread : (2,) float64
+        Variances of what velocities predicted lately, m^2 (each of x and y) and rad^2.
     period_s : float
         Mean time between scans.
     even : bool
@@ -69,6 +71,8 @@ class TrackerState:
         Scans that each local map holds.
     blind_scans : int
         Scans in a row of whose poses nothing was known, neither by a match nor by odometry.
+    overruled : int
+        Scans so far whose odometry was not used: it jumped, came late, or is not trusted.
     doubt_m2, doubt_rad2 : float
         Variances of all predictions so far that were taken instead of a match that was not believed.
     """
@@ -82,11 +86,13 @@ class TrackerState:
     sensors: dict[str, Seen]
     learned: LearnedOdometry = field(default_factory=LearnedOdometry)
     twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    spread: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
     period_s: float = 0.1
     even: bool = False
     active: int = 0
     scans: tuple[int, int] = (1, 0)
     blind_scans: int = 0
+    overruled: int = 0
     doubt_m2: float = 0.0
     doubt_rad2: float = 0.0
 
@@ -124,7 +130,7 @@ class TrackerState:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
-        counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.even]
+        counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.overruled, self.even]
         arrays["counters"] = np.array(counters, np.int64)
         arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
         arrays["period_s"] = np.array(self.period_s)
@@ -140,7 +146,7 @@ class TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
         learned = LearnedOdometry.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
-        stamp_ns, active, first, second, blind, even = (int(v) for v in arrays["counters"])
+        stamp_ns, active, first, second, blind, overruled, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
         last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, strict=True)]
@@ -148,13 +154,13 @@ class TrackerState:
             maps, stamp_ns=stamp_ns, learned=learned,
             sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
             period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
-            blind_scans=blind, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
+            blind_scans=blind, overruled=overruled, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
             **{name: np.array(arrays[name], np.float64) for name in _POSES},
         )  # fmt: skip
 
 
 _OF_SENSORS = ("matched_poses", "shares", "inserted_poses", "orders")
-_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist")
+_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "spread")
 
 
 def pose_of(odometry: Odometry | None) -> FloatArray:
@@ -196,11 +202,20 @@ class Found(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """What the tracker says of one scan: poses (3,) in its frame, and the beams as they are seen from there.
+    """What the tracker says of one scan.
 
-    `predicted` uses only the scans before this one, `pose` this one too; `beams` are deskewed.
+    Attributes
+    ----------
+    pose, predicted : (3,) float64
+        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too.
+    beams : Beams
+        As seen from the base at the stamp: deskewed.
+    spread : (2,) float64 or None
+        Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
+        motion model's.
     """
 
     pose: FloatArray
     predicted: FloatArray
     beams: Beams
+    spread: FloatArray | None = None

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import final
 
+import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.slam.tracker_state import Seen, TrackerState
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, MotionSampler
 
-__all__ = ["ConstantVelocity"]
+__all__ = ["ConstantVelocity", "widened"]
 
 
 @final
@@ -101,3 +103,34 @@ class ConstantVelocity:
         dx, dy, turn = (pose - seen.matched_pose).tolist()
         far = math.hypot(dx, dy) > self.margin_m + self.speed_mps * passed
         return passed < 0 or far or abs(math.remainder(turn, math.tau)) > self.margin_rad + self.turn_rps * passed
+
+    def spread(self, before: FloatArray, missed: FloatArray) -> FloatArray:
+        """Variances (2,) of predictions, m^2 and rad^2, of which the last one missed by the increment `missed` (3,)."""
+        x, y, turn = missed.tolist()
+        squares = np.array([0.5 * (x * x + y * y), turn * turn])
+        news: FloatArray = np.minimum(squares, 9 * before) - before
+        return before + 0.05 * news
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Widened:
+    """A motion sampler with noise of these variances (2,) beside its own, m^2 (each of x and y) and rad^2."""
+
+    sampler: MotionSampler
+    variances: FloatArray
+
+    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw one successor (N, 3) for each pose (N, 3)."""
+        std = np.sqrt(self.variances[[0, 0, 1]])
+        return compose(self.sampler(poses, rng), std * rng.standard_normal((len(poses), 3)))
+
+    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean successors (N, 3) and their covariances (N, 3, 3)."""
+        means, covariances = self.sampler.moments(poses)
+        return means, covariances + np.diag(self.variances[[0, 0, 1]])
+
+
+def widened(sampler: MotionSampler, variances: FloatArray | None) -> MotionSampler:
+    """Motion whose control is uncertain by variances (2,), m^2 and rad^2, beside the model's own noise, if not None."""
+    return sampler if variances is None else _Widened(sampler, variances)

@@ -9,10 +9,12 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
+from gridslam.models import DiffusionMotion
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room, wall
 from gridslam.slam import OdometryTracker, Tracker
 from gridslam.slam.odometry_calibration import OdometryCalibration
+from gridslam.slam.tracker_velocity import widened
 from gridslam.types import LaserScan, Trajectory
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -145,6 +147,32 @@ def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(per
     _, _, state = track(Tracker(), perfect, without(perfect)[:100])
     velocity = between(perfect.truth.poses[98], perfect.truth.poses[99]) / 0.2
     np.testing.assert_allclose(state.twist, velocity, atol=0.1)
+
+
+def test_a_control_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfect):
+    """The variances that particles get, beside what was missed; a turn from one scan to the next is nobody's guess."""
+    (_, scan), *rest = without(perfect)
+    state, missed_by, told = Tracker().init(None, 0, scan.beams(0.05, 30.0), OccupancyGridMapping()), [], []
+    for _, scan in rest:
+        tracked = Tracker().step(state, None, scan.stamp_ns, scan.beams(0.05, 30.0))
+        missed_by.append(between(tracked.predicted, tracked.pose))
+        told.append(tracked.spread)
+    squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
+    assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
+    assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)
+    assert track(Tracker(), perfect)[2].spread.tolist() == [0.02**2, 0.03**2]
+
+
+def test_noise_of_the_control_is_added_to_that_of_the_motion():
+    motion, variances = DiffusionMotion()(np.array([0.4, 0.0, 0.3])), np.array([0.03**2, 0.02**2])
+    assert widened(motion, None) is motion
+    wide, poses = widened(motion, variances), np.tile([1.0, 2.0, 0.7], (20000, 1))
+    means, covariances = wide.moments(poses[:1])
+    np.testing.assert_array_equal(means, motion.moments(poses[:1])[0])
+    np.testing.assert_allclose(covariances - motion.moments(poses[:1])[1], [np.diag([9e-4, 9e-4, 4e-4])], atol=1e-12)
+    drawn = wide(poses, np.random.default_rng(0))
+    # A variance of 20000 draws has a relative deviation of 1 %, and so have the correlations of 0.01 at most.
+    np.testing.assert_allclose(np.cov(drawn.T), covariances[0], atol=0.05 * 9e-4 + 1e-5)
 
 
 def restamped(measurements, shift_ns):
