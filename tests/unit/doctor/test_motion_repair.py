@@ -135,7 +135,7 @@ def test_the_second_look_finds_nothing_left():
 
 
 def test_a_repaired_log_is_what_map_log_maps_and_tells(tmp_path):
-    """A mirrored log, mapped as it is and repaired: one map is the mirror image of the building, one is the building."""
+    """A mirrored log, mapped as it is and repaired: one map is the mirror image of the building, one is right."""
     measurements, truth = log(scans=400)
     faulty = list(with_fault(measurements, "reflected_laser", np.random.default_rng(0)))
     write_csv_log(tmp_path / "mirrored.csv", faulty)

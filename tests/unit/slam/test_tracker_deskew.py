@@ -73,7 +73,7 @@ def test_a_turning_robots_scans_are_sharpened(skewed, with_odometry):
 
 @pytest.mark.parametrize("with_odometry", [True, False])
 def test_beam_times_told_backward_are_noticed(skewed, with_odometry):
-    """As of a lidar that turns clockwise, by a driver that does not know; in the last 10 s it is known, and all is right.
+    """As of a lidar that turns clockwise, by a driver that does not know; in the last 10 s it is known.
 
     A scan's pose is then that of its stamp, which is the end of the scan.
     """
