@@ -37,6 +37,9 @@ _FEWEST = 8
 _UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or tells no turn rate
 _BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be told
 _UNKNOWN = math.inf
+_CONTRADICT = 3.5
+"""Deviations by which the skew of brief intervals must differ from that of long ones to give way to it. It is the more
+exact of the two, but where turns are few and begin in an instant the fit takes just those intervals for outliers."""
 _VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
 _LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
 _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
@@ -119,6 +122,15 @@ class _Turns(NamedTuple):
     skew: Estimate
 
 
+class _Lagged(NamedTuple):
+    """Turns fitted at a lag, s, its standard deviation, and how far the last step moved it."""
+
+    lag: float
+    sigma: float
+    step: float
+    fit: Fit
+
+
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; parts that the log does not determine say so themselves."""
     turns = _turns(motion)
@@ -172,22 +184,31 @@ def _turns(motion: LaserMotion) -> _Turns:
     sign = math.copysign(1.0, agreement)
     headings = cumulative_headings(motion.poses) * sign
     rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
-    step = 0.0
-    brief = _fit_turns(motion, headings, rates, lag, _BRIEF)
-    for _ in range(3):
-        if brief is None:
-            return nothing
-        step = float(np.clip(brief.parameters[2] / max(abs(brief.parameters[0]), 0.2), -0.1, 0.1))
-        lag += step
-        brief = _fit_turns(motion, headings, rates, lag, _BRIEF)
+    brief = _lagged(motion, headings, rates, lag, _BRIEF)
     if brief is None:
         return nothing
-    limits = _DETERMINED
-    sigma = math.inf if jittering else _estimate(brief, 2, limits["skew"]).sigma
-    skew = Estimate(lag, sigma, sigma < limits["skew"] and abs(step) < 0.01)
-    fit = _fit_turns(motion, headings, rates, lag, _TURNS) or brief
-    drift = _estimate(fit, 1, limits["drift"])
-    return _Turns(agreement, _estimate(fit, 0, limits["turn_scale"]), drift, skew)
+    long = _lagged(motion, headings, rates, brief.lag, _TURNS)
+    apart = long is not None and abs(long.lag - brief.lag) > _CONTRADICT * math.hypot(long.sigma, brief.sigma)
+    found = long if long is not None and apart else brief
+    sigma = math.inf if jittering else found.sigma
+    skew = Estimate(found.lag, sigma, sigma < _DETERMINED["skew"] and abs(found.step) < 0.01)
+    fit = _fit_turns(motion, headings, rates, found.lag, _TURNS) or found.fit
+    drift = _estimate(fit, 1, _DETERMINED["drift"])
+    return _Turns(agreement, _estimate(fit, 0, _DETERMINED["turn_scale"]), drift, skew)
+
+
+def _lagged(
+    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
+) -> _Lagged | None:
+    """Fit turns at the lag at which their linear term vanishes, in three steps; None where there are too few."""
+    step, fit = 0.0, _fit_turns(motion, headings, rates, lag, reach)
+    for _ in range(3):
+        if fit is None:
+            return None
+        step = float(np.clip(fit.parameters[2] / max(abs(fit.parameters[0]), 0.2), -0.1, 0.1))
+        lag += step
+        fit = _fit_turns(motion, headings, rates, lag, reach)
+    return None if fit is None else _Lagged(lag, _estimate(fit, 2, math.inf).sigma, step, fit)
 
 
 def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:

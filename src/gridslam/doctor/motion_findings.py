@@ -94,12 +94,14 @@ def _skew(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     skew = found.skew_s
     if not skew.differs(0.0, _SKEW, _SKEW_SIGMAS):
         return None
-    milliseconds = 1e3 * skew.value
+    milliseconds, late = 1e3 * skew.value, "late" if skew.value > 0 else "early"
     return Finding(
         "clock_skew", Severity.SPOILS if abs(skew.value) > _SKEW_SPOILS else Severity.DOUBTFUL,
-        f"Scans are stamped {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms "
-        f"{'later' if skew.value > 0 else 'earlier'} than they were taken, by the odometry's clock.",
-        skew.value, "s", f"Subtract {milliseconds:.0f} ms from the stamps of the scans, or synchronize the clocks.",
+        f"Scans come {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the turns that both "
+        f"tell agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
+        f"{milliseconds:+.0f} ms; which of the two is wrong the log does not tell.",
+        skew.value, "s",
+        "Stamp both when they are measured, by one clock; --repair all makes up for it when mapping.",
         motion.sensor, _turns_figure(motion, -1.0 if found.reflected else 1.0),
     )  # fmt: skip
 

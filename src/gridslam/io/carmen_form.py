@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -10,6 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry import se3
 from gridslam.io.carmen_lasers import SICK_NO_RETURN_M
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
@@ -105,7 +107,9 @@ def _symmetric(geometry: ScanGeometry) -> tuple[ScanGeometry, bool]:
     if not upright:  # seen from above the beams run the other way
         bearings = -bearings
     if abs(abs(rotation[2, 2]) - 1) > 1e-6:
-        raise ArgumentError("base_from_laser", "a laser mounted level, upright or upside down", rotation.tolist())
+        tilt = se3.tilt_rad(geometry.base_from_laser)
+        got = f"one tilted by {math.degrees(min(tilt, math.pi - tilt)):.1f} degrees"
+        raise ArgumentError("base_from_laser", "a laser mounted level, upright or upside down", got)
     if bearings[-1] < bearings[0]:
         bearings, backward = bearings[::-1], True
     if upright and not backward and _has_carmen_form(bearings):

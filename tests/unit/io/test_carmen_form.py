@@ -105,5 +105,5 @@ def test_two_lasers_are_front_and_rear():
 
 def test_a_tilted_laser_is_refused():
     scan = LaserScan.from_ranges(0, [1, 2, 3], mounted([-0.1, 0.0, 0.1], pitch=0.1))
-    with pytest.raises(ArgumentError, match="mounted level"):
+    with pytest.raises(ArgumentError, match="mounted level, upright or upside down, got one tilted by"):
         taken(Measurement(ZERO, scan))
