@@ -17,47 +17,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import final
 
 import numpy as np
 
-from gridslam.doctor.intervals import Intervals, cumulative_headings, intervals, shifted
+from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, Estimate, estimate_of
+from gridslam.doctor.intervals import Intervals, intervals, shifted
 from gridslam.doctor.laser_motion import LaserMotion
-from gridslam.doctor.robust_fit import Fit, robust_fit
+from gridslam.doctor.robust_fit import robust_fit
+from gridslam.doctor.turns import fitted_turns
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
 __all__ = ["Estimate", "MotionCalibration", "calibrate"]
 
-_BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
-_TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
 _WAYS = (0.5, 0.6, 2.0)
-_LAGS_S = np.arange(-1.0, 1.001, 0.05)
-_FEWEST = 8
-_UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or tells no turn rate
-_BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be told
-_UNKNOWN = math.inf
-_CONTRADICT = 3.5
-"""Deviations by which the skew of brief intervals must differ from that of long ones to give way to it. It is the more
-exact of the two, but where turns are few and begin in an instant the fit takes just those intervals for outliers."""
-_VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
-_LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
-_JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
-_DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
-"""Greatest standard deviations of what counts as determined: a third or less of what harms a map."""
-
-
-class Estimate(NamedTuple):
-    """A value, its standard deviation (infinite where the log says nothing) and whether that is small enough."""
-
-    value: float
-    sigma: float = _UNKNOWN
-    determined: bool = False
-
-    def differs(self, from_value: float, by: float, sigmas: float = 4.0) -> bool:
-        """Whether the value is determined, and farther than `by` and than so many deviations from another."""
-        return self.determined and abs(self.value - from_value) > max(by, sigmas * self.sigma)
 
 
 @final
@@ -113,27 +88,9 @@ class MotionCalibration:
     noise: FloatArray
 
 
-class _Turns(NamedTuple):
-    """What turns alone tell; the drift is that for each metre of odometry."""
-
-    agreement: float
-    turn_scale: Estimate
-    drift: Estimate
-    skew: Estimate
-
-
-class _Lagged(NamedTuple):
-    """Turns fitted at a lag, s, its standard deviation, and how far the last step moved it."""
-
-    lag: float
-    sigma: float
-    step: float
-    fit: Fit
-
-
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; parts that the log does not determine say so themselves."""
-    turns = _turns(motion)
+    turns = fitted_turns(motion)
     reflected = bool(turns.agreement < 0)
     odometry = shifted(motion, turns.skew.value if turns.skew.determined else 0.0)
     ways = intervals(motion, odometry, _WAYS)
@@ -167,104 +124,11 @@ def _spread(sizes: FloatArray, of_unit: float) -> float:
     return float(np.median(sizes)) / of_unit if len(sizes) else math.nan
 
 
-def _estimate(fit: Fit, index: int, limit: float, floor: float = 0.0) -> Estimate:
-    sigma = math.hypot(math.sqrt(max(fit.covariance[index, index], 0.0)), floor)
-    return Estimate(float(fit.parameters[index]), sigma, sigma < limit)
-
-
-def _turns(motion: LaserMotion) -> _Turns:
-    """Fit turns; the skew is first the lag at which they agree best, then that at which its linear term vanishes."""
-    nothing = _Turns(math.nan, Estimate(1.0), Estimate(0.0), Estimate(0.0))
-    if len(motion) < _FEWEST:
-        return nothing
-    jittering = float((np.diff(motion.stamps_ns) < 0).mean()) > _BACKWARD
-    lag, agreement = _best_lag(motion, np.zeros(1) if jittering else _LAGS_S)
-    if math.isnan(agreement):
-        return nothing
-    sign = math.copysign(1.0, agreement)
-    headings = cumulative_headings(motion.poses) * sign
-    rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
-    brief = _lagged(motion, headings, rates, lag, _BRIEF)
-    if brief is None:
-        return nothing
-    long = _lagged(motion, headings, rates, brief.lag, _TURNS)
-    apart = long is not None and abs(long.lag - brief.lag) > _CONTRADICT * math.hypot(long.sigma, brief.sigma)
-    found = long if long is not None and apart else brief
-    sigma = math.inf if jittering else found.sigma
-    skew = Estimate(found.lag, sigma, sigma < _DETERMINED["skew"] and abs(found.step) < 0.01)
-    fit = _fit_turns(motion, headings, rates, found.lag, _TURNS) or found.fit
-    drift = _estimate(fit, 1, _DETERMINED["drift"])
-    return _Turns(agreement, _estimate(fit, 0, _DETERMINED["turn_scale"]), drift, skew)
-
-
-def _lagged(
-    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
-) -> _Lagged | None:
-    """Fit turns at the lag at which their linear term vanishes, in three steps; None where there are too few."""
-    step, fit = 0.0, _fit_turns(motion, headings, rates, lag, reach)
-    for _ in range(3):
-        if fit is None:
-            return None
-        step = float(np.clip(fit.parameters[2] / max(abs(fit.parameters[0]), 0.2), -0.1, 0.1))
-        lag += step
-        fit = _fit_turns(motion, headings, rates, lag, reach)
-    return None if fit is None else _Lagged(lag, _estimate(fit, 2, math.inf).sigma, step, fit)
-
-
-def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
-    """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
-    best, agreement = 0.0, math.nan
-    parts = intervals(motion, shifted(motion, 0.0), _BRIEF)
-    if len(parts) < _FEWEST or np.abs(parts.laser[:, 2]).sum() < 1.0:
-        return best, agreement
-    for lag in sorted(lags_s.tolist(), key=abs):
-        headings = shifted(motion, lag)[:, 2]
-        told = headings[parts.ends] - headings[parts.begins]
-        known = np.isfinite(told)
-        mine, told = parts.laser[known, 2], told[known]
-        found = float(mine @ told / max(math.sqrt(float(mine @ mine) * float(told @ told)), 1e-9))
-        if math.isnan(agreement) or abs(found) > abs(agreement) + 1e-3:
-            best, agreement = lag, found
-    return best, agreement
-
-
-def _rates(motion: LaserMotion) -> FloatArray:
-    """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; NaN where stamps are uneven."""
-    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
-    headings = cumulative_headings(motion.poses)
-    apart = max(1, round(0.15 / max(float(np.median(np.diff(times))), 1e-3)))
-    rates = np.full(len(times), np.nan)
-    passed = times[2 * apart :] - times[: -2 * apart]
-    turned = headings[2 * apart :] - headings[: -2 * apart]
-    even = np.abs(passed / max(float(np.median(passed)), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
-    rates[apart:-apart] = np.where(even, turned / np.maximum(passed, 1e-3), np.nan)
-    return rates
-
-
-def _fit_turns(
-    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
-) -> Fit | None:
-    """Turn scale, drift and what remains of the skew; None where there are too few intervals."""
-    odometry = shifted(motion, lag)
-    parts = intervals(motion, odometry, reach)
-    change = rates[parts.ends] - rates[parts.begins]
-    parts, change = parts[np.isfinite(change)], change[np.isfinite(change)]
-    if len(parts) < _FEWEST:
-        return None
-    turned = headings[parts.ends] - headings[parts.begins]
-    way = np.copysign(np.hypot(parts.odometry[:, 0], parts.odometry[:, 1]), parts.odometry[:, 0])
-    variance = parts.covariances[:, 2, 2] + _VARIANCES[0] * np.abs(way) + _VARIANCES[1] * np.abs(turned)
-    sigma = np.sqrt(variance + np.square(_JITTER_S * change))
-    design = np.stack([turned, way, change], axis=1) / sigma[:, None]
-    told = odometry[parts.ends, 2] - odometry[parts.begins, 2]
-    return robust_fit(design[:, None, :], (told / sigma)[:, None], _LEAST_SPREAD)
-
-
 def _ways(
     response: FloatArray, laser: FloatArray, covariances: FloatArray, sign: float, declared_yaw: float
 ) -> tuple[Estimate, Estimate, Estimate, Estimate, FloatArray]:
     """Scale, yaw offset and place of the laser, and the ways (N, 2) that they predict."""
-    if len(laser) < _FEWEST:
+    if len(laser) < FEWEST:
         nothing = Estimate(0.0)
         return Estimate(1.0), nothing, nothing, nothing, response.copy()
     design, mirror = _design(laser), np.array([1.0, sign])
@@ -274,9 +138,9 @@ def _ways(
     for _ in range(2):
         c, s = fit.parameters[:2] / max(math.hypot(*fit.parameters[:2]), 1e-9)
         turn = np.array([[c, -s], [s, c]])
-        noise = turn @ spread @ turn.T + (_VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
+        noise = turn @ spread @ turn.T + (VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
-        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response), _LEAST_SPREAD)
+        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response), LEAST_SPREAD)
     a, b = fit.parameters[:2].tolist()
     scale, angle = max(math.hypot(a, b), 1e-6), math.atan2(b, a)
     c, s = math.cos(angle), math.sin(angle)
@@ -284,10 +148,10 @@ def _ways(
     sigma = [math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across)]
     sigma[0] = math.hypot(sigma[0], _SCALE_FLOOR)
     offset = float(wrap(angle - declared_yaw))
-    x, y = (_estimate(fit, k, _DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
+    x, y = (estimate_of(fit, k, DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
     x, y = (Estimate(e.value / scale, e.sigma / scale, e.determined) for e in (x, y))
-    factor = Estimate(scale, sigma[0], sigma[0] < _DETERMINED["scale"])
-    yaw = Estimate(offset, sigma[1], sigma[1] < _DETERMINED["yaw"])
+    factor = Estimate(scale, sigma[0], sigma[0] < DETERMINED["scale"])
+    yaw = Estimate(offset, sigma[1], sigma[1] < DETERMINED["yaw"])
     return factor, yaw, x, y, design @ fit.parameters
 
 

@@ -22,7 +22,7 @@ __all__ = ["MotionExaminer"]
 
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
-_LIKELY = 1.5  # standard deviations of the difference between left and right turns, where the stamps agree
+_LIKELY = 1.5, 3.0  # deviations by which left and right turns differ, where scans look early; late: no driver should
 _HALF = 0.25  # of half the sweep: how near to it the scans must look late, or early, for the stamps to agree
 _HIDDEN = 0.3  # share of the sweep that matching shows at least
 
@@ -111,15 +111,16 @@ def _skewed(
 def _sweeps(motion: LaserMotion, calibration: MotionCalibration, geometry: ScanGeometry, sweep_s: float) -> bool:
     """Whether turns show that the beams are measured one after the other, as by a mirror that turns once a scan.
 
-    A scan stamped by its first beam then looks half of the sweep early, by its last beam so much late, which the turns
-    tell to some ms. Left and right turns alone tell too little: few of them lie far apart by chance.
+    A scan stamped by its first beam, as messages define it, then looks half of the sweep early, by its last beam so
+    much late, which the turns tell to some ms. Left and right turns alone tell too little: few of them lie far apart
+    by chance.
     """
     span = field_of_view_rad(geometry.bearings)
     seen = measured_sweep(motion, span, reflected=calibration.reflected)
     seen_s = -seen.value if is_clockwise(geometry.bearings) else seen.value
     skew = calibration.skew_s
     agree = skew.determined and abs(abs(skew.value) - 0.5 * sweep_s) < _HALF * 0.5 * sweep_s
-    return agree and seen.determined and seen_s > max(_LIKELY * seen.sigma, _HIDDEN * sweep_s)
+    return agree and seen.determined and seen_s > max(_LIKELY[skew.value > 0] * seen.sigma, _HIDDEN * sweep_s)
 
 
 def _figure(motion: LaserMotion, rates: FloatArray, sweep_s: float) -> Figure:

@@ -23,7 +23,7 @@ _DRIFT, _DRIFT_TOLD = 0.01, 0.006  # rad/m: half a degree a metre
 _YAW, _YAW_SPOILS = 0.06, 0.35  # rad: 6 % of the way sideways; from 20 degrees on matching begins too far off
 _SKEW, _SKEW_SPOILS = 0.014, 0.3  # s: at 1 rad/s a skew of 14 ms moves a wall at 4 m by a cell
 _SKEW_SIGMAS = 3.0
-_OPPOSITE, _UNRELATED, _TURNED_RAD = -0.6, 0.5, 1.5
+_OPPOSITE, _UNRELATED, _TURNED_RAD = -0.6, 0.5, 1.2  # one corner tells
 _SLIP_M, _SLIP_RAD, _SLIP_SHARE = 0.22, 0.3, 0.01  # of one episode; of all the way
 _CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no witness
 

@@ -20,7 +20,7 @@ __all__ = ["Repair", "early_calibration", "full_repair", "needed_repair", "repai
 
 _EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
 _NO_ODOMETRY_SCANS = 50
-_SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.5
+_SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.2
 _SPOILING_YAW_RAD = 0.35
 
 
