@@ -74,8 +74,8 @@ class EkfSlamState:
     def landmark_map(self, least_evidence: float) -> LandmarkMap:
         """Return the landmarks whose log odds are at least so great."""
         kept = self.evidence >= least_evidence
-        parts = self.names, self.positions, self.position_covariances, self.sightings
-        return LandmarkMap(*(part[kept] for part in parts))
+        covariances = self.position_covariances[kept]
+        return LandmarkMap(self.names[kept], self.positions[kept], covariances, self.sightings[kept])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.
@@ -109,8 +109,10 @@ class EkfSlamState:
     def snapshot(self) -> EkfSlamState:
         """Return an independent copy for later."""
         self._check()
-        arrays = (self.mean, self.covariance, self.names, self.evidence, self.sightings)
-        return EkfSlamState(*(array.copy() for array in arrays), next_name=self.next_name)
+        return EkfSlamState(
+            self.mean.copy(), self.covariance.copy(), self.names.copy(), self.evidence.copy(), self.sightings.copy(),
+            next_name=self.next_name,
+        )  # fmt: skip
 
     def _check(self) -> None:
         if self.consumed:

@@ -77,4 +77,5 @@ class Existence:
         near = (square > self.range_min_m**2) & (square < self.range_max_m**2)
         bearing = wrap(np.arctan2(y, x) - poses[..., 2])
         missed = ~seen & near & (np.abs(bearing) < self.half_angle_rad)
-        return np.minimum(evidence + self.seen * seen + self.missed * missed, self.most)
+        updated: FloatArray = np.minimum(evidence + self.seen * seen + self.missed * missed, self.most)
+        return updated
