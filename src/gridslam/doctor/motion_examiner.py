@@ -20,6 +20,7 @@ from gridslam.types import FloatArray, ScanGeometry
 
 __all__ = ["MotionExaminer"]
 
+_OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _LIKELY = 1.5, 3.0  # deviations by which left and right turns differ, where scans look early; late: no driver should
@@ -62,18 +63,29 @@ class MotionExaminer:
         laser.take(measurement)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what the motion of each laser says."""
-        for laser in self._lasers.values():
-            motion = laser.witness.motion
-            if laser.geometry is None or len(motion) < 2:
-                continue
-            calibration = calibrate(motion)
-            skewed = _skewed(motion, calibration, laser.geometry, laser.told_s)
-            if skewed is not None:
-                yield skewed
-            for finding in motion_findings(motion, calibration):
-                if not (skewed is not None and skewed.is_fault and finding.code == "clock_skew"):
-                    yield finding  # a sweep whose stamp is its first beam's looks late by half of it: told once
+        """Tell what the motion of each laser says; of the wheels, once, what all lasers see."""
+        told = [findings for laser in self._lasers.values() if (findings := _told(laser)) is not None]
+        known: set[str] = set()
+        for finding in (finding for findings in told for finding in findings):
+            if finding.code in _OF_WHEELS:
+                if finding.code in known or not all(finding.code in {f.code for f in each} for each in told):
+                    continue  # a laser that leaves a bare corridor backward may see the robot stand still
+                known.add(finding.code)
+            yield finding
+
+
+def _told(laser: _Laser) -> list[Finding] | None:
+    """What the motion of one laser says; None where it is no witness."""
+    motion = laser.witness.motion
+    if laser.geometry is None or len(motion) < 2:
+        return None
+    calibration = calibrate(motion)
+    skewed = _skewed(motion, calibration, laser.geometry, laser.told_s)
+    found = [] if skewed is None else [skewed]
+    for finding in motion_findings(motion, calibration):
+        if not (skewed is not None and skewed.is_fault and finding.code == "clock_skew"):
+            found.append(finding)  # a sweep whose stamp is its first beam's looks late by half of it: told once
+    return found if found or calibration.scale.determined else None
 
 
 def _skewed(

@@ -12,6 +12,7 @@ from laser_drives import log, perfect
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.finding import Severity
 from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.motion_examiner import MotionExaminer
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.doctor.wheel_slip import wheel_slips
 from gridslam.geometry.angles import wrap
@@ -140,3 +141,15 @@ def test_a_robot_that_is_pushed_is_no_slip():
     motion = perfect(90.0)
     pushed = slipped(slipped(motion, 300, -0.4), 700, -0.4)
     assert wheel_slips(pushed, calibrate(pushed)) == []
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_wheels_slip_where_all_lasers_see_it_and_are_told_once(both):
+    clean = log("rooms")[0]
+    slipping = list(with_fault(clean, "wheel_slip", np.random.default_rng(0)))
+    examiner = MotionExaminer()
+    for front, rear in zip(slipping, slipping if both else clean, strict=True):
+        examiner.take(front)
+        examiner.take(rear._replace(scan=replace(rear.scan, sensor="rear")))
+    codes = [finding.code for finding in examiner.findings()]
+    assert codes.count("wheel_slip") == both
