@@ -36,7 +36,8 @@ class MrclamLog:
 
     A command (v, omega) holds until the next one; arcs between two steps are composed to one increment. A step ends
     where landmarks are seen, all those of one stamp together, and at the latest after `longest_ns`. Subjects that
-    `..Landmark_Groundtruth.dat` does not name are other robots: not landmarks, for they move.
+    `..Landmark_Groundtruth.dat` does not name are other robots: not landmarks, for they move. What the files call range
+    is the depth along the camera's axis: see `gridslam.models.landmark.DepthBearing`.
 
     Parameters
     ----------
@@ -45,6 +46,9 @@ class MrclamLog:
         two, `[SET]Barcodes.dat` and `[SET]Landmark_Groundtruth.dat`; `[SET]RobotN_Groundtruth.dat` may be there.
     longest_ns : int, > 0
         Longest step without a sighting, where the odometry is as dense.
+    delay_ns : int
+        How much later than it is stamped a command takes effect. The files tell what was commanded, and wheels take
+        time; 0.2 s make what the robots see fit best.
 
     Raises
     ------
@@ -54,12 +58,13 @@ class MrclamLog:
     Source: K. Leung et al., The UTIAS multi-robot cooperative localization and mapping dataset, IJRR 2011.
     """
 
-    kind = SightingKind.RANGE_BEARING
+    kind = SightingKind.DEPTH_BEARING
     stamped = True
 
-    def __init__(self, path: str | Path, longest_ns: int = 250_000_000) -> None:
+    def __init__(self, path: str | Path, longest_ns: int = 250_000_000, delay_ns: int = 200_000_000) -> None:
         """Find the files and read the small ones."""
         self.path, self.statistics, self._longest_ns = Path(path), LandmarkLogStatistics(), longest_ns
+        self._delay_ns = delay_ns
         names = _NAME.match(self.path.name)
         if names is None:
             raise InputError(path, "expected a file named ..RobotN_Odometry.dat or ..RobotN_Measurement.dat")
@@ -97,7 +102,7 @@ class MrclamLog:
     def _commands(self) -> Iterator[tuple[int, tuple[float, float]]]:
         for row in stamped_rows(self._odometry, _ODOMETRY):
             self.statistics.odometry += 1
-            yield row.stamp_ns, (row.values[0], row.values[1])
+            yield row.stamp_ns + self._delay_ns, (row.values[0], row.values[1])
 
     def _seen(self) -> Iterator[tuple[int, Sightings]]:
         """Landmarks seen, all of one stamp together; stamps at which there is none are left out."""

@@ -21,6 +21,7 @@ class SightingKind(Enum):
     """What the two numbers of a sighting are."""
 
     RANGE_BEARING = "range (m) and bearing (rad)"
+    DEPTH_BEARING = "depth along the optical axis (m) and bearing (rad)"
     POSITION = "x and y in the robot's frame (m)"
 
 

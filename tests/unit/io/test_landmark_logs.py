@@ -49,10 +49,10 @@ def park(tmp_path):
 
 
 def test_steps_of_mrclam_end_where_landmarks_are_seen(mrclam):
-    log = open_landmark_log(mrclam())
-    assert isinstance(log, MrclamLog)
+    assert isinstance(open_landmark_log(mrclam()), MrclamLog)
+    log = MrclamLog(mrclam(), delay_ns=0)
     assert isinstance(log, LandmarkLog)
-    assert (log.kind, log.stamped) == (SightingKind.RANGE_BEARING, True)
+    assert (log.kind, log.stamped) == (SightingKind.DEPTH_BEARING, True)
     for _ in range(2):  # each iteration reads anew
         steps = list(log)
         # The robot drives 1 m/s for 0.2 s and then turns at 2 rad/s for 0.1 s; the last step ends 0.25 s later at most.
@@ -74,7 +74,7 @@ def test_steps_of_mrclam_end_where_landmarks_are_seen(mrclam):
 def test_steps_of_mrclam_are_not_longer_than_asked(mrclam):
     rows = "".join(f"{10 + k / 100:.2f} 1.0 1.0\n" for k in range(101))
     path = mrclam(Robot2_Odometry=rows, Robot2_Measurement="10.30 63 2 0\n")
-    steps = list(MrclamLog(path, longest_ns=200_000_000))
+    steps = list(MrclamLog(path, longest_ns=200_000_000, delay_ns=0))
     ends = [round(1e-9 * step.stamp_ns, 9) for step in steps]
     assert ends == [10.2, 10.3, 10.5, 10.7, 10.9]
     pose = np.zeros(3)
@@ -82,6 +82,14 @@ def test_steps_of_mrclam_are_not_longer_than_asked(mrclam):
         pose = compose(pose, step.increment)
     # An arc of radius 1 m over 0.9 rad, however it is cut.
     np.testing.assert_allclose(pose, [math.sin(0.9), 1 - math.cos(0.9), 0.9], atol=1e-9)
+
+
+def test_commands_of_mrclam_take_effect_later(mrclam):
+    """0.2 s later: what was the drive of 0.2 s, then a turn of 0.1 s, begins at 10.2 s."""
+    steps = list(open_landmark_log(mrclam()))
+    assert [step.stamp_ns for step in steps] == [10_050_000_000, 10_250_000_000, 10_500_000_000, 11_100_000_000]
+    np.testing.assert_allclose([step.increment for step in steps[:2]], [[0, 0, 0], [0.05, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(steps[2].increment, [0.15, 0, 0.2], atol=1e-12)
 
 
 def test_files_of_mrclam_may_be_compressed_and_without_truth_of_the_robot(mrclam, tmp_path):

@@ -1,0 +1,152 @@
+"""Landmarks as a pose graph: the same least squares as written out by hand, and what drives make of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from landmark_world import MOTION, drive, ring
+
+from gridslam.errors import ArgumentError
+from gridslam.evaluation import align
+from gridslam.geometry.se2 import compose, transform_points
+from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.motion import DiffusionMotion
+from gridslam.models.sightings import LandmarkStep, Sightings
+from gridslam.slam.ekf_slam import EkfSlam
+from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.landmark_graph import LandmarkGraph
+from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
+
+SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
+
+
+def least_squares(steps, poses, landmarks):
+    """chi2 of poses (T, 3) and landmarks by name, from the motion model and positions seen, written out."""
+    from scipy.optimize import least_squares as solve
+
+    names = sorted(landmarks)
+
+    def residuals(x):
+        at, where = x[: 3 * len(steps)].reshape(-1, 3), x[3 * len(steps) :].reshape(-1, 2)
+        found, before = [], np.zeros(3)
+        for step, pose in zip(steps, at, strict=True):
+            root = np.linalg.inv(np.linalg.cholesky(step.covariance))
+            c, s = np.cos(before[2]), np.sin(before[2])
+            dx, dy, turn = pose - before
+            found += list(root @ (np.array([c * dx + s * dy, c * dy - s * dx, turn]) - step.increment))
+            c, s = np.cos(pose[2]), np.sin(pose[2])
+            for name, z in zip(step.sightings.landmarks.tolist(), step.sightings.values, strict=True):
+                dx, dy = where[names.index(name)] - pose[:2]
+                found += list((np.array([c * dx + s * dy, c * dy - s * dx]) - z) / 0.6)
+            before = pose
+        return np.array(found)
+
+    start = np.concatenate([poses.ravel(), *(landmarks[name] for name in names)])
+    best = solve(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return 2 * best.cost, best.x[: 3 * len(steps)].reshape(-1, 3), best.x[3 * len(steps) :].reshape(-1, 2)
+
+
+def test_it_is_the_least_squares_of_increments_and_positions():
+    rng, landmarks = np.random.default_rng(0), {7: [3.0, 1.0], 2: [2.0, -2.0], 9: [5.0, 0.5]}
+    covariance = np.diag([0.04, 0.02, 0.003])
+    steps, pose = [], np.zeros(3)
+    for t in range(6):
+        increment = np.array([0.5, 0.0, 0.3])
+        pose = compose(pose, increment + rng.normal(0, 0.1, 3))
+        names = sorted(landmarks)[t % 2 :]
+        z = RelativePosition().linearize(pose, np.array([landmarks[k] for k in names]))[0] + rng.normal(
+            0, 0.6, (len(names), 2)
+        )
+        steps.append(LandmarkStep(t, increment, covariance, Sightings.of(z, names)))
+    solved = LandmarkGraphSlam(RelativePosition(0.6, 0.6), growth=2).solve(steps, DiffusionMotion())
+    chi2, poses, where = least_squares(
+        steps, solved.poses, dict(zip(solved.landmarks.names.tolist(), solved.landmarks.positions, strict=True))
+    )
+    # The graph's covariance of an increment is of the frame in which it is measured to end, to first order the same.
+    assert solved.solution.chi2_after == pytest.approx(chi2, rel=1e-6)
+    np.testing.assert_allclose(solved.poses, poses, atol=1e-5)
+    order = np.argsort(solved.landmarks.names)
+    np.testing.assert_allclose(solved.landmarks.positions[order], where, atol=1e-5)
+    assert solved.freedom == 2 * (sum(len(step.sightings) for step in steps) - 3)
+    assert solved.landmarks.sightings.sum() == sum(len(step.sightings) for step in steps)
+
+
+def test_covariances_are_those_of_the_kalman_filter_where_all_is_linear():
+    """A robot that hardly turns, and sees positions: the last pose and the landmarks are EKF SLAM's."""
+    rng, steps = np.random.default_rng(1), []
+    for t in range(8):
+        z = np.array([[6.0, 1.0], [3.0, -2.0]]) - [0.5 * t, 0] + rng.normal(0, 0.05, (2, 2))
+        steps.append(LandmarkStep(t, np.array([0.5, 0, 0]), np.diag([0.02, 0.01, 1e-10]), Sightings.of(z, [3, 5])))
+    sensor, motion = RelativePosition(0.6, 0.6), DiffusionMotion()
+    ekf, state = EkfSlam(sensor), EkfSlam(sensor).init()
+    for step in steps:
+        state, _ = ekf.step(state, step.motion(motion), step.sightings)
+    solved = LandmarkGraphSlam(sensor).solve(steps, motion)
+    np.testing.assert_allclose(solved.poses[-1], state.pose, atol=1e-6)
+    np.testing.assert_allclose(solved.landmarks.positions, state.positions, atol=1e-6)
+    np.testing.assert_allclose(solved.landmarks.covariances, state.position_covariances, atol=1e-6)
+    np.testing.assert_allclose(solved.covariances[-1], state.pose_covariance, atol=1e-6)
+
+
+def test_a_drive_around_a_ring_is_consistent_and_better_than_the_filter():
+    landmarks = ring(12)
+    steps, truth = drive(landmarks, 250, np.random.default_rng(2), SENSOR)
+    solved = LandmarkGraphSlam(SENSOR).solve(steps, MOTION)
+    assert solved.solution.converged
+    # chi2 has mean `freedom` and variance twice that; sightings as positions are right to first order.
+    assert abs(solved.solution.chi2_after - solved.freedom) < 5 * np.sqrt(2 * solved.freedom)
+    true_from_map = align(solved.poses[:, :2], truth[:, :2])
+    full = np.hypot(*(compose(true_from_map, solved.poses) - truth)[:, :2].T)
+    ekf, state, online = EkfSlam(SENSOR), EkfSlam(SENSOR).init(), []
+    for step in steps:
+        state, report = ekf.step(state, step.motion(MOTION), step.sightings)
+        online.append(report.pose)
+    filtered = np.hypot(*(compose(align(np.array(online)[:, :2], truth[:, :2]), online) - truth)[:, :2].T)
+    assert full.mean() < filtered.mean()
+    found = transform_points(true_from_map, solved.landmarks.positions)
+    assert np.hypot(*(found - landmarks[solved.landmarks.names - 100]).T).max() < 0.3
+
+
+def test_how_it_grows_does_not_change_what_is_found():
+    steps, _ = drive(ring(12), 150, np.random.default_rng(3), SENSOR)
+    one, other = (LandmarkGraphSlam(SENSOR, growth=growth).solve(steps, MOTION) for growth in (20, 1000))
+    np.testing.assert_allclose(one.poses, other.poses, atol=1e-4)
+    assert one.landmarks.names.tolist() == other.landmarks.names.tolist()
+
+
+def test_what_the_landmarks_headings_are_changes_nothing():
+    """Their headings are met exactly; the rest of the graph is as it would be without."""
+    steps, _ = drive(ring(8), 60, np.random.default_rng(4), SENSOR)
+    problem = LandmarkGraph.of(steps, MOTION, SENSOR)
+    graph = problem.begin(60, np.zeros((1, 3)), np.empty((0, 3)))
+    solved = GraphSlam(first_guess="given").solve(graph).graph
+    first = np.unique(problem.place, return_index=True)[1]
+    errors = solved.errors()[60:]
+    assert np.abs(errors[first, 2]).max() < 1e-6
+    assert np.flatnonzero(graph.information[60:, 2, 2]).tolist() == sorted(first.tolist())
+
+
+def test_misread_landmarks_are_left_out_by_robust_estimation():
+    landmarks = ring(12)
+    steps, truth = drive(landmarks, 150, np.random.default_rng(5), SENSOR)
+    for t in (100, 120):  # what is seen first is taken for a landmark at the other side
+        step = steps[t]
+        wrong = step.sightings.landmarks.copy()
+        wrong[0] = 100 + (wrong[0] - 100 + 6) % 12
+        steps[t] = LandmarkStep(step.stamp_ns, step.increment, None, Sightings.of(step.sightings.values, wrong))
+    robust = GraphSlam(first_guess="given", robust=Cauchy())
+    errors = []
+    for solver in (robust, GraphSlam(first_guess="given")):
+        solved = LandmarkGraphSlam(SENSOR, solver).solve(steps, MOTION)
+        aligned = compose(align(solved.poses[:, :2], truth[:, :2]), solved.poses)
+        errors.append(np.hypot(*(aligned - truth)[:, :2].T).max())
+    assert errors[0] < 0.3 < errors[1]
+
+
+def test_what_is_refused():
+    with pytest.raises(ArgumentError, match="at least one"):
+        LandmarkGraphSlam(SENSOR).solve([], MOTION)
+    steps = [LandmarkStep(0, np.zeros(3), None, Sightings.of([[1.0, 0.0]]))]
+    with pytest.raises(ArgumentError, match="landmarks told"):
+        LandmarkGraphSlam(SENSOR).solve(steps, MOTION)
