@@ -80,10 +80,9 @@ class LandmarkGraph:
         measured[:, :2] = np.array(points).reshape(-1, 2)
         information[:, :2, :2] = inverse_2x2(np.array(covariances).reshape(-1, 2, 2))
         information[np.unique(place, return_index=True)[1], 2, 2] = _ANY
-        return cls(
-            moved, np.linalg.inv(spread_at_end), np.array(at, np.int64), place, measured, information,
-            np.array(names, np.int64),
-        )  # fmt: skip
+        of_increments = np.asarray(np.linalg.inv(spread_at_end), np.float64)
+        where = np.array(at, np.int64), place
+        return cls(moved, of_increments, *where, measured, information, np.array(names, np.int64))
 
     def __len__(self) -> int:
         """Return the number T of steps."""

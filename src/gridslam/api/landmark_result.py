@@ -1,0 +1,208 @@
+"""What mapping landmarks gives, and the files that tell it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+from gridslam import __version__
+from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_place
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, interpolate
+from gridslam.geometry.se2 import compose, inverse, transform_points
+from gridslam.io.landmark_files import write_landmarks
+from gridslam.io.landmark_log import LandmarkLog
+from gridslam.io.output import OutputFolder
+from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.pipeline import Stopwatch
+from gridslam.slam.landmark_report import LandmarkMap
+from gridslam.types import FloatArray, IntArray, Trajectory
+
+__all__ = ["LANDMARKS_SCHEMA", "Estimate", "LandmarkResult"]
+
+LANDMARKS_SCHEMA = "gridslam.landmarks/1"
+
+
+class Estimate(NamedTuple):
+    """What an algorithm says.
+
+    Attributes
+    ----------
+    poses : (T, 3) float64
+        After each step: told from the end, by all methods but EKF SLAM, which forgets the past.
+    online : (T, 3) float64 or None
+        As told at the time, by filters.
+    covariances : (T, 3, 3) float64
+        Of the poses: as told at the time by filters, in the end by the graph.
+    landmarks : LandmarkMap
+    strange : int
+        Sightings of which nothing was learned.
+    figures : dict
+        What else the method tells, as JSON values.
+    """
+
+    poses: FloatArray
+    online: FloatArray | None
+    covariances: FloatArray
+    landmarks: LandmarkMap
+    strange: int
+    figures: dict[str, Any]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkResult:
+    """The robot's way and the landmarks of a log, and how they came about.
+
+    Attributes
+    ----------
+    method : str
+    stamps_ns : (T,) int64, ns
+        Of the steps.
+    estimate : Estimate
+    unknown : bool
+        Whether the correspondences were to be found.
+    particles : int or None
+    seed : int
+    log : LandmarkLog
+    models : dict
+        Measurement and motion model.
+    digest : str
+        SHA-256 of the log's file.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    method: str
+    stamps_ns: IntArray
+    estimate: Estimate
+    unknown: bool
+    particles: int | None
+    seed: int
+    log: LandmarkLog
+    models: dict[str, Any]
+    digest: str
+    stopwatch: Stopwatch
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each step, map frame."""
+        return Trajectory(self.stamps_ns, self.estimate.poses)
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The landmarks, map frame."""
+        return self.estimate.landmarks
+
+    def errors(self) -> tuple[PoseErrors | None, LandmarkErrors | None]:
+        """Errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
+        truth = self._truth()
+        poses = None if truth is None else absolute_errors(self._during(truth), truth, tolerance_ns=0)
+        if self.log.truth is None or (pairs := self._pairs(truth)) is None:
+            return poses, None
+        return poses, landmark_errors(self.landmarks.positions, self.log.truth.positions, pairs)
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write all results into a folder, all of them or none; returns what run.json says."""
+        with OutputFolder(folder) as out:
+            return self.write(out)
+
+    def write(self, out: OutputFolder) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says."""
+        self.stopwatch.resume()
+        write_tum(out.file("trajectory.tum"), self.trajectory)
+        write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.estimate.covariances)
+        if self.estimate.online is not None:
+            write_tum(out.file("trajectory_online.tum"), Trajectory(self.stamps_ns, self.estimate.online))
+        write_landmarks(out.file("landmarks.csv"), self.landmarks)
+        self.stopwatch.lap("write")
+        self._draw(out.file("landmarks.png"))
+        self.stopwatch.lap("draw")
+        document = self._document()
+        out.write_json("run.json", document)
+        return document
+
+    def _document(self) -> dict[str, Any]:
+        """What run.json says."""
+        wall, cpu = self.stopwatch.total()
+        counts = self.log.statistics
+        statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
+        poses, landmarks = self.errors()
+        return {
+            "schema": LANDMARKS_SCHEMA,
+            "version": __version__,
+            "method": self.method,
+            "correspondences": "unknown" if self.unknown else "known",
+            "particles": self.particles,
+            "seed": self.seed,
+            "input": {"path": os.fspath(self.log.path), "sha256": self.digest, **statistics},
+            "landmarks": len(self.landmarks),
+            "strange_sightings": self.estimate.strange,
+            **self.estimate.figures,
+            "errors": {
+                "trajectory": None if poses is None else asdict(poses),
+                "landmarks": None if landmarks is None else asdict(landmarks),
+            },
+            "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
+            "time": {
+                "wall_s": wall,
+                "cpu_s": cpu,
+                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
+            },
+        }
+
+    def caption(self) -> list[str]:
+        """Lines that tell what was found."""
+        known = "unknown" if self.unknown else "known"
+        particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
+        poses, landmarks = self.errors()
+        lines = [
+            f"{self.method}, {known} correspondences{particles}",
+            f"{len(self.stamps_ns)} steps, {self.log.statistics.sightings} sightings, {len(self.landmarks)} landmarks",
+        ]
+        if poses is not None and landmarks is not None:
+            lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")
+        return [*lines, f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"]
+
+    def _truth(self) -> Trajectory | None:
+        """True poses at the steps that it covers."""
+        if self.log.truth is None or (known := self.log.truth.trajectory) is None:
+            return None
+        first, last = known.stamps_ns[[0, -1]]
+        stamps = self.stamps_ns[(self.stamps_ns >= first) & (self.stamps_ns <= last)]
+        return Trajectory(stamps, interpolate(known, stamps)[0]) if len(stamps) else None
+
+    def _during(self, truth: Trajectory) -> Trajectory:
+        """The steps that the truth covers."""
+        covered = (self.stamps_ns >= truth.stamps_ns[0]) & (self.stamps_ns <= truth.stamps_ns[-1])
+        return Trajectory(self.stamps_ns[covered], self.estimate.poses[covered])
+
+    def _true_from_map(self, truth: Trajectory) -> FloatArray:
+        return align(self._during(truth).poses[:, :2], truth.poses[:, :2])
+
+    def _pairs(self, truth: Trajectory | None) -> tuple[IntArray, IntArray] | None:
+        """Partners among the landmarks and the true ones; None where there is none."""
+        known = self.log.truth
+        assert known is not None
+        if not self.unknown:
+            pairs = pair_by_name(self.landmarks.names, known.landmarks)
+        elif truth is None:
+            return None
+        else:
+            pairs = pair_by_place(self.landmarks.positions, known.positions, self._true_from_map(truth))
+        return pairs if len(pairs[0]) else None
+
+    def _draw(self, path: Path) -> None:
+        from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
+
+        truth, known, way, points = self._truth(), self.log.truth, None, None
+        if truth is not None and known is not None:
+            map_from_true = inverse(self._true_from_map(truth))
+            way = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
+            points = transform_points(map_from_true, known.positions)
+        picture = draw_landmarks(
+            self.trajectory, self.landmarks.positions, self.landmarks.covariances, title=self.log.path.name,
+            caption=self.caption(), truth=way, true_positions=points,
+        )  # fmt: skip
+        picture.save(path, optimize=False)

@@ -1,0 +1,189 @@
+"""From a log of landmarks to a trajectory and a map of landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from gridslam.api.landmark_result import Estimate, LandmarkResult
+from gridslam.errors import ArgumentError
+from gridslam.io.digest import digest_of
+from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
+from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
+from gridslam.models.motion import DiffusionMotion
+from gridslam.models.sightings import LandmarkStep, SightingKind
+from gridslam.pipeline import Stopwatch
+from gridslam.slam.association import AMBIGUOUS, Association, MaximumLikelihood, Told
+from gridslam.slam.ekf_slam import EkfSlam
+from gridslam.slam.fastslam1 import FastSlam1
+from gridslam.slam.fastslam2 import FastSlam2
+from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.landmark_filters import LandmarkFilters
+from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
+from gridslam.slam.landmark_report import LandmarkReport
+from gridslam.types import FloatArray, MotionModel
+
+__all__ = ["METHODS", "PARTICLES", "LandmarkMethod", "map_landmarks"]
+
+LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
+
+METHODS = "ekf", "fastslam1", "fastslam2", "graph"
+"""The algorithms there are."""
+
+PARTICLES = {"fastslam1": 100, "fastslam2": 20}
+"""How many particles each method has that has any, if nothing is said."""
+
+_SENSORS: dict[SightingKind, LandmarkModel] = {
+    SightingKind.RANGE_BEARING: RangeBearing(),
+    SightingKind.DEPTH_BEARING: DepthBearing(),
+    SightingKind.POSITION: RelativePosition(),
+}
+_MOTION = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.08)
+"""What MRCLAM's commands are off by after a metre or a radian; logs that tell their own noise do not need it."""
+
+
+_COUNTS_LITTLE = 0.1  # a sighting of a smaller weight is held for misread
+
+
+def map_landmarks(
+    log: str | Path | LandmarkLog,
+    method: LandmarkMethod = "fastslam2",
+    *,
+    particles: int | None = None,
+    seed: int = 0,
+    unknown: bool = False,
+    sensor: LandmarkModel | None = None,
+    motion: MotionModel = _MOTION,
+    tick: Callable[[], None] = lambda: None,
+    stopwatch: Stopwatch | None = None,
+) -> LandmarkResult:
+    """Find the robot's way and the landmarks of a log.
+
+    Parameters
+    ----------
+    log : str, Path or LandmarkLog
+        As `open_landmark_log` knows.
+    method : "ekf", "fastslam1", "fastslam2" or "graph"
+        EKF SLAM, FastSLAM 1.0 or 2.0, or GraphSLAM.
+    particles : int, optional
+        Of FastSLAM; 100 for 1.0 and 20 for 2.0 if not given.
+    seed : int, >= 0
+        Of FastSLAM; the same gives the same bytes.
+    unknown : bool
+        Take no notice of what the log tells of which landmark is seen: find the correspondences. Not with "graph".
+    sensor : LandmarkModel, optional
+        Measurement model; that of the log's kind of sightings if not given.
+    motion : MotionModel
+        For a log that does not tell how noisy its odometry is.
+    tick : callable
+        Called after each step.
+    stopwatch : Stopwatch, optional
+        To go on with.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such method, or an argument is not one for it.
+    InputError
+        The log cannot be read.
+    """
+    _check(method, particles, seed, unknown)
+    watch = stopwatch or Stopwatch()
+    source = open_landmark_log(log) if isinstance(log, str | Path) else log
+    model = sensor or _SENSORS[source.kind]
+    watch.lap("start")
+    steps = list(source)
+    watch.lap("read")
+    if method == "graph":
+        estimate = _by_graph(steps, model, motion)
+    else:
+        association: Association = MaximumLikelihood() if unknown else Told()
+        shown = [replace(step, sightings=step.sightings.anonymous()) for step in steps] if unknown else steps
+        if method == "ekf":
+            estimate = _by_ekf(shown, EkfSlam(model, association), motion, tick)
+        else:
+            slam = (FastSlam1 if method == "fastslam1" else FastSlam2)(LandmarkFilters(model, association))
+            estimate = _by_particles(shown, slam, particles or PARTICLES[method], seed, motion, tick)
+    watch.lap("solve")
+    return LandmarkResult(
+        method=method,
+        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
+        estimate=estimate,
+        unknown=unknown,
+        particles=(particles or PARTICLES[method]) if method in PARTICLES else None,
+        seed=seed,
+        log=source,
+        models={"sensor": model, "motion": motion},
+        digest=digest_of(source.path),
+        stopwatch=watch,
+    )
+
+
+def _by_ekf(steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, tick: Callable[[], None]) -> Estimate:
+    state, reports = slam.init(), list[LandmarkReport]()
+    for step in steps:
+        state, report = slam.step(state, step.motion(motion), step.sightings)
+        reports.append(report)
+        tick()
+    online = _poses(reports)
+    return Estimate(online, online, _covariances(reports), slam.landmark_map(state), _strange(reports), {})
+
+
+def _by_particles(
+    steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, particles: int, seed: int, motion: MotionModel,
+    tick: Callable[[], None],
+) -> Estimate:  # fmt: skip
+    rng, state, reports = np.random.default_rng(seed), slam.init(particles), list[LandmarkReport]()
+    for step in steps:
+        state, report = slam.step(state, step.motion(motion), step.sightings, rng)
+        reports.append(report)
+        tick()
+    figures = {
+        "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
+        "resamplings": sum(report.parents is not None for report in reports),
+    }
+    full = state.ancestry.trajectory(state.best)[1:]
+    landmarks = slam.landmark_map(state)
+    return Estimate(full, _poses(reports), _covariances(reports), landmarks, _strange(reports), figures)
+
+
+def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> Estimate:
+    told = all(step.covariance is not None for step in steps)
+    # Where a log tells its own noise it is believed; elsewhere a sighting may be misread.
+    robust = None if told else Cauchy()
+    found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
+    figures = {
+        "chi2": found.solution.chi2_after,
+        "degrees_of_freedom": found.freedom,
+        "converged": found.solution.converged,
+    }
+    strange = int((found.solution.weights < _COUNTS_LITTLE).sum())
+    return Estimate(found.poses, None, found.covariances, found.landmarks, strange, figures)
+
+
+def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:
+    return np.array([report.pose for report in reports])
+
+
+def _covariances(reports: Sequence[LandmarkReport]) -> FloatArray:
+    return np.array([report.covariance for report in reports])
+
+
+def _strange(reports: Sequence[LandmarkReport]) -> int:
+    return sum(int((report.landmarks == AMBIGUOUS).sum()) for report in reports)
+
+
+def _check(method: str, particles: int | None, seed: int, unknown: bool) -> None:
+    if method not in METHODS:
+        raise ArgumentError("method", f"one of {', '.join(METHODS)}", method)
+    if particles is not None and (particles < 1 or method not in PARTICLES):
+        raise ArgumentError("particles", "at least one, for FastSLAM only", f"{particles} for {method}")
+    if seed < 0:
+        raise ArgumentError("seed", "a number >= 0", seed)
+    if unknown and method == "graph":
+        raise ArgumentError("unknown", "False for the graph, which needs known correspondences", unknown)

@@ -1,0 +1,66 @@
+"""gridslam landmarks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.api.landmark_result import LandmarkResult
+from gridslam.api.landmarks import LandmarkMethod, map_landmarks
+from gridslam.cli import STARTED_S
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.errors import ArgumentError
+from gridslam.io.landmark_log import open_landmark_log
+from gridslam.pipeline import Stopwatch
+
+__all__ = ["landmarks_to_folder"]
+
+
+def landmarks_to_folder(
+    log: Path, out: Path, method: LandmarkMethod, particles: int | None, seed: int, unknown: bool, as_json: bool
+) -> None:
+    """Map the landmarks of a log into a folder and say what came of it."""
+    watch = Stopwatch(STARTED_S, 0.0)
+    source = open_landmark_log(log)
+    with opened(out) as folder:
+        try:
+            result = map_landmarks(
+                source, method, particles=particles, seed=seed, unknown=unknown, tick=stop_if_interrupted,
+                stopwatch=watch,
+            )  # fmt: skip
+        except ArgumentError as error:
+            raise click.ClickException(f"--{error}") from None
+        document = result.write(folder)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(_summary(document, result, out)))
+
+
+def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> list[str]:
+    """What a person wants to know, in a few lines."""
+    told, errors = document["input"], document["errors"]
+    left_out = ", ".join(f"{told[name]} {what}" for name, what in _LEFT_OUT.items() if told[name])
+    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    seconds = document["time"]["stages"]["solve"]["wall_s"]
+    lines = [
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings"
+        + (f" ({left_out} left out)" if left_out else ""),
+        f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
+        f"{document['strange_sightings']} sightings not believed",
+    ]
+    if errors["trajectory"] is not None:
+        lines.append(f"position RMSE {errors['trajectory']['trans_rmse_m']:.3f} m against the truth, aligned")
+    if (found := errors["landmarks"]) is not None:
+        lines.append(
+            f"landmark RMSE {found['rmse_m']:.3f} m: {found['found']} found, {found['missing']} missing, "
+            f"{found['surplus']} too many"
+        )
+    files = "landmarks.csv", "landmarks.png", "trajectory.tum", "run.json"
+    return [*lines, f"results: {', '.join(str(out / name) for name in files)}"]
+
+
+_LEFT_OUT = {"robots": "of other robots", "unknown": "of unknown barcodes"}

@@ -1,0 +1,97 @@
+"""Errors of a map of landmarks against the truth: which were found, which doubled, and how far they are off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.evaluation.trajectory import align
+from gridslam.geometry.se2 import transform_points
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["LandmarkErrors", "landmark_errors", "pair_by_name", "pair_by_place"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LandmarkErrors:
+    """How well landmarks were found.
+
+    Attributes
+    ----------
+    found : int
+        Landmarks of the truth that have a partner.
+    missing : int
+        Those that have none.
+    surplus : int
+        Landmarks in the map that have none: doubled, or of nothing.
+    rmse_m, max_m : float, m
+        Distances of partners after the map was moved to where it fits best.
+    """
+
+    found: int
+    missing: int
+    surplus: int
+    rmse_m: float
+    max_m: float
+
+
+def pair_by_name(names: IntArray, true_names: IntArray) -> tuple[IntArray, IntArray]:
+    """Places (K,) in both of the names, each there once, that both have."""
+    _, ours, theirs = np.intersect1d(names, true_names, assume_unique=True, return_indices=True)
+    return ours, theirs
+
+
+def pair_by_place(
+    positions: FloatArray, truth: FloatArray, true_from_map: FloatArray, reach_m: float = 0.5
+) -> tuple[IntArray, IntArray]:
+    """Pair landmarks whose names tell nothing, by where they are: the nearest first, each once.
+
+    Parameters
+    ----------
+    positions, truth : (M, 2), (L, 2) float64, m
+        Landmarks of the map and true ones.
+    true_from_map : (3,) float64
+        First guess of where the map lies; it is improved by the pairs as long as these change.
+    reach_m : float, m
+        Greatest distance of partners. Greater than what landmarks are apart is fine: the nearest pairs come first.
+
+    Returns
+    -------
+    (K,) int64, (K,) int64
+        Places of the partners.
+    """
+    pairs: list[list[int]] = []
+    for _ in range(20):
+        moved = transform_points(true_from_map, positions)
+        distances = np.hypot(*(moved[:, None] - truth).transpose(2, 0, 1))
+        before, pairs = pairs, []
+        while distances.size and distances.min() <= reach_m:
+            i, j = np.unravel_index(distances.argmin(), distances.shape)
+            pairs.append([int(i), int(j)])
+            distances[i], distances[:, j] = np.inf, np.inf
+        if pairs == before or len(pairs) < 2:
+            break
+        ours, theirs = np.array(pairs).T
+        true_from_map = align(positions[ours], truth[theirs])
+    ours, theirs = np.array(pairs, np.int64).reshape(-1, 2).T
+    return ours, theirs
+
+
+def landmark_errors(positions: FloatArray, truth: FloatArray, pairs: tuple[IntArray, IntArray]) -> LandmarkErrors:
+    """Distances of landmarks (M, 2) from true ones (L, 2), by pairs, after alignment on SE(2).
+
+    Raises ArgumentError where there is no pair.
+    """
+    ours, theirs = pairs
+    if not len(ours):
+        raise ArgumentError("pairs", "at least one", "none")
+    moved = transform_points(align(positions[ours], truth[theirs]), positions[ours])
+    errors = np.hypot(*(moved - truth[theirs]).T)
+    rmse = float(np.sqrt(np.mean(np.square(errors))))
+    return LandmarkErrors(
+        len(ours), len(truth) - len(ours), len(positions) - len(ours), rmse, float(errors.max())
+    )  # fmt: skip

@@ -1,0 +1,109 @@
+"""What mapping landmarks writes and says, by every method."""
+
+from __future__ import annotations
+
+import json
+
+import click
+import numpy as np
+import pytest
+from landmark_world import MOTION, drive, ring
+from PIL import Image
+
+from gridslam import __version__
+from gridslam.api.landmarks import METHODS, map_landmarks
+from gridslam.cli.landmarks import landmarks_to_folder
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.landmark_files import read_landmarks
+from gridslam.io.text_source import sha256_of
+from gridslam.io.trajectory import read_trajectory_csv, read_tum
+from gridslam.models.landmark import RelativePosition
+
+FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "run.json"}
+
+
+@pytest.fixture(scope="session")
+def park(tmp_path_factory):
+    """A log in Victoria Park's form: once around a ring of 10 landmarks, seen with 5 cm of noise."""
+    path, sensor = tmp_path_factory.mktemp("park") / "ring.txt", RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
+    steps, truth = drive(ring(10), 140, np.random.default_rng(1), sensor)
+    covariance = MOTION(steps[0].increment).moments(np.zeros((1, 3)))[1][0]
+    spread = " ".join(f"{v:.9g}" for v in covariance[np.triu_indices(3)])
+    lines = []
+    for k, step in enumerate(steps):
+        x, y, theta = step.increment
+        lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
+        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
+            lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
+    path.write_text("\n".join(lines) + "\n")
+    return path, truth
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_files_and_figures(park, tmp_path, capsys, method):
+    path, truth = park
+    landmarks_to_folder(path, tmp_path / "out", method, None, 0, False, True)
+    document = json.loads(capsys.readouterr().out)
+    online = set() if method == "graph" else {"trajectory_online.tum"}
+    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES | online
+    assert document == json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (document["schema"], document["version"]) == ("gridslam.landmarks/1", __version__)
+    assert (document["method"], document["correspondences"], document["landmarks"]) == (method, "known", 10)
+    assert document["particles"] == {"fastslam1": 100, "fastslam2": 20}.get(method)
+    assert document["input"]["sha256"] == sha256_of(path)
+    assert (document["input"]["steps"], document["input"]["stamped"]) == (141, False)
+    assert document["errors"] == {"trajectory": None, "landmarks": None}
+    assert document["models"]["sensor"]["kind"] == "RelativePosition"
+    found = read_landmarks(tmp_path / "out" / "landmarks.csv")
+    assert sorted(found.names.tolist()) == list(range(1100, 1110))
+    assert found.sightings.sum() == document["input"]["sightings"]
+    assert (np.linalg.eigvalsh(found.covariances) > 0).all()
+    trajectory, covariances = read_trajectory_csv(tmp_path / "out" / "trajectory.csv")
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == len(trajectory) == len(covariances) == 141
+    # Half a metre at the end of a ring of 25 m: dead reckoning is off by several.
+    assert np.hypot(*(trajectory.poses[-1] - truth[-1])[:2]) < 2.5
+    with Image.open(tmp_path / "out" / "landmarks.png") as picture:
+        assert min(picture.size) > 800
+
+
+def test_in_words(park, tmp_path, capsys):
+    landmarks_to_folder(park[0], tmp_path / "out", "ekf", None, 0, False, False)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("ring.txt: 141 steps, ")
+    assert lines[1].startswith("10 landmarks by ekf in ")
+    assert lines[-1].startswith("results: ")
+
+
+def test_unknown_correspondences(park, tmp_path):
+    known, found = (map_landmarks(park[0], "fastslam2", seed=3, unknown=unknown) for unknown in (False, True))
+    assert len(found.landmarks) == len(known.landmarks) == 10
+    nearest = np.hypot(*(found.landmarks.positions[:, None] - known.landmarks.positions).transpose(2, 0, 1))
+    assert sorted(nearest.argmin(axis=1).tolist()) == list(range(10))
+    assert found.save(tmp_path)["correspondences"] == "unknown"
+
+
+def test_the_same_seed_gives_the_same_bytes(park, tmp_path):
+    for name in ("a", "b"):
+        map_landmarks(park[0], "fastslam1", seed=5, particles=10).save(tmp_path / name)
+    for file in ("trajectory.csv", "landmarks.csv"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_what_is_refused(park, tmp_path):
+    path, _ = park
+    for options, said in (
+        ({"method": "magic"}, "one of ekf, fastslam1"),
+        ({"method": "ekf", "particles": 3}, "FastSLAM only"),
+        ({"method": "fastslam2", "particles": 0}, "at least one"),
+        ({"method": "graph", "unknown": True}, "known correspondences"),
+        ({"seed": -1}, ">= 0"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            map_landmarks(path, **options)
+    with pytest.raises(click.ClickException, match="--unknown"):
+        landmarks_to_folder(path, tmp_path / "out", "graph", None, 0, True, False)
+    bad = tmp_path / "bad.txt"
+    bad.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1\n")
+    with pytest.raises(InputError, match=r"bad.txt, line 1: ODOMETRY: expected 11 numbers"):
+        landmarks_to_folder(bad, tmp_path / "out", "ekf", None, 0, False, False)
+    assert not (tmp_path / "out").exists()
