@@ -111,17 +111,12 @@ def map_landmarks(
             estimate = _by_particles(shown, slam, particles or PARTICLES[method], seed, motion, tick)
     watch.lap("solve")
     return LandmarkResult(
-        method=method,
+        method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
-        estimate=estimate,
-        unknown=unknown,
         particles=(particles or PARTICLES[method]) if method in PARTICLES else None,
-        seed=seed,
-        log=source,
         models={"sensor": model, "motion": motion},
         digest=digest_of(source.path),
-        stopwatch=watch,
-    )
+    )  # fmt: skip
 
 
 def _by_ekf(steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, tick: Callable[[], None]) -> Estimate:
