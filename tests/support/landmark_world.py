@@ -35,7 +35,7 @@ def drive(
         seen = np.flatnonzero(np.hypot(*(landmarks - pose[:2]).T) < reach_m)
         exact = sensor.linearize(pose, landmarks[seen])[0].reshape(-1, 2)
         noise = sensor.noise(Sightings.of(exact))
-        values = exact + np.array([rng.multivariate_normal(np.zeros(2), Q) for Q in noise]).reshape(-1, 2)
+        values = exact + np.sqrt(np.diagonal(noise, axis1=1, axis2=2)) * rng.standard_normal(exact.shape)
         log.append(LandmarkStep(k * 10**8, INCREMENT, None, Sightings.of(values, seen + 100)))
         truth.append(pose)
     return log, np.array(truth)

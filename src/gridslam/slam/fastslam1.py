@@ -74,9 +74,10 @@ class FastSlam1:
         poses = motion(state.poses, rng)  # x_t ~ p(x_t | x_t-1, u_t)
         log_weights, columns = np.zeros(len(state)), np.empty((len(state), len(sightings)), np.int64)
         for k in range(len(sightings)):
-            columns[:, k] = self.landmarks.correspond(state, sightings, k, poses, None, columns[:, :k])
-            seen = self.landmarks.update(state, columns[:, k], poses, sightings, k)
+            columns[:, k], seen = self.landmarks.correspond(state, sightings, k, poses, None, columns[:, :k])
             log_weights += self.landmarks.log_likelihood(seen, len(state), sightings, k)  # w = p(z | x_t, m)
+            self.landmarks.correct(state, seen)
+            self.landmarks.add(state, columns[:, k], poses, sightings, k)
         state.advance(poses, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)

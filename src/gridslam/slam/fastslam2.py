@@ -19,7 +19,7 @@ from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmark_filters import Innovation, LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
-from gridslam.slam.small_gaussians import draw_poses, inverse_2x2
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, transposed
 from gridslam.types import FloatArray, MotionSampler, Resampler
 
 __all__ = ["FastSlam2"]
@@ -64,14 +64,15 @@ class FastSlam2:
             return state, state.report(np.empty((len(state), 0), np.int64))
         log_weights, columns = np.zeros(len(state)), np.empty((len(state), len(sightings)), np.int64)
         for k in range(len(sightings)):
-            columns[:, k] = self.landmarks.correspond(state, sightings, k, mean, spread, columns[:, :k])
-            rows = np.flatnonzero(columns[:, k] >= 0)
-            seen = self.landmarks.innovation(state, rows, columns[rows, k], mean, spread, sightings, k)
+            columns[:, k], seen = self.landmarks.correspond(state, sightings, k, mean, spread, columns[:, :k])
             log_weights += self.landmarks.log_likelihood(seen, len(state), sightings, k)  # w = p(z | x_t-1, u_t)
             _correct(mean, spread, seen)
         poses = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
         for k in range(len(sightings)):
-            self.landmarks.update(state, columns[:, k], poses, sightings, k)
+            rows = np.flatnonzero(columns[:, k] >= 0)
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], poses, None, sightings, k)
+            self.landmarks.correct(state, seen)
+            self.landmarks.add(state, columns[:, k], poses, sightings, k)
         state.advance(poses, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)
@@ -88,9 +89,11 @@ class FastSlam2:
 def _predict(state: LandmarkParticles, motion: MotionSampler) -> tuple[FloatArray, FloatArray]:
     """Move the poses' Gaussians: means (N, 3) and covariances (N, 3, 3)."""
     mean, noise = motion.moments(state.poses)
+    if not state.spread.any():
+        return mean, noise
     G = np.tile(np.eye(3), (len(state), 1, 1))
     G[:, 0, 2], G[:, 1, 2] = state.poses[:, 1] - mean[:, 1], mean[:, 0] - state.poses[:, 0]
-    return mean, G @ state.spread @ G.swapaxes(1, 2) + noise
+    return mean, projected(G, state.spread) + noise
 
 
 def _correct(mean: FloatArray, spread: FloatArray, seen: Innovation) -> None:
@@ -100,7 +103,7 @@ def _correct(mean: FloatArray, spread: FloatArray, seen: Innovation) -> None:
     be singular.
     """
     before = spread[seen.rows]
-    gain = before @ seen.by_pose.swapaxes(1, 2) @ inverse_2x2(seen.covariances)
+    gain = before @ transposed(seen.by_pose) @ inverse_2x2(seen.covariances)
     mean[seen.rows] += (gain @ seen.residuals[:, :, None])[:, :, 0]
     mean[:, 2] = wrap(mean[:, 2])
     spread[seen.rows] = before - gain @ seen.by_pose @ before

@@ -14,7 +14,7 @@ from gridslam.models.sightings import Sightings
 from gridslam.slam.association import AMBIGUOUS, NEW, Association, MaximumLikelihood, Told, signatures
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis
+from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, transposed
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Innovation", "LandmarkFilters"]
@@ -42,6 +42,15 @@ class Innovation:
     by_pose: FloatArray
     by_landmark: FloatArray
 
+    def of(self, chosen: NDArray[np.bool_]) -> Innovation:
+        """Return those that are chosen (R,)."""
+        if chosen.all():
+            return self
+        return Innovation(
+            self.rows[chosen], self.columns[chosen], self.residuals[chosen], self.covariances[chosen],
+            self.by_pose[chosen], self.by_landmark[chosen],
+        )  # fmt: skip
+
 
 @final
 @dataclass(frozen=True)
@@ -66,8 +75,8 @@ class LandmarkFilters:
     def correspond(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
         taken: IntArray,
-    ) -> IntArray:  # fmt: skip
-        """Columns (N,) of the landmark of sighting k in each particle, or `NEW`, or `AMBIGUOUS`.
+    ) -> tuple[IntArray, Innovation]:  # fmt: skip
+        """Columns (N,) of the landmark of sighting k in each particle, or `NEW`, or `AMBIGUOUS`, and what they predict.
 
         Parameters
         ----------
@@ -79,12 +88,12 @@ class LandmarkFilters:
         if isinstance(self.association, MaximumLikelihood):
             return self._likeliest(state, sightings, k, poses, spread, taken, self.association)
         column = state.column(int(signatures(sightings)[k]))
-        if column == NEW:
-            return np.full(len(state), NEW)
-        everyone = np.arange(len(state))
-        seen = self.innovation(state, everyone, np.full(len(state), column), poses, spread, sightings, k)
+        rows = np.arange(len(state) if column != NEW else 0)
+        seen = self.innovation(state, rows, np.full(len(rows), column), poses, spread, sightings, k)
         squared, _ = mahalanobis(seen.residuals, seen.covariances)
-        return np.where(squared <= self.association.believed, column, AMBIGUOUS)
+        believed = squared <= self.association.believed
+        columns = np.where(believed, column, AMBIGUOUS) if len(rows) else np.full(len(state), NEW)
+        return columns, seen.of(believed)
 
     def innovation(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
@@ -92,9 +101,9 @@ class LandmarkFilters:
     ) -> Innovation:  # fmt: skip
         """Predict sighting k of landmarks (rows, columns) from poses (N, 3) of covariance `spread` (N, 3, 3)."""
         predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
-        L = H_m @ state.covariances[rows, columns] @ H_m.swapaxes(1, 2) + self.sensor.noise(sightings)[k]
+        L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(sightings)[k]
         if spread is not None:
-            L += H_x @ spread[rows] @ H_x.swapaxes(1, 2)
+            L += projected(H_x, spread[rows])
         return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
 
     def log_likelihood(self, seen: Innovation, particles: int, sightings: Sightings, k: int) -> FloatArray:
@@ -104,24 +113,34 @@ class LandmarkFilters:
         likelihood[seen.rows] = log_density(*mahalanobis(seen.residuals, seen.covariances))
         return likelihood
 
-    def update(
-        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int
-    ) -> Innovation:
-        """Let sighting k correct landmarks `columns` (N,) seen from poses (N, 3), and put new ones where it is.
-
-        Numbers of new landmarks are written into `columns`.
+    def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
+        """Let a sighting correct the landmarks that it is of, seen from poses that are given.
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2 (mean and covariance of the features).
         """
-        rows = np.flatnonzero(columns >= 0)
-        seen = self.innovation(state, rows, columns[rows], poses, None, sightings, k)
-        of = rows, seen.columns
+        of = seen.rows, seen.columns
         covariances = state.covariances[of]
-        gain = covariances @ seen.by_landmark.swapaxes(1, 2) @ inverse_2x2(seen.covariances)
+        gain = covariances @ transposed(seen.by_landmark) @ inverse_2x2(seen.covariances)
         state.positions[of] += (gain @ seen.residuals[:, :, None])[:, :, 0]
         state.covariances[of] = covariances - gain @ seen.by_landmark @ covariances
-        self._add(state, np.flatnonzero(columns == NEW), columns, poses, sightings, k)
-        return seen
+
+    def add(
+        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int
+    ) -> None:
+        """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.
+
+        Source: Probabilistic Robotics, Tables 13.1 and 13.2: mean h^-1(z, x), covariance H^-1 Q H^-1'.
+        """
+        rows = np.flatnonzero(columns == NEW)
+        if not len(rows):
+            return
+        name = int(signatures(sightings)[k]) if self.association.told else None
+        columns[rows] = state.new_columns(rows, name)
+        of = rows, columns[rows]
+        state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
+        root = inverse_2x2(self.sensor.linearize(poses[rows], state.positions[of])[2])
+        state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(sightings)[k], root.shape))
+        state.evidence[of], state.sightings[of] = 0.0, 0
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
         """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
@@ -142,7 +161,7 @@ class LandmarkFilters:
     def _likeliest(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
         taken: IntArray, within: MaximumLikelihood,
-    ) -> IntArray:  # fmt: skip
+    ) -> tuple[IntArray, Innovation]:  # fmt: skip
         """Table 13.2, the maximum likelihood correspondence of each particle."""
         rows, columns = np.nonzero(self._near(state, sightings, k, poses, spread, within.other))
         seen = self.innovation(state, rows, columns, poses, spread, sightings, k)
@@ -154,7 +173,8 @@ class LandmarkFilters:
         cost[of, taken[of, j]] = math.inf
         likeliest = cost.argmin(axis=1)
         strange = np.where(distance.min(axis=1) > within.other, NEW, AMBIGUOUS)
-        return np.where(np.isfinite(cost[np.arange(len(state)), likeliest]), likeliest, strange)
+        found = np.where(np.isfinite(cost[np.arange(len(state)), likeliest]), likeliest, strange)
+        return found, seen.of(found[rows] == columns)
 
     def _near(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
@@ -163,24 +183,8 @@ class LandmarkFilters:
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
         at = self.sensor.locate(poses, sightings.values[k])
         _, H_x, H_m = self.sensor.linearize(poses, at)
-        L = self.sensor.noise(sightings)[k] + (0.0 if spread is None else H_x @ spread @ H_x.swapaxes(1, 2))
-        root = inverse_2x2(H_m)
-        reach = np.trace(root @ L @ root.swapaxes(1, 2), axis1=1, axis2=2)
+        L = self.sensor.noise(sightings)[k] + (0.0 if spread is None else projected(H_x, spread))
+        reach = np.trace(projected(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))
         return np.asarray(state.exists & (x * x + y * y <= distance * reach))
-
-    def _add(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray, sightings: Sightings,
-        k: int,
-    ) -> None:  # fmt: skip
-        """Tables 13.1 and 13.2, a feature never seen before: mean h^-1(z, x), covariance H^-1 Q H^-1'."""
-        if not len(rows):
-            return
-        name = int(signatures(sightings)[k]) if self.association.told else None
-        columns[rows] = state.new_columns(rows, name)
-        of = rows, columns[rows]
-        state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
-        root = inverse_2x2(self.sensor.linearize(poses[rows], state.positions[of])[2])
-        state.covariances[of] = root @ self.sensor.noise(sightings)[k] @ root.swapaxes(1, 2)
-        state.evidence[of], state.sightings[of] = 0.0, 0

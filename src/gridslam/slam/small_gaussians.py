@@ -9,7 +9,17 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis"]
+__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "transposed"]
+
+
+def transposed(matrices: FloatArray) -> FloatArray:
+    """Transposes (N, j, i) of matrices (N, i, j), copied: products of many small matrices are twice as fast so."""
+    return np.ascontiguousarray(matrices.swapaxes(-1, -2))
+
+
+def projected(jacobians: FloatArray, covariances: FloatArray) -> FloatArray:
+    """J C J' (N, i, i) of Jacobians (N, i, j) and covariances (N, j, j)."""
+    return np.asarray(jacobians @ covariances @ transposed(jacobians))
 
 
 def inverse_2x2(matrices: FloatArray) -> FloatArray:

@@ -180,12 +180,12 @@ def test_each_particle_has_its_own_correspondences(kind):
     rng, motion = np.random.default_rng(11), GaussianIncrement.around(np.zeros(3), np.array([0.0, 1.0, 0.0]))
     state, _ = slam.step(slam.init(300), STILL, Sightings.of([[3.0, 1.0], [3.0, -1.0]]), rng)
     state.poses[:, 1] = np.repeat([1.0, -1.0, 9.0], 100)
-    columns = slam.landmarks.correspond(
+    columns, _ = slam.landmarks.correspond(
         state, Sightings.of([[3.0, 0.0]]), 0, state.poses, None, np.empty((300, 0), np.int64)
     )  # fmt: skip
     assert columns.tolist() == [0] * 100 + [1] * 100 + [NEW] * 100
     taken = columns[:, None].copy()
-    again = slam.landmarks.correspond(state, Sightings.of([[3.0, 0.0]] * 2), 1, state.poses, None, taken)
+    again, _ = slam.landmarks.correspond(state, Sightings.of([[3.0, 0.0]] * 2), 1, state.poses, None, taken)
     assert set(again[:200].tolist()) == {AMBIGUOUS}  # near enough, but seen already
     state.poses[:, 1] = 0.0
     state, report = slam.step(state, motion, Sightings.of([[3.0, 0.0]]), rng)
