@@ -20,7 +20,6 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 
 cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
-ROOT = Path(__file__).resolve().parents[2]
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface address='127.0.0.1'/></Interfaces>"
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
@@ -132,8 +131,8 @@ class Running:
 def running(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dds")
     domain = 20 + os.getpid() % 80
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "CYCLONE"))}
-    environment = {**kept, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": str(ROOT / "src")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "CYCLONE"))}
+    environment["ROS_DOMAIN_ID"] = str(domain)
     arguments = ["--ros-args", "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", f"out:={folder / 'out'}"]
     with (folder / "node.log").open("w") as log:
         process = subprocess.Popen(

@@ -65,18 +65,17 @@ class Ros:
         assert self.until(lambda: bool(self.master.setParam("/test", "/use_sim_time", True)))
         assert self.until(lambda: "/rosout" in str(self.master.getSystemState("/test")))
 
-    def start(self, command: list[str], log: str, **environment: str) -> subprocess.Popen[str]:
+    def start(self, command: list[str], log: str) -> subprocess.Popen[str]:
         with (self.folder / f"{log}.log").open("w") as out:
             process = subprocess.Popen(
-                command, env={**self.environment, **environment}, stdout=out, stderr=subprocess.STDOUT, text=True,
+                command, env=self.environment, stdout=out, stderr=subprocess.STDOUT, text=True,
                 start_new_session=True,
             )  # fmt: skip
         self.processes.append(process)
         return process
 
     def node(self, *arguments: str) -> subprocess.Popen[str]:
-        path = str(SUPPORT.parents[1] / "src")
-        process = self.start([sys.executable, "-c", NODE, *arguments], "node", PYTHONPATH=path)
+        process = self.start([sys.executable, "-c", NODE, *arguments], "node")
         assert self.until(lambda: "/dynamic_map" in str(self.master.getSystemState("/test"))), self.log("node")
         assert self.until(lambda: "/tf_static" in str(self.master.getSystemState("/test")[2][1])), self.log("node")
         return process

@@ -1,0 +1,100 @@
+"""The commands of the family around the filter, of evaluation and of simulation, and their options."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from gridslam.cli.options import PATH, SEED, json_option
+
+__all__ = ["FAMILY_COMMANDS"]
+
+
+@click.command("landmarks")
+@click.argument("log", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for the results; made if need be.")
+@click.option(
+    "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph"]), default="fastslam2", show_default=True,
+    help="EKF SLAM, FastSLAM 1.0 or 2.0, or GraphSLAM.",
+)  # fmt: skip
+@click.option("--particles", type=int, help="Number of particles of FastSLAM.  [default: 100 for 1.0, 20 for 2.0]")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
+@click.option("--unknown", is_flag=True, help="Do not read which landmark was seen, where LOG says it: find it out.")
+@json_option
+def landmarks_command(**options: Any) -> None:  # noqa: ANN401
+    """Map the landmarks that LOG tells of, and where the robot was.
+
+    LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat, its other files beside it), or the lines ODOMETRY and
+    LANDMARK that Victoria Park comes in.
+
+    OUT gets landmarks.csv (with covariances), landmarks.png, trajectory.tum and run.json.
+    """
+    from gridslam.cli.landmarks import landmarks_to_folder
+
+    landmarks_to_folder(**options)
+
+
+@click.command("graph")
+@click.argument("file", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for the results; made if need be.")
+@click.option("--robust", is_flag=True, help="Find the loop closures that are false, and leave them out.")
+@click.option("--no-guess", is_flag=True, help="Take no notice of the poses in FILE: guess them from the edges.")
+@click.option("--skip-unknown", is_flag=True, help="Pass over lines with unknown tags, and count them.")
+@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, help="From one guess.")
+@json_option
+def graph_command(**options: Any) -> None:  # noqa: ANN401
+    """Solve FILE, a pose graph in g2o's form (plain, .gz or .bz2), by GraphSLAM.
+
+    OUT gets graph.g2o (the poses found), graph.png (before and after), graph.json and, with --robust, weights.csv.
+    """
+    from gridslam.cli.graph import graph_to_folder
+
+    graph_to_folder(**options)
+
+
+@click.command("evaluate")
+@click.argument("trajectory", type=PATH)
+@click.argument("reference", type=PATH)
+@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, help="Of the RPE's pairs, m.")
+@json_option
+def evaluate_command(**options: Any) -> None:  # noqa: ANN401
+    """Compare TRAJECTORY (TUM) with REFERENCE.
+
+    A REFERENCE named *.relations holds true relative poses (Kuemmerle et al. 2009); any other is a trajectory (TUM),
+    and the absolute (ATE, aligned) and relative (RPE) errors are told.
+    """
+    from gridslam.cli.evaluate import evaluate
+
+    evaluate(**options)
+
+
+@click.command("simulate")
+@click.argument("world")
+@click.option("-o", "--out", type=PATH, required=True, help="The log; compressed if named .gz or .bz2.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Of the noise, and of a world that is drawn.")
+@click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams of a scan.")
+@click.option("--fov", "fov_deg", type=float, default=180.0, show_default=True, help="Field of view, degrees.")
+@click.option("--range-max", "range_max_m", type=float, default=30.0, show_default=True, help="No return beyond, m.")
+@click.option("--rate", "rate_hz", type=float, default=5.0, show_default=True, help="Scans a second.")
+@click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="People who walk about.")
+@click.option("--duration", "duration_s", type=float, help="End the log after so many seconds.")
+@json_option
+def simulate_command(**options: Any) -> None:  # noqa: ANN401
+    """Simulate a robot in WORLD and write its log.
+
+    \b
+    WORLD is
+      always the same: demo, loop, rooms, hall or corridor
+      drawn from the seed: random
+        made to deceive loop closure: equal_rooms, symmetric, bare_corridors, moved_furniture
+        large: campus (2 km), fleet (10 km)
+
+    Beside LOG.clf goes LOG.truth.tum, the true trajectory.
+    """
+    from gridslam.cli.simulate import simulate_to_log
+
+    simulate_to_log(**options)
+
+
+FAMILY_COMMANDS = (landmarks_command, graph_command, evaluate_command, simulate_command)
