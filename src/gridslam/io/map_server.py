@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
+from gridslam.io.map_image import FREE, OCCUPIED, UNKNOWN, occupancy_percent, read_map_image, unknown_read_as_free
 from gridslam.io.map_yaml import FREE_THRESH, OCCUPIED_THRESH, MapDescription, read_map_description
 from gridslam.types import OccupancyGrid
 
-__all__ = ["read_map", "write_map"]
+__all__ = ["LoadedMap", "load_map", "read_map", "write_map"]
 
-_OCCUPIED, _FREE, _UNKNOWN = 0, 254, 205
 _SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
 
 
@@ -30,15 +30,13 @@ def write_map(yaml_path: str | Path, grid: OccupancyGrid) -> None:
         The file to write; its image is a binary PGM of the same name beside it.
     grid : OccupancyGrid
         The map, at least one cell.
-    image : str, optional
-        How the YAML file names the image; the image's name without folder if not given.
     """
     height, width = grid.log_odds.shape
     if height == 0 or width == 0:
         raise ArgumentError("grid", "at least one cell", grid.log_odds.shape)
-    pixels = np.full((height, width), _UNKNOWN, dtype=np.uint8)
-    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = _OCCUPIED
-    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = _FREE
+    pixels = np.full((height, width), UNKNOWN, dtype=np.uint8)
+    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = OCCUPIED
+    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = FREE
     image_path = Path(yaml_path).with_suffix(".pgm")
     with image_path.open("wb") as file:
         file.write(f"P5\n{width} {height}\n255\n".encode())
@@ -48,56 +46,58 @@ def write_map(yaml_path: str | Path, grid: OccupancyGrid) -> None:
     Path(yaml_path).write_text(description.to_yaml(), encoding="utf-8")
 
 
-def read_map(yaml_path: str | Path) -> OccupancyGrid:
-    """Read a map as map_server would, modes trinary, scale and raw.
+class LoadedMap(NamedTuple):
+    """A map from a file.
 
-    Occupied cells get probability 0.99, free ones 0.01; in the modes scale and raw the values between lie between. In
-    trinary mode the pixel 205 of a map that is not negated is unknown whatever free_thresh says: it is what every map
-    saver writes for unknown, and a free_thresh of 0.25, as is common, would turn it into free space. Transparent pixels
-    are unknown.
+    Attributes
+    ----------
+    grid : OccupancyGrid
+    remarks : tuple of str
+        What is odd about the file, and what was made of it; a sentence each.
+    """
+
+    grid: OccupancyGrid
+    remarks: tuple[str, ...]
+
+
+def load_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> LoadedMap:
+    """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
+
+    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between.
+
+    Parameters
+    ----------
+    yaml_path : str or Path
+        The YAML file; its image is named relative to it.
+    strict_thresholds : bool
+        Read the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown, whatever
+        free_thresh says: it is what every map saver writes for unknown, and a free_thresh of 0.25, as nav2's saver
+        writes it, would turn all that was never seen into free space. Where it would, a remark says so.
 
     Raises
     ------
     InputError
-        Where the YAML file or the image cannot be read, a value is missing or out of range, or the map is rotated.
+        The YAML file or the image cannot be read, a value is missing or out of range, the map is rotated, or the image
+        is not grey.
     """
     description = read_map_description(yaml_path)
-    pixels, transparent = _read_image(Path(yaml_path).parent / description.image)
-    occupied, known = _interpret(pixels, description)
-    occupied, known = occupied[::-1], known[::-1] & ~transparent[::-1]
-    probability = (1 - _SURE) / 2 + _SURE * occupied
-    log_odds = np.where(known, np.log(probability / (1 - probability)), 0.0).astype(np.float32)
-    return OccupancyGrid(log_odds, known, description.resolution_m, description.origin)
+    image = read_map_image(Path(yaml_path).parent / description.image)
+    percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
+    known = percent >= 0
+    probability = (1 - _SURE) / 2 + _SURE * percent / 100.0
+    odds = np.divide(probability, 1 - probability, out=np.ones(percent.shape), where=known)
+    grid = OccupancyGrid(np.log(odds).astype(np.float32), known, description.resolution_m, description.origin)
+    spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
+    remark = (
+        f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
+        f"its {spared} cells are taken as unknown"
+    )
+    return LoadedMap(grid, (remark,) if spared else ())
 
 
-def _interpret(pixels: NDArray[np.uint8], description: MapDescription) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """How occupied (0 to 1) each pixel is, and whether it is known."""
-    if description.mode == "raw":
-        return np.minimum(pixels, 100) / 100.0, pixels <= 100
-    darkness = (pixels if description.negate else 255.0 - pixels) / 255.0
-    low, high = description.free_thresh, description.occupied_thresh
-    if description.mode == "scale":
-        return np.clip((darkness - low) / (high - low), 0.0, 1.0), np.ones(pixels.shape, dtype=np.bool_)
-    occupied, known = darkness > high, (darkness > high) | (darkness < low)
-    if not description.negate:
-        known &= pixels != _UNKNOWN
-    return occupied.astype(np.float64), known
-
-
-def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Brightness (H, W) of an image, and which of its pixels are transparent."""
-    from PIL import Image, UnidentifiedImageError  # only readers of maps pay for its import
-
-    if not path.is_file():
-        raise InputError(path, "no such image file")
-    try:
-        with Image.open(path) as image:
-            transparency = "A" in image.getbands() or "transparency" in image.info
-            alpha = np.asarray(image.convert("RGBA"))[:, :, 3] if transparency else None
-            pixels = np.asarray(image.convert("L"))
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
-        raise InputError(path, f"expected an image, got: {error}") from None
-    return pixels, np.zeros(pixels.shape, dtype=np.bool_) if alpha is None else alpha < 255
+def read_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> OccupancyGrid:
+    """Read a map by `load_map`, without its remarks."""
+    return load_map(yaml_path, strict_thresholds=strict_thresholds).grid
 
 
 def _log_odds(probability: float) -> float:

@@ -80,8 +80,7 @@ def test_negate(tmp_path):
 def test_scale_spans_probability_linearly(tmp_path):
     yaml = YAML.replace("0.196", "0.2").replace("0.65", "0.8") + "mode: scale\n"
     grid = read_map(write(tmp_path, [[0, 255, 255 - 51, 127, 128]], yaml))  # darkness 1, 0, 0.2, 128/255, 127/255
-    middle = (128 / 255 - 0.2) / 0.6
-    expected = 0.01 + 0.98 * np.array([1, 0, 0, middle, 1 - middle])
+    expected = 0.01 + 0.98 * np.array([1, 0, 0, 0.5, 0.5])  # in whole percent, as a ROS OccupancyGrid has it
     np.testing.assert_allclose(grid.probability[0], expected, atol=1e-6)
     assert grid.known.all()
 

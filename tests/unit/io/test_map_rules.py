@@ -1,0 +1,153 @@
+"""The rules by which map_server and nav2 read a pixel, said once more with exact fractions and without arrays."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gridslam.errors import InputError
+from gridslam.io.map_image import MapImage, occupancy_percent, read_map_image, unknown_read_as_free
+from gridslam.io.map_server import load_map, read_map, write_map
+from gridslam.io.map_yaml import MapDescription
+from gridslam.types import OccupancyGrid
+
+THRESHOLDS = [(0.65, 0.196), (0.65, 0.25), (0.51, 0.49), (1.0, 0.0), (0.8, 0.2)]
+EVERY = np.arange(256)
+
+
+def rule(pixel, transparent, mode, negate, occupied_thresh, free_thresh, strict):
+    """What a cell is, by the documentation of map_server: 0 to 100, or -1."""
+    if mode == "raw":
+        return pixel if pixel <= 100 else -1
+    if transparent:
+        return -1
+    p = Fraction(int(pixel) if negate else 255 - int(pixel), 255)
+    # The thresholds are what the file says in decimals, so that 51/255 is neither above nor below 0.2.
+    occupied, free = Fraction(str(occupied_thresh)), Fraction(str(free_thresh))
+    if mode == "trinary" and not strict and not negate and pixel == 205:
+        return -1
+    if p > occupied:
+        return 100
+    if p < free:
+        return 0
+    return -1 if mode == "trinary" else round(100 * (p - free) / (occupied - free))
+
+
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("negate", [False, True])
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+@pytest.mark.parametrize("thresholds", THRESHOLDS)
+def test_every_pixel_is_read_by_the_rule(thresholds, mode, negate, strict):
+    image = MapImage(np.stack([EVERY, EVERY]).astype(float), np.stack([EVERY >= 0, EVERY < 0]))
+    description = MapDescription("m.png", 0.05, (0.0, 0.0), negate, *thresholds, mode)
+    lower, upper = occupancy_percent(image, description, strict_thresholds=strict)
+    assert upper.tolist() == [rule(v, False, mode, negate, *thresholds, strict) for v in EVERY]
+    assert lower.tolist() == [rule(v, True, mode, negate, *thresholds, strict) for v in EVERY]
+
+
+def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", more=""):
+    image.save(folder / f"m.{suffix}")
+    occupied, free = thresholds
+    (folder / "m.yaml").write_text(
+        f"image: m.{suffix}\nmode: {mode}\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+        f"occupied_thresh: {occupied}\nfree_thresh: {free}\n{more}"
+    )
+    return folder / "m.yaml"
+
+
+def test_what_nav2_saves_in_trinary_mode_comes_back(tmp_path):
+    cells = np.random.default_rng(0).choice([-1, 0, 100], (7, 9))
+    pixels = np.select([cells < 0, cells == 0], [205, 254], 0).astype(np.uint8)
+    for suffix in ("pgm", "png", "bmp"):
+        path = saved(tmp_path, Image.fromarray(pixels), suffix=suffix)  # nav2 writes free_thresh 0.25
+        grid = read_map(path)
+        assert (np.where(grid.known, np.where(grid.log_odds > 0, 100, 0), -1) == cells[::-1]).all()
+
+
+def test_what_nav2_saves_in_scale_mode_comes_back(tmp_path):
+    cells = np.arange(-1, 101)[None]
+    grey = np.where(cells < 0, 127, np.rint(255 * (100 - cells) / 100)).astype(np.uint8)
+    alpha = np.where(cells < 0, 0, 255).astype(np.uint8)
+    image = Image.fromarray(np.stack([grey, grey, grey, alpha], axis=-1))
+    grid = read_map(saved(tmp_path, image, "scale", (1.0, 0.0)))
+    assert (grid.known == (cells >= 0)).all()
+    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
+
+
+def test_what_nav2_saves_in_raw_mode_comes_back(tmp_path):
+    cells = np.arange(-1, 101)[None]
+    grid = read_map(saved(tmp_path, Image.fromarray(np.where(cells < 0, 255, cells).astype(np.uint8)), "raw"))
+    assert (grid.known == (cells >= 0)).all()
+    np.testing.assert_allclose(grid.probability[0, 1:], 0.01 + 0.0098 * cells[0, 1:], atol=1e-6)
+
+
+def test_what_we_write_is_read_alike_by_every_rule(tmp_path):
+    cells = np.random.default_rng(1).integers(-1, 2, (6, 5))
+    write_map(tmp_path / "m.yaml", OccupancyGrid(np.float32(9) * (2 * cells - 1), cells >= 0, 0.05, (0.0, 0.0)))
+    for strict in (False, True):
+        grid, remarks = load_map(tmp_path / "m.yaml", strict_thresholds=strict)
+        assert (np.where(grid.known, grid.log_odds > 0, -1) == cells).all()
+        assert remarks == ()
+
+
+def test_unknown_that_would_be_free_is_told_and_can_be_had(tmp_path):
+    path = saved(tmp_path, Image.fromarray(np.array([[205, 205, 254, 0]], np.uint8)))
+    grid, (remark,) = load_map(path)
+    assert grid.known.tolist() == [[False, False, True, True]]
+    assert "free_thresh 0.25" in remark
+    assert "2 cells" in remark
+    literal, none = load_map(path, strict_thresholds=True)
+    assert literal.known.all()
+    assert (literal.log_odds[0, :3] < 0).all()
+    assert none == ()
+
+
+def test_only_opaque_205_of_a_trinary_map_is_spared():
+    image = MapImage(np.array([[205.0, 205.0, 204.0]]), np.array([[True, False, True]]))
+    describe = {"image": "m.png", "resolution_m": 0.05, "origin": (0.0, 0.0), "free_thresh": 0.25}
+    assert unknown_read_as_free(image, MapDescription(**describe)).tolist() == [[True, False, False]]
+    for other in ({"mode": "scale"}, {"mode": "raw"}, {"negate": True}, {"free_thresh": 0.196}):
+        assert not unknown_read_as_free(image, MapDescription(**{**describe, **other})).any()
+
+
+def test_sixteen_bits_are_not_cut_off(tmp_path):
+    Image.fromarray(np.array([[0, 205 * 257, 65535]], np.uint16)).save(tmp_path / "m.png")
+    assert read_map_image(tmp_path / "m.png").brightness.tolist() == [[0, 205, 255]]
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P", "1"])
+def test_grey_in_any_form_is_read(tmp_path, mode):
+    pixels = np.array([[0, 255, 0]] if mode == "1" else [[0, 205, 254]], np.uint8)
+    Image.fromarray(pixels).convert(mode).save(tmp_path / "m.png")
+    found = read_map_image(tmp_path / "m.png")
+    assert (found.brightness == pixels).all()
+    assert found.opaque.all()
+
+
+def test_transparency_of_a_palette_counts(tmp_path):
+    image = Image.fromarray(np.array([[0, 1]], np.uint8), "L").convert("P")
+    image.save(tmp_path / "m.png", transparency=0)
+    assert read_map_image(tmp_path / "m.png").opaque.tolist() == [[False, True]]
+
+
+def test_colours_are_refused(tmp_path):
+    path = saved(tmp_path, Image.fromarray(np.array([[[0, 0, 0], [9, 9, 8]]], np.uint8)))
+    with pytest.raises(InputError, match="expected a grey image, got colours in 1 of 2 pixels"):
+        read_map(path)
+
+
+def test_an_image_too_large_for_anything_is_refused(tmp_path, monkeypatch):
+    path = saved(tmp_path, Image.fromarray(np.zeros((30, 30), np.uint8)))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    with pytest.raises(InputError, match="expected an image"):
+        read_map(path)
+
+
+def test_the_turtlebot_map_is_told_about(data_dir):
+    grid, (remark,) = load_map(data_dir / "maps" / "mac_1st_floor_final.yaml")
+    unknown = int((~grid.known).sum())
+    assert f"its {unknown} cells" in remark
+    literal = read_map(data_dir / "maps" / "mac_1st_floor_final.yaml", strict_thresholds=True)
+    assert (literal.log_odds[~grid.known] < 0).all()
+    assert load_map(data_dir / "maps" / "meeting.yaml").remarks == ()
