@@ -66,7 +66,7 @@ def _brightness(path: str | Path, image: Image) -> NDArray[np.float64]:
         return np.asarray(image).astype(np.float64) / 257
     if image.mode in ("1", "L", "LA"):
         return np.asarray(image.convert("L")).astype(np.float64)
-    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")), 2, 0)
+    red, green, blue = (np.asarray(band) for band in image.convert("RGB").split())
     coloured = (red != green) | (green != blue)
     if coloured.any():
         raise InputError(path, f"expected a grey image, got colours in {int(coloured.sum())} of {coloured.size} pixels")
@@ -103,8 +103,8 @@ def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArra
     """Which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
     if description.mode != "trinary" or description.negate:
         return np.zeros(image.opaque.shape, np.bool_)
-    unknown = image.opaque & (image.brightness == UNKNOWN)
-    return unknown & (_darkness(image, description) < description.free_thresh)
+    free = _darkness(image, description) < description.free_thresh
+    return np.asarray(image.opaque & (image.brightness == UNKNOWN) & free)
 
 
 def _darkness(image: MapImage, description: MapDescription) -> NDArray[np.float64]:
