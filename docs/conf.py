@@ -1,0 +1,38 @@
+"""How Sphinx builds these pages: ``sphinx-build -W -n docs OUT``, with the extra ``docs`` installed."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from gridslam import __version__
+
+sys.path.insert(0, str(Path(__file__).parent))  # mathml
+
+project = "gridslam"
+author = "The gridslam developers"
+copyright = "the gridslam developers, BSD-3-Clause"
+release = version = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml"]
+myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+suppress_warnings = ["toc.empty_glob"]  # a page that is yet to be written is no error
+
+html_theme = "furo"
+html_title = "gridslam"
+html_static_path = ["_static"]
+html_math_renderer = "mathml"
+html_css_files = ["gridslam.css"]
+html_copy_source = html_show_sourcelink = False
+
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+napoleon_google_docstring = False
+napoleon_use_param = napoleon_use_rtype = False  # types are told in words: shape, unit, range
+napoleon_use_ivar = True
+nitpicky = True
+nitpick_ignore_regex = [("py:.*", r"(?!gridslam\.).*")]  # names of ours must lead somewhere; others' need not

@@ -1,0 +1,125 @@
+"""The pages under docs: they build without a warning, what they show runs, and what they name exists."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import os
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+
+BLOCK = re.compile(
+    r"^<!-- setup\n(?P<setup>.*?)^-->$"  # Python that makes what the examples below it need, not shown
+    r"|^(?:<!-- (?P<mark>[^\n]*) -->\n)?```(?P<language>python|console)\n(?P<shown>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+SAME = doctest.OutputChecker()
+
+
+@dataclass(frozen=True)
+class Example:
+    """A block of code: its language, its text, and the line of the page where it begins."""
+
+    language: str
+    text: str
+    line: int
+
+
+def examples(page: Path) -> Iterator[Example]:
+    """All that runs on a page; what does not says why: <!-- not run: reason -->."""
+    text = page.read_text(encoding="utf-8")
+    for found in BLOCK.finditer(text):
+        line = text.count("\n", 0, found.start("setup" if found["setup"] else "shown"))
+        if found["setup"] is not None:
+            yield Example("python", found["setup"], line)
+        elif not (found["mark"] or "").startswith("not run: "):
+            yield Example(found["language"], found["shown"], line)
+
+
+def run_console(shown: str, folder: Path) -> None:
+    """Run lines that begin with $; what stands below them is their output, where ... is anything."""
+    for part in re.split(r"^\$ ", shown, flags=re.MULTILINE)[1:]:
+        command, _, expected = part.partition("\n")
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=folder, capture_output=True, text=True, timeout=120, env=environment(folder)
+        )
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+        told = done.stdout + done.stderr
+        assert not expected.strip() or SAME.check_output(expected, told, doctest.ELLIPSIS), f"{command}\n{told}"
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """The command line of the package that is under test, on the path, in a terminal of no colour and one width."""
+    program = folder / ".bin" / "gridslam"
+    if not program.exists():
+        program.parent.mkdir()
+        program.write_text(f"#!{sys.executable}\nfrom gridslam.cli.main import main\nmain()\n")
+        program.chmod(0o755)
+    here = {"PATH": f"{program.parent}:{os.environ['PATH']}", "COLUMNS": "120", "NO_COLOR": "1"}
+    paths = [str(ROOT / "src")] if "PYTHONPATH" in os.environ else []
+    return os.environ | here | ({"PYTHONPATH": os.pathsep.join(paths)} if paths else {})
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if any(examples(page))], ids=lambda page: page.name)
+def test_examples_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "__main__"}
+    for example in examples(page):
+        if example.language == "console":
+            run_console(example.text, tmp_path)
+        else:
+            code = ast.increment_lineno(ast.parse(example.text), example.line)
+            exec(compile(code, str(page), "exec"), names)
+
+
+def test_a_wrong_example_is_seen(tmp_path):
+    with pytest.raises(AssertionError):
+        run_console("$ echo one\ntwo\n", tmp_path)
+    with pytest.raises(AssertionError):
+        run_console("$ false\n", tmp_path)
+
+
+def test_the_pages_build_without_a_warning(tmp_path):
+    for needed in ("sphinx", "furo", "myst_parser"):
+        pytest.importorskip(needed, reason="the extra docs is not installed")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-E", "-q", "-d", tmp_path / "trees"]
+    done = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    pages = [page.relative_to(tmp_path / "html").with_suffix("").name for page in (tmp_path / "html").glob("*.html")]
+    assert {page.stem for page in PAGES} <= set(pages)
+
+
+def test_tests_that_are_named_exist():
+    named = [found for page in PAGES for found in re.findall(r"(tests/[\w/]+\.py)::(\w+)", page.read_text("utf-8"))]
+    assert named
+    missing = [f"{path}::{name}" for path, name in named if f"def {name}(" not in (ROOT / path).read_text("utf-8")]
+    assert missing == []
+
+
+def test_every_page_of_an_algorithm_shows_its_model_its_trunk_its_picture_and_its_tests():
+    for name in ("grid_fastslam", "mapping", "models", "resampling", "scan_matching", "loop_closure", "graph_slam"):
+        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+        for needed in (r"figures/\w+\.svg", r"\{literalinclude\}", r"images/\w+\.(png|svg)", r"tests/[\w/]+\.py::", "When to use it"):  # fmt: skip
+            assert re.search(needed, text), f"{name}.md: {needed}"
+
+
+def test_graphical_models_are_those_that_the_script_draws():
+    drawn = runpy.run_path(str(DOCS / "figures" / "draw.py"))["PICTURES"]
+    files = {path.stem: path.read_text(encoding="utf-8") for path in (DOCS / "figures").glob("*.svg")}
+    assert files == {name: picture.svg() for name, picture in drawn.items()}, "run docs/figures/draw.py"
+
+
+def test_pictures_are_small():
+    large = {path.name for path in (DOCS / "images").iterdir() if path.stat().st_size > 150_000}
+    assert large <= {"demo.png", "intel.png"}  # those of the README
