@@ -16,9 +16,9 @@ compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
     "touch_rays", "touch_cells", "own", "update_log_odds", "update_field", "match", "distances", "cast_rays",
-    "max_pyramid", "correlate",
+    "max_pyramid", "correlate", "sum_at_ends",
 )  # fmt: skip
-"""The last two in `test_branch_and_bound_laws.py`."""
+"""The last three in `test_branch_and_bound_laws.py` and `test_weighing_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
 SINGLE = 4e-4

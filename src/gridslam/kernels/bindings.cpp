@@ -136,6 +136,16 @@ auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix 
   return out;
 }
 
+auto py_sum_at_ends(Array<const float, 2> field, Vector corner, double resolution, Matrix poses, Matrix ends, int threads) {
+  auto out = fresh<double, 1>({poses.shape(0)});
+  {
+    nb::gil_scoped_release release;
+    sum_at_ends(field.data(), static_cast<int>(field.shape(0)), static_cast<int>(field.shape(1)), corner.data(), resolution, poses.data(),
+                static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), threads, out.data());
+  }
+  return out;
+}
+
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
@@ -182,6 +192,7 @@ NB_MODULE(_compiled, m) {
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
         "threads"_a);
+  m.def("sum_at_ends", &py_sum_at_ends, "field"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a, "distance"_a,
         "places"_a, "floor"_a, "rival"_a, "apart_cells"_a, "apart_rad"_a);

@@ -1,7 +1,7 @@
 """The NumPy twins of the compiled kernels: what each computes, readable; the oracle of their tests, and the fallback.
 
-All functions but `max_pyramid` and `correlate`, which work on one plain array, work on maps of one layout, five
-arguments that always come first:
+All functions but `max_pyramid`, `correlate` and `sum_at_ends`, which work on one plain array, work on maps of one
+layout, five arguments that always come first:
 
 roots : (R, P, Q) int32
     For each map (row) a table of page ids; ``roots[r, 0, 0]`` is the page at page coordinates `first`.
@@ -24,8 +24,9 @@ from __future__ import annotations
 from gridslam.kernels.reference_correlate import correlate, max_pyramid
 from gridslam.kernels.reference_lookup import cast_rays, distances, match
 from gridslam.kernels.reference_update import own, touch_cells, touch_rays, update_field, update_log_odds
+from gridslam.kernels.reference_weigh import sum_at_ends
 
 __all__ = [
-    "cast_rays", "correlate", "distances", "match", "max_pyramid", "own", "touch_cells", "touch_rays", "update_field",
-    "update_log_odds",
+    "cast_rays", "correlate", "distances", "match", "max_pyramid", "own", "sum_at_ends", "touch_cells", "touch_rays",
+    "update_field", "update_log_odds",
 ]  # fmt: skip
