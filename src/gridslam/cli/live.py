@@ -15,8 +15,10 @@ from gridslam.live.options import LiveOptions
 if TYPE_CHECKING:
     from gridslam.api import MapResult
     from gridslam.live.page import LivePage
+    from gridslam.ros import NodeCore
+    from gridslam.ros.messages import Diagnostics
 
-__all__ = ["live_options", "live_page", "place_options", "served", "show_result", "wait_for_viewer"]
+__all__ = ["live_options", "live_page", "node_page", "place_options", "served", "show_result", "wait_for_viewer"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Page = TypeVar("_Page")
@@ -84,6 +86,23 @@ def live_page(live: LiveOptions | None, title: str, range_max_m: float) -> Itera
                 page.linger()
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
+
+
+@contextmanager
+def node_page(live: LiveOptions, title: str, core: NodeCore) -> Iterator[None]:
+    """Serve the page of a node that is not started yet, until it has ended."""
+    from gridslam.live.control import RobotControl
+    from gridslam.live.page import LivePage
+
+    robot = RobotControl(lambda: core.is_paused, core.pause)
+    with served(LivePage(title, live, range_max_m=core.configuration.range_max_m, robot=robot)) as page:
+
+        def hear(told: Diagnostics) -> None:
+            page.say(told.summary if told.level else "")
+
+        core.watch(page.observer, page.session, hear)
+        click.echo(f"gridslam: live at {page.url}", err=True)
+        yield
 
 
 def wait_for_viewer(page: LivePage | None) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from gridslam.cli.live import live_options
 from gridslam.cli.options import PATH, SEED, SETTINGS
 
 __all__ = ["NODE_COMMANDS"]
@@ -26,6 +27,7 @@ _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
 
 def _node_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    command = live_options(command)
     for option in reversed(_NODE):
         command = option(command)
     return command

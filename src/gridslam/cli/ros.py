@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.live import node_page
 from gridslam.errors import ConfigurationError
-from gridslam.pipeline import Observer
+from gridslam.live.options import LiveOptions
+from gridslam.ros.core import NodeCore
+from gridslam.ros.services import Watch
 
 __all__ = ["given_parameters", "ros1", "ros2"]
 
@@ -27,30 +31,43 @@ def given_parameters(
     return {name: value for name, value in options.items() if value is not None}
 
 
-def ros1(arguments: Sequence[str], observers: Sequence[Observer] = (), **options: Any) -> None:  # noqa: ANN401
+def ros1(arguments: Sequence[str], *, live: LiveOptions | None = None, **options: Any) -> None:  # noqa: ANN401
     """Be the node in ROS 1 until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
-    run_ros1(arguments, given=given_parameters(**options), observers=observers, tick=stop_if_interrupted)
+    run_ros1(arguments, given=given_parameters(**options), watch=_watch("ROS 1", live), tick=stop_if_interrupted)
 
 
 def ros2(
     arguments: Sequence[str],
-    observers: Sequence[Observer] = (),
     *,
     transport: str = "auto",
     interfaces: Sequence[str] = (),
+    live: LiveOptions | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Be the node in ROS 2 until it is stopped: by rclpy where a ROS 2 is sourced, else by Cyclone DDS."""
-    given = given_parameters(**options)
+    given, watch = given_parameters(**options), _watch("ROS 2", live)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
-        run_dds(arguments, given=given, interfaces=interfaces, observers=observers, tick=stop_if_interrupted)
+        run_dds(arguments, given=given, interfaces=interfaces, watch=watch, tick=stop_if_interrupted)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
     from gridslam.ros.ros2 import run_ros2
 
-    run_ros2(arguments, given=given, observers=observers, tick=stop_if_interrupted)
+    run_ros2(arguments, given=given, watch=watch, tick=stop_if_interrupted)
+
+
+def _watch(title: str, live: LiveOptions | None) -> Watch:
+    """Let in those who look on at a node."""
+
+    @contextmanager
+    def watched(core: NodeCore) -> Iterator[None]:
+        with ExitStack() as stack:
+            if live is not None:
+                stack.enter_context(node_page(live, title, core))
+            yield
+
+    return watched

@@ -9,7 +9,7 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["Control", "checked_speed"]
+__all__ = ["Control", "RobotControl", "checked_speed"]
 
 _LONGEST_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
 
@@ -124,3 +124,55 @@ class Control:
             self._since = now, stamp_ns
             return 0.0
         return due - now
+
+
+@final
+class RobotControl:
+    """In the place of `Control` where a robot drives: its scans can be left out, but not held back.
+
+    Parameters
+    ----------
+    is_paused : callable
+        Tells whether scans are left out.
+    pause : callable
+        Has them left out, or not.
+    """
+
+    speed = None
+
+    def __init__(self, is_paused: Callable[[], bool], pause: Callable[[bool], None]) -> None:
+        self._is_paused, self._pause = is_paused, pause
+
+    @property
+    def paused(self) -> bool:
+        """Whether scans are left out."""
+        return self._is_paused()
+
+    def pause(self) -> None:
+        """Leave out the scans that come."""
+        self._pause(True)
+
+    def resume(self) -> None:
+        """Take scans again."""
+        self._pause(False)
+
+    def step(self, *, to_key_scan: bool) -> None:
+        """Raise ArgumentError."""
+        raise ArgumentError("do", "pause or resume, as a robot drives on", "step")
+
+    def set_speed(self, speed: float | None) -> None:
+        """Raise ArgumentError."""
+        raise ArgumentError("do", "pause or resume, as a robot drives on", "speed")
+
+    def end(self) -> None:
+        """Leave things as they are."""
+
+    def wake(self) -> None:
+        """Wake nobody: nothing waits."""
+
+    def reached_key_scan(self) -> None:
+        """Go on."""
+
+    def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
+        """Return at once."""
+        return False

@@ -12,7 +12,7 @@ from typing import TypeVar, final
 import numpy as np
 
 from gridslam.io.record import RecordFlag
-from gridslam.live.control import Control
+from gridslam.live.control import Control, RobotControl
 from gridslam.live.tiles import NOWHERE, Box, TileChanges, TileWatch
 from gridslam.particles.ancestry import Ancestry
 from gridslam.pipeline import Stopwatch
@@ -97,7 +97,7 @@ class LiveObserver:
     ----------
     post : callable
         Gets each snapshot, on the filter's thread, and returns at once.
-    control : Control
+    control : Control or RobotControl
         Holds back the scans that come through `measured`.
     range_max_m : float, m
         Beams of this range or more write nothing; infinite if it is not known.
@@ -113,7 +113,7 @@ class LiveObserver:
     def __init__(
         self,
         post: Callable[[Snapshot], None],
-        control: Control,
+        control: Control | RobotControl,
         *,
         range_max_m: float = math.inf,
     ) -> None:
@@ -121,8 +121,13 @@ class LiveObserver:
         self.period_s = UNSEEN_S
         self.share: Callable[[], float] = lambda: math.nan
         self._post, self._control, self._range_max_m = post, control, range_max_m
+        self._due, self._busy = 0.0, False
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin before the first scan, with other maps than those looked at until now."""
         self._scans = self._keys = 0
-        self._due, self._busy, self._fresh, self._everything = 0.0, False, False, True
+        self._fresh, self._everything = False, True
         self._scan: LaserScan | None = None
         self._latest: tuple[StepReport, GridFastSlamState] | None = None
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
@@ -140,7 +145,7 @@ class LiveObserver:
         for measurement in source:
             if stopwatch is not None:
                 stopwatch.lap("read")
-            waited = self._control.wait(measurement[1].stamp_ns, self._while_waiting)
+            waited = self._control.wait(measurement[1].stamp_ns, self.look)
             if waited and stopwatch is not None:
                 stopwatch.resume()
             self._scan = measurement[1]
@@ -149,6 +154,12 @@ class LiveObserver:
         while self._busy and time.perf_counter() < patience:
             time.sleep(0.001)
         self._take(time.perf_counter())
+
+    def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+        """The measurements of a source that nobody holds back."""
+        for measurement in source:
+            self._scan = measurement[1]
+            yield measurement
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Take note of one scan, and a snapshot if it is time."""
@@ -160,6 +171,11 @@ class LiveObserver:
             self._note(report, seconds)
         if not self._busy and (now := time.perf_counter()) >= self._due:
             self._take(now)
+
+    def look(self) -> None:
+        """Take a snapshot of what is new while no scan comes; in the filter's thread."""
+        if not self._busy and (self._fresh or self._requests):
+            self._take(time.perf_counter())
 
     def watch(self, channel: int, particle: int, keys: int) -> None:
         """Show the map of a particle, and of who continues it, as `channel`; called by any thread.
@@ -185,10 +201,6 @@ class LiveObserver:
             self._resamplings.append((self._keys, report.parents))
             self._lines = {channel: _children(line, report.parents) for channel, line in self._lines.items()}
         self._control.reached_key_scan()
-
-    def _while_waiting(self) -> None:
-        if not self._busy and (self._fresh or self._requests):
-            self._take(time.perf_counter())
 
     def _take(self, now: float) -> None:
         if self._latest is None or self._busy:

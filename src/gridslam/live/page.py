@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar, final
 
-from gridslam.live.control import Control
+from gridslam.live.control import Control, RobotControl
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
@@ -25,8 +25,8 @@ _MAY_COME_BACK_S = 3.0
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run`, and `paced(source)` as its source. The filter's result is the same with
-    and without.
+    Give `observer` to `gridslam.pipeline.run`, and `paced(source)` as its source, or `session(source)` where that is a
+    robot. The filter's result is the same with and without.
 
     Parameters
     ----------
@@ -36,19 +36,28 @@ class LivePage:
         Where the page is served.
     range_max_m : float, m
         The filter's, beyond which beams are not used.
+    robot : RobotControl, optional
+        What a pause comes to, where a robot drives, which cannot be held back as a log can.
 
     Attributes
     ----------
-    control : Control
+    control : Control or RobotControl
         Pause, step and speed.
     observer : LiveObserver
         To be called with each report.
     """
 
-    def __init__(self, title: str, options: LiveOptions | None = None, *, range_max_m: float = math.inf) -> None:
+    def __init__(
+        self,
+        title: str,
+        options: LiveOptions | None = None,
+        *,
+        range_max_m: float = math.inf,
+        robot: RobotControl | None = None,
+    ) -> None:
         """Serve nothing yet."""
         options = options or LiveOptions()
-        self.control = Control(options.speed)
+        self.control = robot or Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m)
         self._server = PageServer(self._run, options)
         self.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m)
@@ -82,6 +91,17 @@ class LivePage:
         """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
         yield from self.observer.measured(source, stopwatch)
         self._server.call(self._run.enter, "last word")
+
+    def session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+        """The measurements of a robot's session as they come; the page forgets what was before."""
+        self._server.call(self._run.begin)
+        self.observer.begin()
+        return self.observer.followed(source)
+
+    def say(self, words: str) -> None:
+        """Bring the page up to date while no scan comes, in the filter's thread; words are shown, unless empty."""
+        self.observer.look()
+        self._server.call(self._run.say, words)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""

@@ -14,7 +14,7 @@ from gridslam import __version__
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import compose
 from gridslam.kernels import TILE
-from gridslam.live.control import Control, checked_speed
+from gridslam.live.control import Control, RobotControl, checked_speed
 from gridslam.live.observer import BEST, SEEN_S, UNSEEN_S, LiveObserver, Snapshot
 from gridslam.live.protocol import STEP_NATS
 from gridslam.live.scene import Float32Array, Scene, Sent, Tree, Way, tree_of
@@ -25,7 +25,6 @@ __all__ = ["LiveRun", "LiveViewer", "greeting"]
 
 _MOST_CHANNELS = 8
 _RATE_OVER = 12  # snapshots
-_STRAIGHT = {"pause": Control.pause, "resume": Control.resume}
 
 
 def greeting(title: str, mode: str, resolution_m: float = math.nan, particles: int = 0) -> dict[str, Any]:
@@ -49,21 +48,26 @@ class LiveRun:
     ----------
     title : str
         What is mapped.
-    control : Control
+    control : Control or RobotControl
         What viewers' pause, step and speed go to.
     range_max_m : float, m
         Beams of this range or more are not drawn.
     """
 
-    def __init__(self, title: str, control: Control, range_max_m: float = math.inf) -> None:
+    def __init__(self, title: str, control: Control | RobotControl, range_max_m: float = math.inf) -> None:
         """Begin before the first snapshot."""
         self.observer: LiveObserver | None = None
         self.control = control
-        self._hello, self._range_max_m = greeting(title, "live"), range_max_m
+        self._title, self._range_max_m = title, range_max_m
+        self._viewers: dict[LiveViewer, Callable[[], None]] = {}
+        self._channels, self._says = 0, ""
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin before the first snapshot, with an empty map."""
+        self._hello = greeting(self._title, "live" if isinstance(self.control, Control) else "robot")
         self._mirrors = {BEST: TileMirror()}
         self._rows = {BEST: 0}
-        self._viewers: dict[LiveViewer, Callable[[], None]] = {}
-        self._channels = 0
         self._stage = "waiting"
         self._status: dict[str, Any] = {"keys": 0, "scans": 0}
         self._path, self._tree = Way(), Tree(_zeros(0, 2), np.zeros(0, np.int32), np.zeros(0, np.int32))
@@ -73,6 +77,9 @@ class LiveRun:
         self._first_s: float | None = None
         self._paces: deque[tuple[float, int, float]] = deque(maxlen=_RATE_OVER)
         self._last_scan: LaserScan | None = None
+        for viewer in self._viewers:
+            viewer.show_best()
+        self.tell_all()
 
     def apply(self, snapshot: Snapshot) -> None:
         """Take over a snapshot."""
@@ -108,6 +115,11 @@ class LiveRun:
     def enter(self, stage: str) -> None:
         """Go over to another stage: "running", "last word" or "done"."""
         self._stage = stage
+        self.tell_all()
+
+    def say(self, words: str) -> None:
+        """Have viewers read this until something else is said; nothing if empty."""
+        self._says = words
         self.tell_all()
 
     def join(self, news: Callable[[], None]) -> LiveViewer:
@@ -155,8 +167,9 @@ class LiveRun:
         row = self._rows.get(channel, -1)
         stage = "paused" if self._stage in ("waiting", "running") and self.control.paused else self._stage
         status = {
-            **self._status, "stage": stage, "speed": self.control.speed, "viewers": len(self._viewers),
-            "channel": channel, "watched": None if channel == BEST or stage == "done" else row,
+            **self._status, "stage": stage, "says": self._says, "speed": self.control.speed,
+            "viewers": len(self._viewers), "channel": channel,
+            "watched": None if channel == BEST or stage == "done" else row,
         }  # fmt: skip
         return Scene(
             self._hello, status, self._mirrors.get(channel, self._mirrors[BEST]), self._path, self._tree,
@@ -230,8 +243,10 @@ class LiveViewer:
         Raises ArgumentError, KeyError or TypeError where that is nothing that can be asked.
         """
         run, what = self._run, command["do"]
-        if what in _STRAIGHT:
-            _STRAIGHT[what](run.control)
+        if what == "pause":
+            run.control.pause()
+        elif what == "resume":
+            run.control.resume()
         elif what == "step":
             run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
         elif what == "speed":
@@ -246,6 +261,10 @@ class LiveViewer:
         """Look no more."""
         self._watch(None)
         self._run.leave(self)
+
+    def show_best(self) -> None:
+        """Look at the best particle's map: the one that was looked at is no more."""
+        self._channel = BEST
 
     def _watch(self, particle: int | None) -> None:
         before, self._channel = self._channel, BEST

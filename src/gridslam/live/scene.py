@@ -142,6 +142,9 @@ class Sent:
 
     def __init__(self) -> None:
         """Begin with a viewer who has got nothing."""
+        self._forget()
+
+    def _forget(self) -> None:
         self._hello: dict[str, Any] = {}
         self._mirror: TileMirror | None = None
         self._number = 0
@@ -153,6 +156,8 @@ class Sent:
         """What a viewer lacks of a scene; None where that is nothing. Of many tiles the rest is left for the next."""
         header: dict[str, Any] = {}
         arrays: dict[str, NDArray[Any]] = {}
+        if self._hello and scene.hello["session"] != self._hello["session"]:
+            self._forget()
         if scene.hello is not self._hello:
             header["hello"] = self._hello = scene.hello
         if scene.status != self._status:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
@@ -23,7 +24,9 @@ from gridslam.ros.settings import NodeSettings
 from gridslam.ros.speaker import Speaker
 from gridslam.slam.tracker import OdometryTracker
 
-__all__ = ["NodeCore"]
+__all__ = ["Gate", "NodeCore"]
+
+Gate: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measurement]]
 
 _DIAGNOSTICS_S = 1.0
 
@@ -79,7 +82,9 @@ class NodeCore:
         self.settings, self.configuration = settings, configuration
         self.failure: BaseException | None = None
         self.ended = threading.Event()
-        self._outputs, self._observers = outputs, observers
+        self._outputs, self._observers = outputs, list(observers)
+        self._gates: list[Gate] = []
+        self._hearers: list[Callable[[Diagnostics], None]] = []
         self._record = None if record is None else Path(record)
         self._complain = Complaints(outputs.say)
         self._intake = Intake(settings, self._complain)
@@ -88,7 +93,7 @@ class NodeCore:
         self._session = self._new_session()
         self._turns: list[Turn] = []
         clocks = [("transform", settings.transform_publish_period_s, self._speaker.tell_transform)]
-        clocks += [("diagnostics", _DIAGNOSTICS_S, self._speaker.tell_diagnostics)]
+        clocks += [("diagnostics", _DIAGNOSTICS_S, self._tell_diagnostics)]
         clocks += [("map", settings.map_update_interval_s, lambda: self._intake.post(self._draw))]
         self._threads = [threading.Thread(target=self._filter, name="gridslam-filter", daemon=True)]
         self._threads += [
@@ -96,6 +101,18 @@ class NodeCore:
             for name, period_s, tell in clocks
             if period_s
         ]
+
+    def watch(
+        self, observer: Observer, gate: Gate = iter, hear: Callable[[Diagnostics], None] = lambda told: None
+    ) -> None:
+        """Let someone look on; to be called before `start`.
+
+        `observer` is called after each scan, `gate` gets the measurements of each session and yields them, and `hear`
+        is told once a second how the node does; all in the filter's thread.
+        """
+        self._observers.append(observer)
+        self._gates.append(gate)
+        self._hearers.append(hear)
 
     def start(self) -> None:
         """Begin to take messages."""
@@ -119,7 +136,7 @@ class NodeCore:
 
     def on_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
         """Take transforms; returns at once."""
-        self._intake.add_transforms(transforms, static=static)
+        self._intake.add_transforms(self._speaker.others(transforms), static=static)
 
     def refuse(self, what: str, problem: str) -> None:
         """Tell of a message that the transport could not even decode."""
@@ -140,6 +157,11 @@ class NodeCore:
     def pause(self, paused: bool) -> None:
         """Leave out the scans that come from now on, or take them again."""
         self._intake.is_paused = paused
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether scans are left out."""
+        return self._intake.is_paused
 
     def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
         """Write what `gridslam map` writes; the filter waits only while its state is copied.
@@ -184,6 +206,8 @@ class NodeCore:
         session, why = self._session, self._turns
         why.clear()
         source = self._measurements(session)
+        for gate in self._gates:
+            source = gate(source)
         first = next(source, None)
         if first is not None:
             config, settings = self.configuration, self.settings
@@ -216,6 +240,16 @@ class NodeCore:
     def _draw(self) -> None:
         if self._session.state is not None:
             self._speaker.draw(self._session.state)
+
+    def _tell_diagnostics(self) -> None:
+        told = self._speaker.diagnostics()
+        self._outputs.diagnostics(told)
+        if self._hearers:
+            self._intake.post(partial(self._hear, told))
+
+    def _hear(self, told: Diagnostics) -> None:
+        for hear in self._hearers:
+            hear(told)
 
     def _new_session(self) -> Session:
         self._speaker.begin()

@@ -12,16 +12,16 @@ import importlib
 import io
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, final
 
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
-from gridslam.pipeline import Observer
 from gridslam.ros.core import NodeCore
 from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.parameters import NodeParameters, node_parameters
-from gridslam.ros.services import closed, saved
+from gridslam.ros.services import Watch, closed, saved
 
 __all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
 
@@ -51,11 +51,9 @@ class Ros1Node:
     ----------
     parameters : NodeParameters
         What the node's private parameters come to.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
     """
 
-    def __init__(self, parameters: NodeParameters, observers: Sequence[Observer] = ()) -> None:
+    def __init__(self, parameters: NodeParameters) -> None:
         self._ros = _modules()
         rospy, nav, std = self._ros["rospy"], self._ros["nav_msgs.msg"], self._ros["std_msgs.msg"]
         self._grid_class = _grid_class(nav.OccupancyGrid)
@@ -67,12 +65,13 @@ class Ros1Node:
         self._pose = rospy.Publisher("~pose", geometry.PoseWithCovarianceStamped, queue_size=10)
         diagnostic = self._ros["diagnostic_msgs.msg"]
         self._diagnostics = rospy.Publisher("/diagnostics", diagnostic.DiagnosticArray, queue_size=10)
-        self.core = NodeCore(
-            parameters.settings, parameters.configuration, self, record=parameters.record, observers=observers
-        )
+        self.core = NodeCore(parameters.settings, parameters.configuration, self, record=parameters.record)
         if parameters.warning:
             self.say(Level.WARN, parameters.warning)
         self._out = parameters.out or Path("gridslam-map")
+
+    def start(self) -> None:
+        """Begin to take messages and requests."""
         self.core.start()
         self._serve()
         self._subscribe()
@@ -241,7 +240,7 @@ def run_ros1(
     arguments: Sequence[str] = (),
     *,
     given: Mapping[str, Any] | None = None,
-    observers: Sequence[Observer] = (),
+    watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
     """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
@@ -252,8 +251,8 @@ def run_ros1(
         ROS's own: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
     given : mapping, optional
         Parameters of the node that hold whatever its private parameters say.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
+    watch : callable
+        Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable
         Called now and then; may raise KeyboardInterrupt.
 
@@ -271,14 +270,16 @@ def run_ros1(
         raise ArgumentError("ROS_MASTER_URI", "a master that answers", error) from None
     private = rospy.get_param("~", {})
     parameters = node_parameters({**private, **(given or {})})
-    node = Ros1Node(parameters, observers)
-    try:
-        while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
-            tick()
-    except KeyboardInterrupt:  # the usual end of a node
-        pass
-    finally:
-        closed(node.core, parameters.out)
-        rospy.signal_shutdown("done")
+    node = Ros1Node(parameters)
+    with watch(node.core):
+        try:
+            node.start()
+            while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
+                tick()
+        except KeyboardInterrupt:  # the usual end of a node
+            pass
+        finally:
+            closed(node.core, parameters.out)
+            rospy.signal_shutdown("done")
     if node.core.failure is not None:
         raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure

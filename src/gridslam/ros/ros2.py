@@ -10,17 +10,17 @@ from __future__ import annotations
 import array
 import importlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
-from gridslam.pipeline import Observer
 from gridslam.ros.core import NodeCore
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs
-from gridslam.ros.services import closed, saved
+from gridslam.ros.services import Watch, closed, saved
 
 __all__ = ["NODE_NAME", "Ros2Node", "run_ros2"]
 
@@ -54,11 +54,9 @@ class Ros2Node:
         Or a managed one.
     parameters : NodeParameters
         What its parameters come to.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
     """
 
-    def __init__(self, node: Any, parameters: NodeParameters, observers: Sequence[Observer] = ()) -> None:  # noqa: ANN401
+    def __init__(self, node: Any, parameters: NodeParameters) -> None:  # noqa: ANN401
         self._node, self._qos = node, _module("rclpy.qos")
         self._out = parameters.out or Path("gridslam-map")
         self._publishers = {
@@ -68,11 +66,12 @@ class Ros2Node:
             for topic, kind in TOPICS.items()
         }
         outputs = Ros2Outputs(self._publish, self._now_ns, self._say, node.get_name())
-        self.core = NodeCore(
-            parameters.settings, parameters.configuration, outputs, record=parameters.record, observers=observers
-        )
+        self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
         if parameters.warning:
             self._say(Level.WARN, parameters.warning)
+
+    def start(self) -> None:
+        """Begin to take messages and requests."""
         self.core.start()
         self._serve()
         self._subscribe()
@@ -199,7 +198,7 @@ def run_ros2(
     arguments: Sequence[str] = (),
     *,
     given: Mapping[str, Any] | None = None,
-    observers: Sequence[Observer] = (),
+    watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
     """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
@@ -210,8 +209,8 @@ def run_ros2(
         ROS's own: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
     given : mapping, optional
         Parameters that hold whatever ROS's say.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
+    watch : callable
+        Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable
         Called now and then; may raise KeyboardInterrupt.
 
@@ -229,23 +228,25 @@ def run_ros2(
         node.destroy_node()
         node = _managed(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
     parameters = node_parameters({**_given(node), **(given or {})}, "default")
-    ours = Ros2Node(node, parameters, observers)
+    ours = Ros2Node(node, parameters)
     if managed:
         node.core = ours.core
         ours.core.pause(True)
     executors = _module("rclpy.executors")
     executor = executors.MultiThreadedExecutor(2)
     executor.add_node(node)
-    try:
-        while rclpy.ok() and not ours.core.ended.is_set():
-            executor.spin_once(timeout_sec=_POLL_S)
-            tick()
-    except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
-        pass
-    finally:
-        closed(ours.core, parameters.out)
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with watch(ours.core):
+        try:
+            ours.start()
+            while rclpy.ok() and not ours.core.ended.is_set():
+                executor.spin_once(timeout_sec=_POLL_S)
+                tick()
+        except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
+            pass
+        finally:
+            closed(ours.core, parameters.out)
+            node.destroy_node()
+            rclpy.try_shutdown()
     if ours.core.failure is not None:
         raise GridslamError(f"the filter has ended: {ours.core.failure}") from ours.core.failure
 

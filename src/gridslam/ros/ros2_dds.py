@@ -7,12 +7,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
-from gridslam.pipeline import Observer
 from gridslam.ros.cdr import decoded, encoded
 from gridslam.ros.core import NodeCore
 from gridslam.ros.dds import DdsParticipant
@@ -20,7 +20,7 @@ from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs, grid_values
-from gridslam.ros.services import closed, saved
+from gridslam.ros.services import Watch, closed, saved
 
 __all__ = ["DdsNode", "run_dds"]
 
@@ -46,8 +46,6 @@ class DdsNode:
         Network interfaces; those that the library chooses if empty.
     simulated : bool
         Whether the time is that of /clock.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
     """
 
     def __init__(
@@ -58,7 +56,6 @@ class DdsNode:
         domain: int = 0,
         interfaces: Sequence[str] = (),
         simulated: bool = False,
-        observers: Sequence[Observer] = (),
     ) -> None:
         self._arguments, self._out = arguments, parameters.out or Path("gridslam-map")
         self._clock_ns: int | None = 0 if simulated else None
@@ -67,13 +64,14 @@ class DdsNode:
         for topic, kind in TOPICS.items():
             self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
         outputs = Ros2Outputs(self._publish, self._now_ns, self._say, arguments.node)
-        self.core = NodeCore(
-            parameters.settings, parameters.configuration, outputs, record=parameters.record, observers=observers
-        )
+        self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
         if parameters.warning:
             self._say(Level.WARN, parameters.warning)
         self._listen()
         self._serve()
+
+    def start(self) -> None:
+        """Begin to take messages and requests."""
         self.core.start()
         self._participant.start()
 
@@ -174,7 +172,7 @@ def run_dds(
     *,
     given: Mapping[str, Any] | None = None,
     interfaces: Sequence[str] = (),
-    observers: Sequence[Observer] = (),
+    watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
     """Be the node until Ctrl-C, then write the results where `out` says so.
@@ -187,8 +185,8 @@ def run_dds(
         Parameters that hold whatever the arguments say.
     interfaces : sequence of str
         Network interfaces, by address or name; those that the library chooses if empty.
-    observers : sequence of Observer
-        Called after each scan, in the filter's thread.
+    watch : callable
+        Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable
         Called now and then; may raise KeyboardInterrupt.
 
@@ -205,15 +203,15 @@ def run_dds(
         domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
     except ValueError:
         raise ConfigurationError("ROS_DOMAIN_ID: expected a number, got " + os.environ["ROS_DOMAIN_ID"]) from None
-    node = DdsNode(
-        ros, parameters, domain=domain, interfaces=interfaces, simulated=simulated, observers=observers
-    )  # fmt: skip
-    try:
-        while not node.core.ended.wait(_POLL_S):
-            tick()
-    except KeyboardInterrupt:  # the usual end of a node
-        pass
-    finally:
-        node.close(parameters.out)
+    node = DdsNode(ros, parameters, domain=domain, interfaces=interfaces, simulated=simulated)
+    with watch(node.core):
+        try:
+            node.start()
+            while not node.core.ended.wait(_POLL_S):
+                tick()
+        except KeyboardInterrupt:  # the usual end of a node
+            pass
+        finally:
+            node.close(parameters.out)
     if node.core.failure is not None:
         raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure

@@ -1,13 +1,19 @@
-"""What the transports share: the service that saves, and the end."""
+"""What the transports share: who looks on, the service that saves, and the end."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TypeAlias
 
 from gridslam.errors import GridslamError
 from gridslam.ros.core import NodeCore
 
-__all__ = ["closed", "saved"]
+__all__ = ["Watch", "closed", "saved"]
+
+Watch: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
+"""Entered with the core before it is started, and left when it has ended: where those who look on come in."""
 
 
 def saved(core: NodeCore, folder: Path) -> tuple[bool, str]:

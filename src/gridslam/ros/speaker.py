@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -26,6 +27,7 @@ _STALE_NS = 5_000_000_000
 _LATENCIES = 2000  # the last ones, of which the diagnostics tell
 _RECENT_S = 2.0
 _REPEATED_S = 1.0
+_OURS = 1000  # the last transforms that are known again when they come back
 
 
 @final
@@ -57,7 +59,9 @@ class Speaker:
         self._key: StepReport | None = None
         self._drawn: StepReport | None = None
         self._map_from_odom: FloatArray = np.zeros(3)
+        self._child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
         self._told: tuple[int, StepReport | None] = -1, None
+        self._ours: dict[StampedTransform, None] = {}  # in order
         self._repeat_s = 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
@@ -122,12 +126,24 @@ class Speaker:
             x, y, theta = self._map_from_odom.tolist()
             half = 0.5 * theta
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
-            child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
-            self._outputs.transform(StampedTransform(stamp_ns, settings.map_frame, child, pose))
+            told_of = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
+            self._ours[told_of] = None  # before it is published: it comes back at once
+            if len(self._ours) > _OURS:
+                del self._ours[next(iter(self._ours))]
+            self._outputs.transform(told_of)
 
-    def tell_diagnostics(self) -> None:
-        """Publish how the node does."""
-        self._outputs.diagnostics(self.diagnostics())
+    def others(self, transforms: Sequence[StampedTransform]) -> Sequence[StampedTransform]:
+        """Leave out the transforms that this node tells; one from elsewhere of the same child is complained of."""
+        child = self._child
+        if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
+            return transforms
+        for transform in transforms:
+            if transform.child == child and transform not in self._ours:
+                self._complain(
+                    "transform of another node", f"it says where {child} lies in {transform.parent}, and this one"
+                    f" where in {self._settings.map_frame}: end one of them (a localization, or the bag itself)",
+                )  # fmt: skip
+        return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:
         """How the node does."""

@@ -33,10 +33,11 @@ export class Panel {
     this.mode = hello.mode;
     document.title = `${hello.title} · gridslam`;
     $("#title").textContent = hello.title;
-    $("#layers [name=scan]").parentElement.hidden = this.mode !== "live"; // a record does not hold the scans
-    const unlimited = $("#speed option[value='']");
-    if (this.mode === "live" && !unlimited) $("#speed").add(new Option("max", ""));
-    if (this.mode !== "live") unlimited?.remove();
+    const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
+    $("#layers [name=scan]").parentElement.hidden = replay; // a record does not hold the scans
+    for (const id of ["#step", "#pace", "#line"]) $(id).hidden = this.mode === "robot"; // which nobody can hold back
+    if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
+    if (replay) unlimited?.remove();
   }
 
   get held() { return document.body.hasAttribute("data-held"); }
@@ -53,6 +54,7 @@ export class Panel {
   connected(is, why, finished) {
     const notice = $("#notice");
     notice.hidden = is || finished;
+    this.online = is;
     notice.textContent = why ? `The server says: ${why}.` : "The connection is lost; trying again…";
     if (is) return;
     document.body.dataset.stage = finished ? "done" : "offline";
@@ -62,11 +64,13 @@ export class Panel {
 
   show(world) {
     const { status } = world;
+    if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.says, status.says ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
     $("#stage").textContent = status.lost && status.stage === "running" ? "running, the robot is lost" : status.stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage);
-    for (const id of ["#pause", "#step", "#speed"]) $(id).disabled = !going;
+    $("#pause").disabled = !going;
+    for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
     $("#facts").textContent = this.facts(status).join(" · ");
@@ -85,7 +89,7 @@ export class Panel {
     if (status.scans) facts.push(`${status.scans} scans`);
     if (status.keys) facts.push(`${status.keys} key scans`);
     if (status.closures) facts.push(`${status.closures} loop closure${status.closures > 1 ? "s" : ""}`);
-    if (status.times && status.stage === "running") facts.push(`${short(status.times)} × real time`);
+    if (status.times && status.stage === "running" && this.mode === "live") facts.push(`${short(status.times)} × real time`);
     if (status.bytes) facts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
     return facts;
   }
@@ -104,16 +108,16 @@ export class Panel {
     const now = status.at ?? steps - 1;
     put("latency", steps ? `${series[4 * now + 2].toPrecision(2)} ms` : "");
     put("particles", hello.particles || "");
-    const what = hello.mode === "live" ? "map" : "past";
+    const replay = hello.mode === "replay", what = replay ? "past" : "map";
     $("#watched span").textContent = status.stage === "done" ? "map as the end tells it"
       : status.watched < 0 ? "the chosen one has died out"
       : status.watched != null ? `${what} of number ${status.watched}`
-      : hello.mode === "live" ? `map of the best, number ${status.best ?? "–"}` : "map as the end tells it";
+      : replay ? "map as the end tells it" : `map of the best, number ${status.best ?? "–"}`;
     $("#best").hidden = status.watched == null;
   }
 
   time({ status, hello }) {
-    const slider = $("#line"), replay = hello.mode !== "live";
+    const slider = $("#line"), replay = hello.mode === "replay";
     slider.disabled = !replay;
     if (replay) {
       slider.max = Math.max(status.keys_total - 1, 0);

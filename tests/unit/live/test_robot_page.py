@@ -1,0 +1,107 @@
+"""The page of a robot: it drives on, its sessions begin with an empty page, and what is wrong is read there."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from loops import PROVOKED, loop_drive
+from onlookers import Onlooker
+from ros_node import until
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from gridslam.config import build
+from gridslam.live.control import RobotControl
+from gridslam.live.observer import LiveObserver
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+from gridslam.live.run import LiveRun
+from gridslam.pipeline import run
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return loop_drive().measurements[:60]
+
+
+class Robot:
+    """Scans are left out or not."""
+
+    def __init__(self) -> None:
+        self.paused = False
+        self.control = RobotControl(lambda: self.paused, self.pause)
+
+    def pause(self, paused):
+        self.paused = paused
+
+
+def mapped(source, observe):
+    return run(source, build(PROVOKED), particles=4, rng=np.random.default_rng(1), observers=[observe])
+
+
+def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
+    robot, onlooker = Robot(), Onlooker()
+    live = LiveRun("robot", robot.control, 30.0)
+
+    def post(snapshot):
+        live.apply(snapshot)
+        observer.done()
+
+    observer = live.observer = LiveObserver(post, robot.control, range_max_m=30.0)
+    viewer = live.join(lambda: None)
+    sessions = []
+    for part in (drive, drive[20:40]):
+        live.begin()
+        observer.begin()
+        observer.period_s = 0.0
+        onlooker.catch_up(viewer)
+        assert (len(onlooker.tiles), len(onlooker.path), len(onlooker.series)) == (0, 0, 0)
+        assert onlooker.hello["mode"] == "robot"
+        state = mapped(observer.followed(part), observer)
+        onlooker.catch_up(viewer)
+        assert onlooker.sees(state.maps.occupancy(state.best))
+        assert onlooker.status["scans"] == len(part)
+        viewer.command({"do": "watch", "particle": 2})
+        sessions.append(onlooker.hello["session"])
+    assert len(set(sessions)) == 2
+
+
+def test_a_particle_that_was_chosen_before_a_new_session_is_no_more(drive):
+    robot, onlooker = Robot(), Onlooker()
+    live = LiveRun("robot", robot.control)
+    viewer = live.join(lambda: None)
+    live._hello["particles"] = 4
+    viewer.command({"do": "watch", "particle": 2})
+    onlooker.catch_up(viewer)
+    assert onlooker.status["channel"] != 0
+    live.begin()
+    onlooker.catch_up(viewer)
+    assert (onlooker.status["channel"], onlooker.status["watched"]) == (0, None)
+
+
+def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
+    robot, seen = Robot(), Onlooker()
+    with LivePage("robot", LiveOptions(port=0), robot=robot.control) as page:
+        mapped(page.session(drive[:10]), page.observer)
+        with connect(page.url.replace("http", "ws", 1) + "socket", max_size=None) as line:
+
+            def told(key):
+                seen.receive(line.recv(10))
+                line.send(json.dumps({"do": "got"}))
+                return seen.status.get(key)
+
+            assert until(lambda: told("stage") in ("running", "waiting"))
+            line.send(json.dumps({"do": "pause"}))
+            assert until(lambda: told("stage") == "paused")
+            assert robot.paused
+            robot.paused = False  # by its service
+            page.say("missing transform: laser")
+            assert until(lambda: told("says") == "missing transform: laser")
+            assert seen.status["stage"] != "paused"
+            page.say("")
+            assert until(lambda: told("says") == "")
+            line.send(json.dumps({"do": "step", "to_key_scan": True}))
+            with pytest.raises(ConnectionClosed, match="a robot drives on"):
+                until(lambda: told("stage") == "stepped")
