@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from gridslam.cli.log_options import log_options
 from gridslam.cli.options import PATH, SEED, json_option
 
 __all__ = ["FAMILY_COMMANDS"]
@@ -33,6 +34,41 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.landmarks import landmarks_to_folder
 
     landmarks_to_folder(**options)
+
+
+@click.command("grid")
+@click.argument("log", type=PATH)
+@click.option("--trajectory", type=PATH, required=True, help="Where the robot was: a file in TUM's form.")
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for the results; made if need be.")
+@click.option(
+    "--model", type=click.Choice(["bayes", "counting"]), default="bayes", show_default=True,
+    help="The binary Bayes filter, or the share of the beams that each cell reflects.",
+)  # fmt: skip
+@click.option(
+    "--decay", "half_life_scans", type=float, metavar="N",
+    help="Half-life: what is told of a cell counts half after N more scans that see it.  [default: for ever]",
+)  # fmt: skip
+@click.option("--resolution", "resolution_m", type=float, metavar="M", help="Side of a cell, m.  [default: 0.05]")
+@click.option("--laser", metavar="NAME", help="What the laser is: limits and cells that suit it (see gridslam map).")
+@click.option("--max-gap", "max_gap_s", type=float, default=1.0, show_default=True, metavar="S",
+              help="Interpolate between poses at most so many seconds apart.")  # fmt: skip
+@click.option(
+    "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
+    help="What is taken out of the log first, as for gridslam map.",
+)  # fmt: skip
+@click.option("--threads", type=click.IntRange(1, 256), default=1, show_default=True, help="Never changes a result.")
+@log_options
+@json_option
+def grid_command(**options: Any) -> None:  # noqa: ANN401
+    """Map LOG with known poses: scans are drawn where the trajectory says, and nothing is matched.
+
+    Each scan gets the pose at its own stamp, interpolated; scans outside the trajectory are left out and counted.
+
+    OUT gets map.yaml, map.pgm, map.png and run.json.
+    """
+    from gridslam.cli.grid import grid_to_folder
+
+    grid_to_folder(**options)
 
 
 @click.command("graph")
@@ -97,4 +133,4 @@ def simulate_command(**options: Any) -> None:  # noqa: ANN401
     simulate_to_log(**options)
 
 
-FAMILY_COMMANDS = (landmarks_command, graph_command, evaluate_command, simulate_command)
+FAMILY_COMMANDS = (grid_command, landmarks_command, graph_command, evaluate_command, simulate_command)

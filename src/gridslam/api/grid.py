@@ -1,0 +1,158 @@
+"""From a log and a trajectory to a map: mapping with known poses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from gridslam.api.grid_result import GridResult
+from gridslam.api.source import opened_log
+from gridslam.config import Configuration, with_laser
+from gridslam.doctor.repair import Repair
+from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.digest import digest_of
+from gridslam.io.log import Log, LogOptions
+from gridslam.io.trajectory import read_tum
+from gridslam.mapping.beam_counts import BeamCounts
+from gridslam.mapping.counted_map import bayes_map, counting_map
+from gridslam.mapping.known_poses import KnownPoses, Unplaced
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray, LaserScan, Trajectory
+
+__all__ = ["GridModel", "map_with_poses"]
+
+GridModel: TypeAlias = Literal["bayes", "counting"]
+
+
+def map_with_poses(
+    log: str | Path | Log,
+    trajectory: str | Path | Trajectory,
+    *,
+    model: GridModel = "bayes",
+    half_life_scans: float | None = None,
+    resolution_m: float | None = None,
+    laser: str | None = None,
+    configuration: Configuration | None = None,
+    max_gap_s: float = 1.0,
+    options: LogOptions | None = None,
+    repair: Literal["needed", "all", "none"] = "needed",
+    threads: int = 1,
+    tick: Callable[[], None] = lambda: None,
+    stopwatch: Stopwatch | None = None,
+) -> GridResult:
+    """Draw the map of a log whose trajectory is known: no SLAM, no matching, the poses are believed as they are.
+
+    A scan gets the pose at its own stamp, interpolated between the trajectory's neighbours in time and never
+    extrapolated; scans without one are left out and counted. Where beams have times, the trajectory's motion during the
+    scan is undone. The odometry of the log is not used.
+
+    Parameters
+    ----------
+    log : str, Path or Log
+        The log, of any format that `open_log` knows.
+    trajectory : str, Path or Trajectory
+        Poses of the robot's base in the map frame; a path names a file in TUM's form.
+    model : "bayes" or "counting"
+        The binary Bayes filter, or the share of the beams that a cell reflects (see `bayes_map` and `counting_map`).
+    half_life_scans : float, optional
+        What a scan told of a cell counts half after so many more scans that saw the cell, so that things that move
+        fade; for ever if not given (see `BeamCounts`).
+    resolution_m : float, m, (0, 1], optional
+        Side of a cell; 5 cm, or what suits the laser, if not given.
+    laser : str, optional
+        What the laser is, a name of `gridslam.config.LASERS`: limits and cells that suit it.
+    configuration : Configuration, optional
+        Of which the mapper and the limits of the ranges are used.
+    max_gap_s : float, s, > 0
+        Between poses of the trajectory farther apart in time nothing is interpolated.
+    options : LogOptions, optional
+        What to read of the log at a path.
+    repair : "needed", "all" or "none"
+        As for `map_log`; only what is wrong with the laser's mounting matters here.
+    threads : int, >= 1
+        Threads of the kernels; their number never changes a result.
+    tick : callable
+        Called after each scan.
+    stopwatch : Stopwatch, optional
+        To go on with.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model, or an argument is out of range.
+    InputError
+        The log or the trajectory cannot be read, or no scan was taken during the trajectory.
+    ConfigurationError
+        There is no such laser.
+    """
+    if model not in ("bayes", "counting"):
+        raise ArgumentError("model", "bayes or counting", model)
+    config = configuration or Configuration()
+    config = config if laser is None else with_laser(config, laser)
+    mapper = config.mapper if resolution_m is None else _with_resolution(config.mapper, resolution_m)
+    watch = stopwatch or Stopwatch()
+    read = opened_log(log, options)
+    source = read if repair == "none" else RepairedLog(read, repair)
+    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+    poses = KnownPoses(given, max_gap_s)
+    counts = BeamCounts(mapper.resolution_m, half_life_scans, threads)
+    watch.lap("start")
+    used, unplaced = _count(source, poses, counts, (config.range_min_m, config.range_max_m), tick)
+    watch.lap("count")
+    if not len(used):
+        where = source.path if isinstance(trajectory, Trajectory) else trajectory
+        raise InputError(where, _nothing(source, poses, unplaced))
+    result = GridResult(
+        map=bayes_map(counts, mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
+        trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
+        mapper=mapper, range_limits_m=(config.range_min_m, config.range_max_m), log=source.statistics,
+        source=source.path, digest=digest_of(source.path), given=given, stopwatch=watch,
+        given_path=None if isinstance(trajectory, Trajectory) else Path(trajectory),
+        repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
+    )  # fmt: skip
+    watch.lap("map")
+    return result
+
+
+def _count(
+    source: Log, poses: KnownPoses, counts: BeamCounts, limits_m: tuple[float, float], tick: Callable[[], None]
+) -> tuple[Trajectory, Counter[Unplaced]]:
+    """Count all scans; give where those were taken that have a pose, and why the others have none."""
+    stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[Unplaced]()
+    scan: LaserScan
+    for _, scan in source:
+        pose = poses.at(scan.stamp_ns)
+        if isinstance(pose, Unplaced):
+            unplaced[pose] += 1
+        else:
+            counts.add(pose, poses.sharpened(scan.beams(*limits_m)))
+            stamps.append(scan.stamp_ns)
+            taken.append(pose)
+        tick()
+    return Trajectory(np.array(stamps, np.int64), np.array(taken).reshape(-1, 3)), unplaced
+
+
+def _with_resolution(mapper: OccupancyGridMapping, resolution_m: float) -> OccupancyGridMapping:
+    if not 0 < resolution_m <= 1:
+        raise ArgumentError("resolution_m", "above 0, at most 1 m", resolution_m)
+    return OccupancyGridMapping(resolution_m, mapper.reach_cells, mapper.inverse_sensor)
+
+
+def _nothing(source: Log, poses: KnownPoses, unplaced: Counter[Unplaced]) -> str:
+    """Why there is no map."""
+    log, (first, last) = source.statistics, poses.span_ns
+    if log.first_stamp_ns is None or log.last_stamp_ns is None or not sum(unplaced.values()):
+        return "expected a log with scans, got one without"
+    ours, theirs = ((a * 1e-9, b * 1e-9) for a, b in ((first, last), (log.first_stamp_ns, log.last_stamp_ns)))
+    if unplaced[Unplaced.GAP]:
+        return f"expected poses about the scans' stamps, got none near enough to any of {unplaced.total()} scans"
+    return (
+        f"expected a trajectory of this log, but it lasts from {ours[0]:.3f} to {ours[1]:.3f} s and the log's scans "
+        f"from {theirs[0]:.3f} to {theirs[1]:.3f} s"
+    )

@@ -1,0 +1,162 @@
+"""What mapping with known poses gives, and the files that tell it."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, final
+
+from gridslam import __version__
+from gridslam.config.tables import to_table
+from gridslam.doctor.repair import Repair
+from gridslam.io.digest import digest_of
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.map_server import write_map
+from gridslam.io.output import OutputFolder
+from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.pipeline import Stopwatch
+from gridslam.types import OccupancyGrid, Trajectory
+
+__all__ = ["GRID_SCHEMA", "GridResult"]
+
+GRID_SCHEMA = "gridslam.grid/1"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class GridResult:
+    """The map of a log by a known trajectory, and how it came about.
+
+    Attributes
+    ----------
+    map : OccupancyGrid
+    trajectory : Trajectory
+        Where the mapped scans were taken, in the log's order.
+    unplaced : Counter of Unplaced
+        Scans that are not in the map, by reason.
+    model : str
+        "bayes" or "counting".
+    half_life_scans : float or None
+    max_gap_s : float
+    mapper : OccupancyGridMapping
+        Its resolution and inverse sensor model.
+    range_limits_m : (float, float), m
+        Beams outside were not used.
+    log : LogStatistics
+        What was met in the log.
+    source : Path
+        The log.
+    digest : str
+        Its SHA-256.
+    given : Trajectory
+        The trajectory as it was given, and the file it came from, if any, in `given_path`.
+    repair : Repair
+        What was taken out of the log.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    map: OccupancyGrid
+    trajectory: Trajectory
+    unplaced: Counter[Unplaced]
+    model: str
+    half_life_scans: float | None
+    max_gap_s: float
+    mapper: OccupancyGridMapping
+    range_limits_m: tuple[float, float]
+    log: LogStatistics
+    source: Path
+    digest: str
+    given: Trajectory
+    given_path: Path | None
+    repair: Repair
+    stopwatch: Stopwatch
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write all results into a folder, all of them or none; returns what run.json says.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        with OutputFolder(folder) as out:
+            return self.write(out)
+
+    def write(self, out: OutputFolder) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says."""
+        self.stopwatch.resume()
+        write_map(out.file("map.yaml"), self.map)
+        self.stopwatch.lap("write")
+        self._draw(out.file("map.png"))
+        self.stopwatch.lap("draw")
+        document = self._document()
+        out.write_json("run.json", document)
+        return document
+
+    def caption(self) -> list[str]:
+        """Lines that tell what was mapped."""
+        height, width = (side * self.map.resolution_m for side in self.map.known.shape)
+        fading = "" if self.half_life_scans is None else f", half-life {self.half_life_scans:g} scans"
+        name = {"bayes": "binary Bayes filter", "counting": "counting model"}[self.model]
+        return [
+            f"{len(self.trajectory)} scans with known poses: {name}{fading}",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
+            f"{self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
+        ]
+
+    def _draw(self, path: Path) -> None:
+        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
+
+        picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
+        picture.save(path, optimize=False)
+
+    def _document(self) -> dict[str, Any]:
+        """What run.json says."""
+        wall, cpu = self.stopwatch.total()
+        log, grid, stamps = self.log, self.map, self.given.stamps_ns
+        height, width = (side * grid.resolution_m for side in grid.known.shape)
+        return {
+            "schema": GRID_SCHEMA,
+            "version": __version__,
+            "model": self.model,
+            "half_life_scans": self.half_life_scans,
+            "input": {
+                "path": os.fspath(self.source),
+                "sha256": self.digest,
+                "truncated": log.truncated,
+                "selection": log.selection,
+                "duration_s": log.duration_s,
+                "sensors": list(log.mountings),
+                "remarks": dict(log.remarks),
+                "repair": asdict(self.repair) if self.repair else None,
+            },
+            "trajectory": {
+                "path": None if self.given_path is None else os.fspath(self.given_path),
+                "sha256": None if self.given_path is None else digest_of(self.given_path),
+                "poses": len(self.given),
+                "first_stamp_ns": int(stamps.min()),
+                "last_stamp_ns": int(stamps.max()),
+                "max_gap_s": self.max_gap_s,
+            },
+            "scans": {
+                "read": log.scan_count,
+                "used": len(self.trajectory),
+                "skipped": {reason.value: self.unplaced[reason] for reason in Unplaced},
+            },
+            "map": {"width_m": width, "height_m": height, "known_cells": int(grid.known.sum())},
+            "time": {
+                "wall_s": wall,
+                "cpu_s": cpu,
+                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
+            },
+            "configuration": {
+                "range_min_m": self.range_limits_m[0],
+                "range_max_m": self.range_limits_m[1],
+                "resolution_m": self.mapper.resolution_m,
+                "inverse_sensor": to_table(self.mapper.inverse_sensor),
+            },
+        }

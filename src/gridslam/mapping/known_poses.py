@@ -1,0 +1,105 @@
+"""Where the robot was when a scan was taken, by a trajectory that is known."""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import Enum
+from typing import Final, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, log
+from gridslam.types import Beams, FloatArray, Trajectory
+
+__all__ = ["KnownPoses", "Unplaced"]
+
+_EXACT_NS: Final = 1_000_000
+"""A pose stamped so near is the scan's own: programs round stamps."""
+
+
+class Unplaced(Enum):
+    """Why it is not known where a scan was taken."""
+
+    OUTSIDE = "outside the trajectory"
+    GAP = "in a gap of the trajectory"
+
+
+@final
+class KnownPoses:
+    """A trajectory, asked for the robot's pose at the stamps of scans: interpolated, never extrapolated.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses of the robot's base in the map frame, in any order of stamps.
+    max_gap_s : float, s, > 0
+        Between poses farther apart in time than this nothing is interpolated.
+
+    Raises
+    ------
+    ArgumentError
+        There is no pose, or the gap is not positive.
+    """
+
+    def __init__(self, trajectory: Trajectory, max_gap_s: float = 1.0) -> None:
+        if not len(trajectory):
+            raise ArgumentError("trajectory", "at least one pose", "none")
+        if not max_gap_s > 0:
+            raise ArgumentError("max_gap_s", "a time above 0 s", max_gap_s)
+        order = np.argsort(trajectory.stamps_ns, kind="stable")
+        self._stamps, self._poses = trajectory.stamps_ns[order], trajectory.poses[order]
+        self._max_gap_ns = max_gap_s * 1e9
+        self._asked = Counter[int]()
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last stamp."""
+        return int(self._stamps[0]), int(self._stamps[-1])
+
+    def at(self, stamp_ns: int) -> FloatArray | Unplaced:
+        """Pose (3,) at a scan's stamp: x and y linear between the neighbours in time, theta along the shorter arc.
+
+        Where several poses have just this stamp, as where several scans had it, they are given one after the other.
+        """
+        low, high = (int(np.searchsorted(self._stamps, stamp_ns, side)) for side in ("left", "right"))
+        if low < high:
+            self._asked[stamp_ns] += 1
+            pose: FloatArray = self._poses[min(low + self._asked[stamp_ns], high) - 1].copy()
+            return pose
+        before, after = self._neighbours(stamp_ns)
+        sooner, later = stamp_ns - int(self._stamps[before]), int(self._stamps[after]) - stamp_ns
+        if min(abs(sooner), abs(later)) > _EXACT_NS:
+            if sooner < 0 or later < 0:
+                return Unplaced.OUTSIDE
+            if sooner + later > self._max_gap_ns:
+                return Unplaced.GAP
+        return self._between(stamp_ns)
+
+    def sharpened(self, beams: Beams) -> Beams:
+        """Undo the robot's motion during a scan, as the trajectory tells it; the same where beams have no times."""
+        times = beams.scan.beam_times_s
+        if times is None or not len(times):
+            return beams
+        ends = beams.scan.stamp_ns + np.rint(1e9 * np.array([times.min(), times.max()])).astype(np.int64)
+        start, end = np.clip(ends, *self.span_ns).tolist()
+        if end - start < _EXACT_NS:
+            return beams
+        return beams.deskewed(log(between(self._between(start), self._between(end))) / (1e-9 * (end - start)))
+
+    def _neighbours(self, stamp_ns: int) -> tuple[int, int]:
+        """Indices of the poses before and after; of the two outermost where there is only one side."""
+        last = len(self._stamps) - 1
+        after = min(max(int(np.searchsorted(self._stamps, stamp_ns)), min(1, last)), last)
+        return max(after - 1, 0), after
+
+    def _between(self, stamp_ns: int) -> FloatArray:
+        before, after = self._neighbours(stamp_ns)
+        span = max(int(self._stamps[after] - self._stamps[before]), 1)
+        share = min(max((stamp_ns - int(self._stamps[before])) / span, 0.0), 1.0)
+        step = self._poses[after] - self._poses[before]
+        step[2] = wrap(step[2])
+        pose: FloatArray = self._poses[before] + share * step
+        pose[2] = wrap(pose[2])
+        return pose

@@ -1,0 +1,260 @@
+"""What `gridslam grid` and `map_with_poses` write, say and return."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from same_map import assert_same_map
+
+from gridslam import __version__
+from gridslam.api import map_log
+from gridslam.api.grid import map_with_poses
+from gridslam.cli.main import main
+from gridslam.config import Configuration, override
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.geometry.se2 import compose, inverse
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.map_server import read_map
+from gridslam.io.measurement import Measurement
+from gridslam.io.text_source import sha256_of
+from gridslam.io.trajectory import read_tum, write_tum
+from gridslam.mapping.known_poses import Unplaced
+from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
+
+FILES = {"map.yaml", "map.pgm", "map.png", "run.json"}
+
+
+@pytest.fixture
+def call(capsys):
+    def run(*arguments):
+        status = main(["grid", *map(str, arguments)])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture
+def truth(log):
+    return log.with_name("truth.tum")
+
+
+class _Kept:
+    """A log in memory."""
+
+    def __init__(self, log, measurements):
+        self._log, self._measurements = log, list(measurements)
+        self.path = log.path
+
+    @property
+    def statistics(self):
+        return self._log.statistics
+
+    def __iter__(self):
+        return iter(self._measurements)
+
+
+def test_files_and_figures(call, log, truth, tmp_path):
+    out = tmp_path / "new" / "out"
+    status, text, err = call(log, "--trajectory", truth, "-o", out)
+    assert (status, err) == (0, "")
+    assert {file.name for file in out.iterdir()} == FILES
+    document = json.loads((out / "run.json").read_text())
+    assert (document["schema"], document["version"]) == ("gridslam.grid/1", __version__)
+    assert document["scans"] == {
+        "read": 120, "used": 120, "skipped": {"outside the trajectory": 0, "in a gap of the trajectory": 0}
+    }  # fmt: skip
+    assert document["input"]["sha256"] == sha256_of(log)
+    assert document["trajectory"]["sha256"] == sha256_of(truth)
+    assert document["trajectory"]["poses"] == 120
+    assert document["configuration"]["resolution_m"] == 0.05
+    assert f"map, {document['map']['width_m']:.1f} m x {document['map']['height_m']:.1f} m: {out / 'map.png'}" in text
+    grid = read_map(out / "map.yaml")
+    assert (grid.log_odds[grid.known] > 0).sum() > 500
+    assert (grid.log_odds[grid.known] < 0).sum() > 10_000
+    with Image.open(out / "map.png") as picture:
+        assert picture.mode == "RGB"
+
+
+def test_walls_are_where_they_are(log, truth, simulated):
+    """Cells held for occupied lie within a cell's diagonal and the lidar's noise of a wall, as the poses are exact."""
+    from gridslam.sim.floor_plan import clearance
+
+    grid = map_with_poses(log, truth).map
+    rows, columns = np.nonzero(grid.known & (grid.log_odds > 0))
+    places = np.array(grid.origin) + 0.05 * (np.stack([columns, rows], axis=1) + 0.5)
+    assert np.quantile(clearance(simulated.walls, places), 0.99) < 0.05 * np.sqrt(2) + 0.03
+
+
+def test_json_is_all_that_is_printed(call, log, truth, tmp_path):
+    status, text, err = call(log, "--trajectory", truth, "-o", tmp_path / "out", "--json", "--model", "counting")
+    assert (status, err) == (0, "")
+    document = json.loads(text)
+    assert document == json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (document["model"], document["half_life_scans"]) == ("counting", None)
+
+
+def test_options_reach_the_map(call, log, truth, tmp_path):
+    how = ("--decay", 20, "--resolution", 0.1, "--max-gap", 5, "--threads", 2, "--every", 3, "--repair", "none")
+    status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", *how)
+    document = json.loads(text)
+    assert status == 0
+    assert (document["half_life_scans"], document["configuration"]["resolution_m"]) == (20.0, 0.1)
+    assert (document["trajectory"]["max_gap_s"], document["scans"]["used"]) == (5.0, 40)
+    assert read_map(tmp_path / "map.yaml").resolution_m == 0.1
+    status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", "--laser", "hokuyo-urg-04lx")
+    document = json.loads(text)
+    assert document["configuration"]["range_max_m"] == 5.6
+    assert document["configuration"]["resolution_m"] == 0.03
+
+
+def test_scans_outside_and_in_gaps_are_counted_and_told(call, log, truth, tmp_path):
+    whole = read_tum(truth)
+    kept = np.r_[10:50, 70:110]
+    write_tum(tmp_path / "part.tum", Trajectory(whole.stamps_ns[kept], whole.poses[kept]))
+    status, text, err = call(log, "--trajectory", tmp_path / "part.tum", "-o", tmp_path / "out", "--json")
+    assert status == 0
+    skipped = {"outside the trajectory": 20, "in a gap of the trajectory": 20}
+    assert json.loads(text)["scans"] == {"read": 120, "used": 80, "skipped": skipped}
+    first, last = err.splitlines()
+    assert f"gridslam: {log}: 20 of 120 scans are not mapped: they lie outside the trajectory" in first
+    assert "20 of 120 scans are not mapped: the poses about them are more than 1 s apart (--max-gap)" in last
+
+
+def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
+    """SLAM's map is made of its key scans; with one particle and clamps that nothing reaches it is their sum."""
+    config = override(
+        Configuration(particles=1, loop_closure=False), "key_scan_m=0.1", "key_scan_rad=0.1",
+        "mapper.inverse_sensor.log_odds_min=-150", "mapper.inverse_sensor.log_odds_max=150",
+    )  # fmt: skip
+    slam = map_log(log, configuration=config)
+    keys = set(slam.key_stamps_ns.tolist())
+    assert len(keys) > 60
+    kept = _Kept(open_log(log), (m for m in open_log(log) if m.scan.stamp_ns in keys))
+    assert_same_map(map_with_poses(kept, slam.trajectory, configuration=config, repair="none").map, slam.map)
+
+
+def test_the_order_of_the_trajectory_does_not_matter(log, truth):
+    whole = read_tum(truth)
+    order = np.random.default_rng(0).permutation(120)
+    mixed = Trajectory(whole.stamps_ns[order], whole.poses[order])
+    np.testing.assert_array_equal(map_with_poses(log, mixed).map.log_odds, map_with_poses(log, truth).map.log_odds)
+
+
+def _halved(simulated):
+    """Each scan as two lasers see it: one mounted at the base sees the right half, one mounted elsewhere the left."""
+    odometry, scan = simulated.measurements[0]
+    mounted = np.array([0.2, -0.1, 0.7])
+    half = len(scan) // 2
+    right = ScanGeometry(scan.geometry.bearings[:half], scan.geometry.base_from_laser)
+    for odometry, scan in simulated.measurements[:60]:
+        yield Measurement(odometry, _part(scan, right, scan.ranges[:half], "right"))
+        beams = scan.beams(0.0, np.inf)
+        left = beams.ends[beams.indices >= half]
+        seen = compose(inverse(mounted), np.column_stack([left, np.zeros(len(left))]))[:, :2]
+        geometry = ScanGeometry.planar(np.arctan2(seen[:, 1], seen[:, 0]), mounted)
+        yield Measurement(odometry, _part(scan, geometry, np.hypot(*seen.T), "left"))
+
+
+def _part(scan, geometry, ranges, sensor):
+    return LaserScan.from_ranges(scan.stamp_ns, ranges, geometry, sensor=sensor)
+
+
+def test_several_lasers_are_drawn_from_where_they_are(log, simulated, truth):
+    both = _Kept(open_log(log), _halved(simulated))
+    result = map_with_poses(both, truth, repair="none")
+    one = map_with_poses(_Kept(open_log(log), simulated.measurements[:60]), truth, repair="none")
+    assert len(result.trajectory) == 120
+    ours, theirs = (set(map(tuple, _occupied(r.map))) for r in (result, one))
+    assert len(ours & theirs) / len(ours | theirs) > 0.9  # beams from elsewhere graze other cells
+
+
+def _occupied(grid):
+    rows, columns = np.nonzero(grid.known & (grid.log_odds > 0))
+    corner = np.rint(np.array(grid.origin) / grid.resolution_m).astype(int)
+    return (np.stack([columns, rows], axis=1) + corner).tolist()
+
+
+def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch):
+    """Times of beams reach the deskewing, with the twist that the trajectory has over the scan."""
+    twists = []
+    monkeypatch.setattr(Beams, "deskewed", lambda self, twist: (twists.append(twist), self)[1])
+    whole = read_tum(truth)
+    scans = [
+        Measurement(odometry, replace(scan, beam_times_s=np.linspace(-0.1, 0.1, len(scan))))
+        for odometry, scan in simulated.measurements[:30]
+    ]
+    map_with_poses(_Kept(open_log(log), scans), truth, repair="none")
+    assert len(twists) == 30
+    moved = np.hypot(*(whole.poses[20] - whole.poses[19])[:2]) + np.hypot(*(whole.poses[21] - whole.poses[20])[:2])
+    seconds = (whole.stamps_ns[21] - whole.stamps_ns[19]) * 1e-9
+    assert np.hypot(*twists[20][:2]) == pytest.approx(moved / seconds, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("how", "problem"),
+    [
+        (("--trajectory", "nowhere.tum"), "nowhere.tum: no such file"),
+        (("--decay", "0"), "--decay: expected a number of scans above 0"),
+        (("--resolution", "0"), "--resolution: expected above 0, at most 1 m, got 0.0"),
+        (("--max-gap", "-1"), "--max-gap: expected a time above 0 s, got -1.0"),
+        (("--laser", "sick"), "laser: expected sick-lms"),
+        (("--odom", "/odom"), "topics and frames are chosen in bags alone"),
+    ],
+)
+def test_what_is_refused(call, log, truth, tmp_path, how, problem):
+    status, text, err = call(log, "--trajectory", truth, "-o", tmp_path / "out", *how)
+    assert (status, text) == (2, "")
+    (line,) = err.splitlines()
+    assert problem in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("rows", "problem"),
+    [
+        ("500 0 0 0 0 0 0 1\n", "expected a trajectory of this log, but it lasts from 500.000 to 500.000 s and the"),
+        ("1 2 3\n", "line 1"),
+        ("", "empty"),
+    ],
+)
+def test_trajectories_that_are_none_of_the_log(call, log, tmp_path, rows, problem):
+    (tmp_path / "t.tum").write_text(rows)
+    status, _, err = call(log, "--trajectory", tmp_path / "t.tum", "-o", tmp_path / "out")
+    (line,) = (line for line in err.splitlines() if "%" not in line)
+    assert status == 2
+    assert str(tmp_path / "t.tum") in line
+    assert problem in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_calls(log, truth):
+    with pytest.raises(ArgumentError, match="model: expected bayes or counting"):
+        map_with_poses(log, truth, model="dempster")
+    with pytest.raises(ArgumentError, match="at least one pose"):
+        map_with_poses(log, Trajectory(np.empty(0, np.int64), np.empty((0, 3))))
+    with pytest.raises(ConfigurationError, match="laser"):
+        map_with_poses(log, truth, laser="none")
+
+
+def test_gaps_everywhere_are_told(log, truth, tmp_path):
+    whole = read_tum(truth)
+    ends = Trajectory(whole.stamps_ns[[0, -1]] + np.array([-2_000_000, 2_000_000]), whole.poses[[0, -1]])
+    with pytest.raises(Exception, match="got none near enough to any of 120 scans"):
+        map_with_poses(log, ends)
+    bridged = map_with_poses(log, ends, max_gap_s=100.0)
+    assert bridged.unplaced == {}
+    assert Unplaced.GAP not in bridged.unplaced
+
+
+def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):
+    """Intel's stamps go backwards, and the trajectory has them all: no scan is left out, and none is moved."""
+    log = open_log(data_dir / "intel.clf.bz2", LogOptions(duration_s=60.0))
+    driven = [(scan.stamp_ns, odometry.pose) for odometry, scan in log]
+    trajectory = Trajectory(np.array([s for s, _ in driven]), np.array([pose for _, pose in driven]))
+    result = map_with_poses(log, trajectory, repair="none")
+    np.testing.assert_array_equal(result.trajectory.poses, trajectory.poses)
