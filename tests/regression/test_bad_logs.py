@@ -80,6 +80,8 @@ def test_no_scan(problem):
         ("FLASER 2 1.0 0x2 0 0 0 0 0 0 1.0 host 0", "word 4 of a FLASER line, got '0x2'"),
         ("FLASER 2 1.0 2.0 0 0 0 nan 0 0 1.0 host 0", "finite x y theta"),
         ("FLASER 2 1.0 2.0 0 0 0 0 0 inf 1.0 host 0", "finite x y theta"),
+        ("FLASER 2 1.0 2.0 0 0 0 1e308 0 0 1.0 host 0", "finite x y theta of less than 1e+09"),
+        ("FLASER 2 1.0 2.0 0 -1e9 0 0 0 0 1.0 host 0", "finite x y theta of less than 1e+09"),
         ("FLASER 2 1.0 2.0 0 0 0 0 0 0 soon host 0", "expected a stamp"),
         ("FLASER 2 1.0 2.0 0 0 0 0 0 0 nan host 0", "expected a stamp"),
         ("ROBOTLASER1 0 -1 2 1 30 0 0 3 1 1 1 0 1 0 0 1 0 0 0 0 0 0 1.0 host 0", "1 values too few"),
@@ -105,7 +107,8 @@ def test_malformed_line_among_thousands(problem):
 
 def test_odometry_that_a_scan_needs(problem):
     scan = "REMISSIONFLASER 1 1.0 9 1.0 host 0\n"
-    for values in ("0 inf 0 0 0 0 1.0 host 0", "0 0 x 0 0 0 1.0 host 0", "0 0 0", "0 0 0 0 0 0 x h 0"):
+    after = "0 0 0 1.0 host 0"
+    for values in (f"0 inf 0 {after}", f"1e9 0 0 {after}", f"0 0 x {after}", "0 0 0", "0 0 0 0 0 0 x h 0"):
         odometry = f"ODOM {values}"
         message, line = problem(f"{scan}{odometry}\n{scan}")
         assert line == 2
@@ -115,6 +118,12 @@ def test_odometry_that_a_scan_needs(problem):
 def test_a_parameter_that_is_no_number(problem):
     message, line = problem("PARAM robot_frontlaser_offset far host 0\n" + GOOD)
     assert "robot_frontlaser_offset, got 'far'" in message
+    assert line == 1
+
+
+def test_a_laser_that_no_robot_reaches(problem):
+    message, line = problem("PARAM robot_frontlaser_side_offset -1e15 host 0\n" + GOOD)
+    assert "within 100 m of the robot by robot_frontlaser_side_offset, got -1e15" in message
     assert line == 1
 
 

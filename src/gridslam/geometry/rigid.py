@@ -24,21 +24,22 @@ Rigid: TypeAlias = tuple[float, float, float, float, float, float, float]
 
 _ROTATION_TOLERANCE = 1e-6
 _NORM_TOLERANCE = 0.01  # of the squared norm; what ROS's tf2 takes, and so what stands in logs
+_FARTHEST_M = 1e9  # no frame on Earth is farther from another: such a number was never meant
 
 
 def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigid:
     """Motion of a translation (3,) in m and a quaternion (4,), which is brought to unit norm.
 
-    Raises ArgumentError for a value that is not finite and for a squared norm farther than 0.01 from 1: a quaternion
-    of zeros, which stands in many a log, is no rotation.
+    Raises ArgumentError for a value that is not finite, a translation of 1e9 m or more, and a squared norm farther than
+    0.01 from 1: a quaternion of zeros, which stands in many a log, is no rotation.
     """
     x, y, z = translation
     i, j, k, w = xyzw
     square = i * i + j * j + k * k + w * w
     if not abs(square - 1.0) <= _NORM_TOLERANCE:
         raise ArgumentError("xyzw", "a quaternion of norm 1", f"{[i, j, k, w]}, of norm {math.sqrt(square):.6g}")
-    if not math.isfinite(x + y + z):
-        raise ArgumentError("translation", "finite x, y, z", [x, y, z])
+    if not abs(x) + abs(y) + abs(z) < _FARTHEST_M:
+        raise ArgumentError("translation", f"x, y, z of less than {_FARTHEST_M:g} m", [x, y, z])
     scale = 1.0 / math.sqrt(square)
     return x, y, z, scale * i, scale * j, scale * k, scale * w
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import final
 
@@ -14,6 +15,7 @@ from gridslam.geometry.rigid import Rigid
 from gridslam.io.bag_choice import Choice
 from gridslam.io.bag_survey import Step, Survey, moved
 from gridslam.io.log_statistics import Mounting
+from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.ros_messages import OdometryMessage, StampedTransform
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
 from gridslam.types import Odometry
@@ -53,11 +55,18 @@ class MountedLaser:
         self.base_from_laser = rigid.to_matrix(self._last)
 
     def update(self) -> None:
-        """Take in that a link has another pose."""
+        """Take in that a link has another pose; raises ArgumentError where no laser can be so far from its robot."""
         now = self._composed()
+        if not _is_near(now):
+            raise ArgumentError("pose", f"a laser within {FARTHEST_LASER_M:g} m of its base", list(now[:3]))
         if moved(self._last, now):
             self._last = now
             self.base_from_laser = rigid.to_matrix(now)
+
+    @property
+    def is_near(self) -> bool:
+        """Whether a laser can be where this one is told to be."""
+        return _is_near(self._last)
 
     @property
     def has_moved(self) -> bool:
@@ -79,6 +88,10 @@ class MountedLaser:
             pose = self._poses[link]
             motion = rigid.compose(motion, pose if down else rigid.inverse(pose))
         return motion
+
+
+def _is_near(pose: Rigid) -> bool:
+    return math.hypot(*pose[:3]) < FARTHEST_LASER_M
 
 
 @final
@@ -171,14 +184,20 @@ class Rig:
         topics = sorted({self._seen.links[link].topic for link, _ in way})
         source = f"{', '.join(topics)}: {self._base} to {frame}" if way else f"{frame} is the base"
         found = MountedLaser(way, self._poses, source)
+        if not found.is_near:
+            return MountedLaser(None, {}, f"{source} puts it out of reach: taken to be at the robot's base")
         for link, _ in way:
             self._followed.setdefault(link, []).append(found)
         return found
 
     def _follow(self, link: tuple[str, str], pose: Rigid) -> None:
-        self._poses[link] = pose
-        for laser in self._followed.get(link, ()):
-            laser.update()
+        before, self._poses[link] = self._poses[link], pose
+        try:
+            for laser in self._followed.get(link, ()):
+                laser.update()
+        except ArgumentError:
+            self._poses[link] = before
+            raise
 
     def _add(self, link: tuple[str, str], stamp_ns: int, pose: Rigid, *, static: bool) -> None:
         self._buffer.add_quaternion(*link, stamp_ns, pose[:3], pose[3:], static)

@@ -13,6 +13,7 @@ from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lines import BeamLayout, LineError, ScanRows, parse_pose
 from gridslam.io.log_statistics import Mounting
+from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, ScanGeometry
 
@@ -92,6 +93,9 @@ class CarmenLasers:
             number = np.nan
         if not np.isfinite(number):
             raise InputError(self._path, f"expected a number for the parameter {name}, got {value!r}", line)
+        if what in ("x", "y") and not abs(number) < FARTHEST_LASER_M:
+            problem = f"expected a laser within {FARTHEST_LASER_M:g} m of the robot by {name}, got {value}"
+            raise InputError(self._path, problem, line)
         return number
 
     def _bearings(self, sensor: str, n: int, layout: BeamLayout | None) -> FloatArray:

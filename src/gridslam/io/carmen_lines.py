@@ -8,7 +8,9 @@ from decimal import Decimal
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gridslam.io.measurement import FARTHEST_M
 from gridslam.types import FloatArray
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
 SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "ROBOTLASER1": "robotlaser1"}
 """Tags of lines that hold a scan, with the name of the sensor they are from."""
 
+_POSE = f"expected a finite x y theta of less than {FARTHEST_M:g}"
 _ROBOTLASER_TAIL = 11  # laser pose, robot pose, tv, rv, forward and side safety distance, turn axis
 
 
@@ -88,13 +91,13 @@ def format_stamp_ns(stamp_ns: int) -> str:
 
 
 def parse_pose(words: Sequence[str]) -> FloatArray:
-    """Pose (3,) of three words; raises LineError where one is no finite number."""
+    """Pose (3,) of three words; raises LineError where one is no number, or too large for a pose."""
     try:
         pose = np.array([float(word) for word in words])
     except ValueError:
         raise LineError(f"expected x y theta, got {' '.join(words)!r}") from None
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise LineError(f"expected a finite x y theta, got {' '.join(words)!r}")
+    if pose.shape != (3,) or not _are_poses(pose[None])[0]:
+        raise LineError(f"{_POSE}, got {' '.join(words)!r}")
     return pose
 
 
@@ -137,10 +140,15 @@ def _decode(tag: str, values: FloatArray, row: int) -> ScanRows:
     decode = {"ROBOTLASER1": _robotlaser, "REMISSIONFLASER": _remissions}.get(tag, _flaser)
     rows = decode(tag, values, row)
     for poses in (rows.laser_poses, rows.robot_poses):
-        if poses is not None and not np.isfinite(poses).all():
-            bad = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-            raise LineError(f"expected a finite x y theta, got {' '.join(map(str, poses[bad]))}", row + bad)
+        if poses is not None and not (usable := _are_poses(poses)).all():
+            bad = int(np.flatnonzero(~usable)[0])
+            raise LineError(f"{_POSE}, got {' '.join(map(str, poses[bad]))}", row + bad)
     return rows
+
+
+def _are_poses(poses: FloatArray) -> NDArray[np.bool_]:
+    """Whether each of (N, 3) is finite and of a robot on Earth."""
+    return np.asarray((np.abs(poses) < FARTHEST_M).all(axis=1))
 
 
 def _count(tag: str, values: FloatArray, column: int, row: int) -> int:

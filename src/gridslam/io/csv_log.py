@@ -16,7 +16,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lines import LineError, parse_stamp_ns
 from gridslam.io.csv_columns import COLUMNS, LASER, ODOMETRY, REQUIRED, angles_of_rotation, rotation_of_angles
 from gridslam.io.log_statistics import LogStatistics, Mounting
-from gridslam.io.measurement import LONGEST_SCAN_S, Measurement
+from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, LONGEST_SCAN_S, Measurement
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
@@ -167,7 +167,7 @@ class _Rows:
         x, y, theta = texts = cells[_ODOMETRY]
         if not (x or y or theta):
             return None
-        pose = np.array([_number(name, text) for name, text in zip(ODOMETRY, texts, strict=True)])
+        pose = np.array([_within(FARTHEST_M, name, text) for name, text in zip(ODOMETRY, texts, strict=True)])
         pose[2] = wrap(pose[2])
         pose.flags.writeable = False
         own = cells[_ODOMETRY_STAMP]
@@ -217,6 +217,13 @@ def _number(column: str, text: str, least: float = -math.inf, *, infinite: bool 
     return value
 
 
+def _within(limit: float, column: str, text: str) -> float:
+    value = _number(column, text)
+    if not abs(value) <= limit:
+        raise _CellError(column, f"a number of at most {limit:g}", repr(text))
+    return value
+
+
 def _ranges(text: str) -> list[float]:
     words = text.split()
     try:
@@ -252,7 +259,7 @@ def _laser(cells: dict[str, str], beams: int) -> _Laser:
     if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):
         got = f"{beams} beams from {start:g} in steps of {step:g}"
         raise _CellError("angle_increment_rad", "beams within one turn, in radians", got)
-    x, y, z, *angles = (_number(name, texts[name]) for name in LASER)
+    x, y, z, *angles = (_within(FARTHEST_LASER_M, name, texts[name]) for name in LASER)
     mounting = np.eye(4)
     mounting[:3, :3] = rotation_of_angles(*angles)
     mounting[:3, 3] = x, y, z

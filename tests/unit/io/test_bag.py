@@ -140,6 +140,22 @@ def test_no_transform_tells_the_mounting(tmp_path):
     }
 
 
+@pytest.mark.parametrize("away_m", [150.0, 1e200, -1e308])
+def test_a_laser_that_no_robot_reaches_is_told(tmp_path, away_m):
+    said = [*drive(mounting=False), transform(0.0, "base_link", "laser", (away_m, 0.0, 0.0))]
+    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
+    assert {tuple(laser.geometry.origin) for _, laser in log} == {(0.0, 0.0)}
+    (missing,) = log.statistics.missing_transforms
+    assert ("out of reach" in missing) == (abs(away_m) < 1e9)  # the others are no pose, and left out
+
+
+def test_a_mounting_that_leaps_out_of_reach_is_left_out_and_told(tmp_path):
+    said = [*drive(), transform(1.0, "base_link", "laser", (3e6, 0.0, 0.0))]
+    log = log_of(tmp_path, sorted(said, key=lambda each: each.time_ns))
+    assert {laser.geometry.origin[0] for _, laser in log} == {0.2}
+    assert log.statistics.remarks["a reading of /tf_static is no pose: left out"] == 1
+
+
 def test_a_laser_that_tilts_is_told_and_followed(tmp_path):
     said = drive(mounting=False)
     for step in range(41):

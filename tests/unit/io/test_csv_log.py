@@ -32,7 +32,7 @@ def measurements(draw: st.DrawFn) -> Measurement:
     beams = draw(st.integers(1, 30))
     mounting = np.eye(4)
     mounting[:3, :3] = rotation_of_angles(draw(angles), draw(st.floats(-math.pi / 2, math.pi / 2)), draw(angles))
-    mounting[:3, 3] = [draw(finite) for _ in range(3)]
+    mounting[:3, 3] = [draw(st.floats(-100, 100)) for _ in range(3)]
     step = draw(st.floats(0.01, 0.2)) * draw(st.sampled_from([-1, 1]))
     geometry = ScanGeometry(draw(angles) + step * np.arange(beams), mounting)
     lengths = st.floats(-1, 40) | st.sampled_from([math.nan, math.inf, 0.0])
@@ -167,6 +167,8 @@ def test_lasers_that_tilt_do_not_pile_up(tmp_path):
         (HEADER + '1,0,0.1,"1 2\n', 2, "expected cells with commas between them"),
         ("odom_x_m,odom_y_m,odom_theta_rad," + HEADER + "1,,0," + ROW, 2, "column odom_y_m: expected a number, got ''"),
         ("odom_x_m,odom_y_m,odom_theta_rad," + HEADER + "1,inf,0," + ROW, 2, "column odom_y_m: expected a number"),
+        ("odom_x_m,odom_y_m,odom_theta_rad," + HEADER + "1,2e9,0," + ROW, 2, "odom_y_m: expected a number of at most"),
+        ("laser_x_m," + HEADER + "-101," + ROW, 2, "column laser_x_m: expected a number of at most 100, got '-101'"),
         ("range_min_m," + HEADER + "-1," + ROW, 2, "column range_min_m: expected a number >= 0, got '-1'"),
         (("frame," + HEADER).encode() + b"\xff," + ROW.encode(), 2, "column frame: expected text in UTF-8"),
         (HEADER + ROW + "2.5,-1.5,1.5,1 2 3", None, "the last line has no line end: it is cut off; 1 scans were read"),
