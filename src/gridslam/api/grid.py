@@ -11,7 +11,7 @@ import numpy as np
 
 from gridslam.api.grid_result import GridResult
 from gridslam.api.source import opened_log
-from gridslam.config import Configuration, with_laser
+from gridslam.config import Configuration, override, with_laser
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.errors import ArgumentError, InputError
@@ -21,7 +21,6 @@ from gridslam.io.trajectory import read_tum
 from gridslam.mapping.beam_counts import BeamCounts
 from gridslam.mapping.counted_map import bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, Unplaced
-from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, Trajectory
 
@@ -93,15 +92,13 @@ def map_with_poses(
     """
     if model not in ("bayes", "counting"):
         raise ArgumentError("model", "bayes or counting", model)
-    config = configuration or Configuration()
-    config = config if laser is None else with_laser(config, laser)
-    mapper = config.mapper if resolution_m is None else _with_resolution(config.mapper, resolution_m)
+    config = _configuration(configuration, laser, resolution_m)
     watch = stopwatch or Stopwatch()
     read = opened_log(log, options)
     source = read if repair == "none" else RepairedLog(read, repair)
     given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
     poses = KnownPoses(given, max_gap_s)
-    counts = BeamCounts(mapper.resolution_m, half_life_scans, threads)
+    counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
     used, unplaced = _count(source, poses, counts, (config.range_min_m, config.range_max_m), tick)
     watch.lap("count")
@@ -109,11 +106,10 @@ def map_with_poses(
         where = source.path if isinstance(trajectory, Trajectory) else trajectory
         raise InputError(where, _nothing(source, poses, unplaced))
     result = GridResult(
-        map=bayes_map(counts, mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
+        map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-        mapper=mapper, range_limits_m=(config.range_min_m, config.range_max_m), log=source.statistics,
-        source=source.path, digest=digest_of(source.path), given=given, stopwatch=watch,
-        given_path=None if isinstance(trajectory, Trajectory) else Path(trajectory),
+        configuration=config, log=source.statistics, source=source.path, digest=digest_of(source.path), given=given,
+        given_path=None if isinstance(trajectory, Trajectory) else Path(trajectory), stopwatch=watch,
         repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
     )  # fmt: skip
     watch.lap("map")
@@ -138,10 +134,14 @@ def _count(
     return Trajectory(np.array(stamps, np.int64), np.array(taken).reshape(-1, 3)), unplaced
 
 
-def _with_resolution(mapper: OccupancyGridMapping, resolution_m: float) -> OccupancyGridMapping:
+def _configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
+    config = base or Configuration()
+    config = config if laser is None else with_laser(config, laser)
+    if resolution_m is None:
+        return config
     if not 0 < resolution_m <= 1:
         raise ArgumentError("resolution_m", "above 0, at most 1 m", resolution_m)
-    return OccupancyGridMapping(resolution_m, mapper.reach_cells, mapper.inverse_sensor)
+    return override(config, f"resolution_m={resolution_m}")
 
 
 def _nothing(source: Log, poses: KnownPoses, unplaced: Counter[Unplaced]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, final
 
 from gridslam import __version__
+from gridslam.config import Configuration
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
 from gridslam.io.digest import digest_of
@@ -16,7 +17,6 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.mapping.known_poses import Unplaced
-from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.pipeline import Stopwatch
 from gridslam.types import OccupancyGrid, Trajectory
 
@@ -41,10 +41,8 @@ class GridResult:
         "bayes" or "counting".
     half_life_scans : float or None
     max_gap_s : float
-    mapper : OccupancyGridMapping
-        Its resolution and inverse sensor model.
-    range_limits_m : (float, float), m
-        Beams outside were not used.
+    configuration : Configuration
+        Of which the mapper and the limits of the ranges were used.
     log : LogStatistics
         What was met in the log.
     source : Path
@@ -65,8 +63,7 @@ class GridResult:
     model: str
     half_life_scans: float | None
     max_gap_s: float
-    mapper: OccupancyGridMapping
-    range_limits_m: tuple[float, float]
+    configuration: Configuration
     log: LogStatistics
     source: Path
     digest: str
@@ -117,33 +114,17 @@ class GridResult:
     def _document(self) -> dict[str, Any]:
         """What run.json says."""
         wall, cpu = self.stopwatch.total()
-        log, grid, stamps = self.log, self.map, self.given.stamps_ns
+        grid, config = self.map, self.configuration
         height, width = (side * grid.resolution_m for side in grid.known.shape)
         return {
             "schema": GRID_SCHEMA,
             "version": __version__,
             "model": self.model,
             "half_life_scans": self.half_life_scans,
-            "input": {
-                "path": os.fspath(self.source),
-                "sha256": self.digest,
-                "truncated": log.truncated,
-                "selection": log.selection,
-                "duration_s": log.duration_s,
-                "sensors": list(log.mountings),
-                "remarks": dict(log.remarks),
-                "repair": asdict(self.repair) if self.repair else None,
-            },
-            "trajectory": {
-                "path": None if self.given_path is None else os.fspath(self.given_path),
-                "sha256": None if self.given_path is None else digest_of(self.given_path),
-                "poses": len(self.given),
-                "first_stamp_ns": int(stamps.min()),
-                "last_stamp_ns": int(stamps.max()),
-                "max_gap_s": self.max_gap_s,
-            },
+            "input": self._input(),
+            "trajectory": self._given(),
             "scans": {
-                "read": log.scan_count,
+                "read": self.log.scan_count,
                 "used": len(self.trajectory),
                 "skipped": {reason.value: self.unplaced[reason] for reason in Unplaced},
             },
@@ -154,9 +135,32 @@ class GridResult:
                 "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
             },
             "configuration": {
-                "range_min_m": self.range_limits_m[0],
-                "range_max_m": self.range_limits_m[1],
-                "resolution_m": self.mapper.resolution_m,
-                "inverse_sensor": to_table(self.mapper.inverse_sensor),
+                "range_min_m": config.range_min_m,
+                "range_max_m": config.range_max_m,
+                "resolution_m": config.mapper.resolution_m,
+                "inverse_sensor": to_table(config.mapper.inverse_sensor),
             },
+        }
+
+    def _input(self) -> dict[str, Any]:
+        log = self.log
+        return {
+            "path": os.fspath(self.source),
+            "sha256": self.digest,
+            "truncated": log.truncated,
+            "selection": log.selection,
+            "duration_s": log.duration_s,
+            "sensors": list(log.mountings),
+            "remarks": dict(log.remarks),
+            "repair": asdict(self.repair) if self.repair else None,
+        }
+
+    def _given(self) -> dict[str, Any]:
+        return {
+            "path": None if self.given_path is None else os.fspath(self.given_path),
+            "sha256": None if self.given_path is None else digest_of(self.given_path),
+            "poses": len(self.given),
+            "first_stamp_ns": int(self.given.stamps_ns.min()),
+            "last_stamp_ns": int(self.given.stamps_ns.max()),
+            "max_gap_s": self.max_gap_s,
         }
