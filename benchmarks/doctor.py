@@ -11,6 +11,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
@@ -119,6 +120,12 @@ def _spoilt(code: str, **how: int) -> Case:
     return Case(make, lambda log: None if code == "reflected_laser" else FAULTS[code].size, code)
 
 
+def _untimed(seed: int) -> Drawn:
+    """A log whose beams are measured one after the other, and which does not tell when."""
+    log = any_log(seed, omega_rad_s=3.0)
+    return log._replace(measurements=[m._replace(scan=replace(m.scan, beam_times_s=None)) for m in log.measurements])
+
+
 def _smear_rad(log: Drawn) -> float:
     """The turn in a scan: what 0.998 of the scans do not exceed."""
     times = np.array([scan.stamp_ns for _, scan in log.measurements]) * 1e-9
@@ -135,6 +142,7 @@ CASES: Mapping[str, Case] = {
     "3 rad/s, with beam times": Case(
         lambda seed: any_log(seed, omega_rad_s=3.0), _smear_rad, "skewed_while_turning", told=True
     ),
+    "3 rad/s, without": Case(_untimed, _smear_rad, "skewed_while_turning"),
     **{code: _spoilt(code) for code in ("odometry_rotation_bias", "odometry_drift", "wheel_slip")},
 }
 """By name; the first eight after `clean` are those that must be named in 19 of 20 logs."""

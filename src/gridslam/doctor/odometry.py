@@ -1,4 +1,4 @@
-"""What can be told of odometry without matching a scan: none, frozen, standing still, turning too fast."""
+"""What can be told of odometry without matching a scan: none, leaping, frozen, standing still, turning too fast."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _MOST_CHANGED = 0.5  # of the beams: people who pass change fewer
 _FROZEN_WINDOWS, _FROZEN_SHARE = 3, 0.1  # a shorter stop of the wheels' messages is what matching is for
 _STILL_WORTH_S = 10.0  # seconds that are worth a line
 _MOSTLY_STILL, _NEVER_MOVED_M, _NEVER_MOVED_RAD = 0.5, 0.5, 0.5
-_KEY_M, _KEY_RAD = 0.4, 0.25  # when the particles are stepped
+_LEAP_M, _LEAP_RAD = 1.0, 1.0  # between scans, and faster than any robot with wheels that maps by a planar laser:
+_LEAP_M_S, _LEAP_RAD_S = 10.0, 12.0
+_LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
+_KEY_M, _KEY_RAD = 0.5, 0.25  # when the particles are stepped
 _OVERLAP = 0.5  # share of the field of view that two scans that follow each other must have in common
 _GUESS_RAD = 1.0  # odometry errs by 5 % of a turn: 0.5 m at 10 m, as far as matching reaches
 _FAST_SHARE = 0.005  # of all scans: from one in 200 on it is how the robot drives, not a hitch
@@ -33,7 +36,10 @@ _FAST_SHARE = 0.005  # of all scans: from one in 200 on it is how the robot driv
 @final
 @dataclass(slots=True)
 class OdometryExaminer:
-    """Finds no_odometry, odometry_frozen, standing_still and fast_turning; counts way, turns and key scans."""
+    """Finds no_odometry, odometry_jumps, odometry_frozen, standing_still and fast_turning.
+
+    Counts way and turns, without those of jumps, and key scans.
+    """
 
     metres: float = 0.0
     radians: float = 0.0
@@ -45,7 +51,9 @@ class OdometryExaminer:
     _fields: dict[str, float] = field(default_factory=dict)
     _too_far: Counter[str] = field(default_factory=Counter)
     _previous: dict[str, tuple[int, tuple[float, float, float]]] = field(default_factory=dict)
-    _last: tuple[float, float, float] | None = None
+    _first_ns: int | None = None
+    _last: tuple[int, tuple[float, float, float]] | None = None
+    _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
     _key: tuple[float, float, float] | None = None
     _window: tuple[int, tuple[float, float, float], LaserScan] | None = None
     _frozen: int = 0
@@ -64,13 +72,24 @@ class OdometryExaminer:
             self._previous.pop(scan.sensor, None)
             return
         x, y, theta = place = tuple(odometry.pose.tolist())
-        if self._last is not None:
-            self.metres += math.dist((x, y), self._last[:2])
-            self.radians += abs(_turn(self._last, place))
-        self._last = (x, y, theta)
+        self._note_way(scan.stamp_ns, (x, y, theta))
         self._note_key(place)
         self._note_turn(scan, place)
         self._note_window(odometry, scan, place)
+
+    def _note_way(self, stamp_ns: int, place: tuple[float, float, float]) -> None:
+        """Count way and turn since the scan before, or take note that no robot moves so."""
+        before, self._last = self._last, (stamp_ns, place)
+        if before is None:
+            self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+            return
+        moved, turned = math.dist(place[:2], before[1][:2]), abs(_turn(before[1], place))
+        seconds = max((stamp_ns - before[0]) * 1e-9, _LEAST_S)
+        if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
+            self._jumps.append(((stamp_ns - (self._first_ns or 0)) * 1e-9, moved, turned))
+            return
+        self.metres += moved
+        self.radians += turned
 
     def _note_key(self, place: tuple[float, float, float]) -> None:
         """Count the scans at which the particles will be stepped."""
@@ -95,9 +114,9 @@ class OdometryExaminer:
             self.turn_rates.add(turned / seconds)
 
     def _limit(self, sensor: str) -> float:
-        """Turn between two scans from which on they are hard to match, rad."""
+        """Turn between two scans from which on they are hard to match, rad; for a single beam there is none."""
         field_rad = self._fields[sensor]
-        return min(_GUESS_RAD, _OVERLAP * field_rad)
+        return min(_GUESS_RAD, _OVERLAP * field_rad) if field_rad else math.inf
 
     def _note_window(self, odometry: Odometry, scan: LaserScan, place: tuple[float, float, float]) -> None:
         """Compare odometry and ranges with those of a second ago."""
@@ -121,6 +140,8 @@ class OdometryExaminer:
         """Tell what is wrong with the odometry, and with how the robot was driven."""
         if self.without:
             yield self._no_odometry()
+        if self._jumps:
+            yield self._odometry_jumps()
         if self._frozen >= _FROZEN_WINDOWS:
             yield self._odometry_frozen()
         if self._watched_s:
@@ -136,6 +157,17 @@ class OdometryExaminer:
             remedy = "See to it that odometry is recorded from before the first scan until after the last."
         severity = Severity.DOUBTFUL if share > 0.02 else Severity.INFO
         return Finding("no_odometry", severity, says, share, "share", remedy if share > 0.02 else "")
+
+    def _odometry_jumps(self) -> Finding:
+        at_s, metres, radians = max(self._jumps, key=lambda jump: jump[1] / _LEAP_M + jump[2] / _LEAP_RAD)
+        often = "once" if len(self._jumps) == 1 else f"{len(self._jumps)} times, most"
+        size = (metres, "m") if metres > _LEAP_M else (radians, "rad")
+        return Finding(
+            "odometry_jumps", Severity.DOUBTFUL,
+            f"Odometry jumps {often} by {metres:.4g} m and {radians:.2f} rad after {at_s:.1f} s: no robot moves so "
+            "fast from one scan to the next. It was set anew, or a reading is false.",
+            *size, "Look for what restarts or corrects odometry on the robot; in a jump the scans tell the motion.",
+        )  # fmt: skip
 
     def _odometry_frozen(self) -> Finding:
         share = self._frozen_s / self._watched_s

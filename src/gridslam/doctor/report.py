@@ -95,7 +95,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     spoiling = sum(finding.severity is Severity.SPOILS for finding in diagnosis.findings)
     doubtful = len(diagnosis.faults) - spoiling
     if spoiling:
-        return f"{_count(spoiling, 'thing')} would spoil the map, {_count(doubtful, 'more thing')} may harm it."
+        more = f", {_count(doubtful, 'more thing')} may harm it" if doubtful else ""
+        return f"{_count(spoiling, 'thing')} would spoil the map{more}."
     if doubtful:
         return f"Nothing that spoils the map was found; {_count(doubtful, 'thing')} may harm it."
     return "This log is healthy: nothing was found that would harm the map."

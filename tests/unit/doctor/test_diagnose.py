@@ -183,8 +183,11 @@ def test_the_report_tells_the_worst_first_and_fits_into_json():
 
 @pytest.mark.parametrize(
     ("chosen", "words"),
-    [((0,), "This log is healthy"), ((0, 1), "1 thing may harm it"), ((1, 2), "1 thing would spoil the map")],
-)
+    [
+        ((0,), "This log is healthy"), ((0, 1), "1 thing may harm it"), ((2,), "1 thing would spoil the map."),
+        ((1, 2), "1 thing would spoil the map, 1 more thing may harm it."),
+    ],
+)  # fmt: skip
 def test_the_verdict(chosen, words):
     assert words in verdict(diagnosis_of(*(FINDINGS[k] for k in chosen)))
 

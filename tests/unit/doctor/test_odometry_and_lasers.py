@@ -41,6 +41,33 @@ def test_frozen_odometry(seconds, severity):
         assert found.size == pytest.approx(seconds, abs=1.5)  # it is looked at once a second
 
 
+@pytest.mark.parametrize(
+    ("metres", "radians", "told"), [(3.0, 0.0, 3.0), (0.0, 2.5, 2.5), (1e8, 1.0, 1e8), (0.9, 0.9, None)]
+)
+def test_odometry_that_jumps(metres, radians, told):
+    """No robot with wheels drives 3 m, or turns by 2.5 rad, in a fifth of a second."""
+    def log():
+        for m in drive(60.0):
+            x, y, theta = m.odometry.pose
+            after = x > 10
+            yield seen(m.scan.stamp_ns * 1e-9, m.scan.ranges, (x + metres * after, y, theta + radians * after))
+
+    found = findings(log()).get("odometry_jumps")
+    assert (found and found.severity) == (Severity.DOUBTFUL if told else None)
+    if found:
+        assert found.size == pytest.approx(told, rel=0.1)
+        assert "once" in found.says
+
+
+def test_way_in_a_pause_is_no_jump():
+    def log():
+        for k, m in enumerate(drive(60.0)):
+            late = k >= 150
+            yield seen(k / 5 + 10.0 * late, m.scan.ranges, (m.odometry.pose[0] + 30.0 * late, 0.0, 0.0))
+
+    assert "odometry_jumps" not in findings(log())
+
+
 def test_standing_still_is_told_and_harmless():
     def log():
         yield from (seen(k / 5, view(0.0), (0.0, 0.0, 0.0)) for k in range(100))
@@ -80,6 +107,12 @@ def test_a_narrow_view_bears_less_turning():
 
     assert "fast_turning" in findings(log(math.radians(60)))
     assert "fast_turning" not in findings(log(math.radians(180)))
+
+
+def test_a_single_beam_has_no_view_to_turn_out_of():
+    geometry = ScanGeometry([0.0])
+    log = [seen(k / 5, [2.0], (0.0, 0.0, 0.3 * math.sin(k)), geometry) for k in range(100)]
+    assert "fast_turning" not in findings(log)
 
 
 def pitched(tilt_rad, height_m=0.3, roll=False):
