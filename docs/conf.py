@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from sphinx.application import Sphinx
+
 from gridslam import __version__
 
 sys.path.insert(0, str(Path(__file__).parent))  # mathml
@@ -18,7 +20,6 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathm
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
-suppress_warnings = ["toc.empty_glob"]  # a page that is yet to be written is no error
 
 html_theme = "furo"
 html_title = "gridslam"
@@ -29,6 +30,8 @@ html_copy_source = html_show_sourcelink = False
 
 default_role = "code"
 autodoc_member_order = "bysource"
+autodoc_class_signature = "separated"  # the parameters stand in the docstring, with units and reasons
+autodoc_typehints = "none"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 napoleon_google_docstring = False
@@ -36,3 +39,17 @@ napoleon_use_param = napoleon_use_rtype = False  # types are told in words: shap
 napoleon_use_ivar = True
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!gridslam\.).*")]  # names of ours must lead somewhere; others' need not
+
+COMING = {"localization", "ekf_localization", "ekf_slam", "fastslam", "landmark_graph", "maps", "grid"}
+
+
+def _without_what_is_coming(app: Sphinx, page: str, source: list[str]) -> None:
+    """Leave pages that are yet to be written out of the table of contents."""
+    if page == "index":
+        lines = source[0].splitlines(keepends=True)
+        source[0] = "".join(line for line in lines if line.strip() not in COMING - set(app.env.found_docs))
+
+
+def setup(app: Sphinx) -> None:
+    """Listen to Sphinx."""
+    app.connect("source-read", _without_what_is_coming)
