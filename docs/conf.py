@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import sys
 from pathlib import Path
 
@@ -30,7 +32,6 @@ html_copy_source = html_show_sourcelink = False
 
 default_role = "code"
 autodoc_member_order = "bysource"
-autodoc_class_signature = "separated"  # the parameters stand in the docstring, with units and reasons
 autodoc_typehints = "none"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
@@ -41,6 +42,7 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!gridslam\.).*")]  # names of ours must lead somewhere; others' need not
 
 COMING = {"localization", "ekf_localization", "ekf_slam", "fastslam", "landmark_graph", "maps", "grid"}
+LONGEST_SIGNATURE = 260
 
 
 def _without_what_is_coming(app: Sphinx, page: str, source: list[str]) -> None:
@@ -50,6 +52,29 @@ def _without_what_is_coming(app: Sphinx, page: str, source: list[str]) -> None:
         source[0] = "".join(line for line in lines if line.strip() not in COMING - set(app.env.found_docs))
 
 
+def _one_name_a_line(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Tell attributes that numpydoc names together, as in "seed, threads : int", one by one, as Sphinx wants them."""
+    separate: list[str] = []
+    for k, line in enumerate(lines):
+        together = re.fullmatch(r"(\w+(?:, \w+)+) : (.*)", line)
+        if together:
+            told = list(itertools.takewhile(lambda below: below.startswith(" "), lines[k + 1 :]))
+            for one in together[1].split(", ")[:-1]:
+                separate += [f"{one} : {together[2]}", *told]
+            line = f"{together[1].split(', ')[-1]} : {together[2]}"
+        separate.append(line)
+    lines[:] = separate
+
+
+def _short(
+    app: Sphinx, what: str, name: str, thing: object, options: object, signature: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    """Leave out signatures that are too long to be read; the docstring tells the parameters."""
+    return ("(...)" if signature and len(signature) > LONGEST_SIGNATURE else signature), returns
+
+
 def setup(app: Sphinx) -> None:
     """Listen to Sphinx."""
     app.connect("source-read", _without_what_is_coming)
+    app.connect("autodoc-process-docstring", _one_name_a_line, priority=400)  # before napoleon
+    app.connect("autodoc-process-signature", _short)
