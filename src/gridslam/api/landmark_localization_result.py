@@ -1,0 +1,167 @@
+"""What localization by landmarks gives, and the files that tell it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from gridslam import __version__
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, interpolate
+from gridslam.geometry.se2 import compose, inverse
+from gridslam.io.landmark_log import LandmarkLog
+from gridslam.io.output import OutputFolder
+from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.localization.ekf import EkfLocalizationReport, KnownLandmarks
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray, IntArray, Trajectory
+
+__all__ = ["LANDMARK_LOCALIZATION_SCHEMA", "LandmarkLocalizationResult"]
+
+LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/1"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkLocalizationResult:
+    """The robot's way in a map of landmarks, as it was told at the time.
+
+    Attributes
+    ----------
+    stamps_ns : (T,) int64, ns
+        Of the steps.
+    reports : sequence of EkfLocalizationReport
+        One for each.
+    landmarks : KnownLandmarks
+        The map.
+    landmarks_path : Path or None
+        Where it was read, unless it is the truth or was given as such.
+    in_true_frame : bool
+        Whether the map is that of the true landmarks: then errors are told without alignment.
+    unknown : bool
+        Whether the correspondences were to be found.
+    log : LandmarkLog
+    models : dict
+        Measurement and motion model, and association.
+    digest : str
+        SHA-256 of the log's file.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    stamps_ns: IntArray
+    reports: Sequence[EkfLocalizationReport]
+    landmarks: KnownLandmarks
+    landmarks_path: Path | None
+    in_true_frame: bool
+    unknown: bool
+    log: LandmarkLog
+    models: dict[str, Any]
+    digest: str
+    stopwatch: Stopwatch
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each step, in the frame of the landmarks."""
+        return Trajectory(self.stamps_ns, np.array([report.pose for report in self.reports]))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance (T, 3, 3) of each."""
+        return np.array([report.covariance for report in self.reports])
+
+    @property
+    def not_believed(self) -> int:
+        """Sightings of which nothing was learned."""
+        return sum(int((report.landmarks < 0).sum()) for report in self.reports)
+
+    def errors(self) -> PoseErrors | None:
+        """Errors against the truth, after alignment unless the map is in its frame; None where it is not known."""
+        if (truth := self._truth()) is None:
+            return None
+        return absolute_errors(self._during(truth), truth, aligned=not self.in_true_frame, tolerance_ns=0)
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write all results into a folder, all of them or none; returns what run.json says."""
+        with OutputFolder(folder) as out:
+            return self.write(out)
+
+    def write(self, out: OutputFolder) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says."""
+        self.stopwatch.resume()
+        write_tum(out.file("trajectory.tum"), self.trajectory)
+        write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
+        self.stopwatch.lap("write")
+        self._draw(out.file("landmarks.png"))
+        self.stopwatch.lap("draw")
+        document = self._document()
+        out.write_json("run.json", document)
+        return document
+
+    def caption(self) -> list[str]:
+        """Lines that tell how the robot was localized."""
+        counts, errors = self.log.statistics, self.errors()
+        lines = [
+            f"EKF localization, {'unknown' if self.unknown else 'known'} correspondences",
+            f"{len(self.stamps_ns)} steps, {counts.sightings} sightings, {len(self.landmarks.names)} known landmarks",
+        ]
+        if errors is not None:
+            lines.append(f"RMSE: position {errors.trans_rmse_m:.3f} m, heading {errors.rot_rmse_deg:.1f} degrees")
+        return [*lines, f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"]
+
+    def _document(self) -> dict[str, Any]:
+        """What run.json says."""
+        wall, cpu = self.stopwatch.total()
+        counts, errors = self.log.statistics, self.errors()
+        statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
+        return {
+            "schema": LANDMARK_LOCALIZATION_SCHEMA,
+            "version": __version__,
+            "method": "ekf-localization",
+            "correspondences": "unknown" if self.unknown else "known",
+            "input": {"path": os.fspath(self.log.path), "sha256": self.digest, **statistics},
+            "map": {
+                "path": None if self.landmarks_path is None else os.fspath(self.landmarks_path),
+                "landmarks": len(self.landmarks.names),
+            },
+            "not_believed": self.not_believed,
+            "log_likelihood": float(sum(report.log_likelihood for report in self.reports)),
+            "errors": None if errors is None else {"aligned": not self.in_true_frame, **asdict(errors)},
+            "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
+            "time": {
+                "wall_s": wall,
+                "cpu_s": cpu,
+                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
+            },
+        }
+
+    def _truth(self) -> Trajectory | None:
+        """True poses at the steps that the truth covers."""
+        if self.log.truth is None or (known := self.log.truth.trajectory) is None:
+            return None
+        first, last = known.stamps_ns[[0, -1]]
+        stamps = self.stamps_ns[(self.stamps_ns >= first) & (self.stamps_ns <= last)]
+        return Trajectory(stamps, interpolate(known, stamps)[0]) if len(stamps) else None
+
+    def _during(self, truth: Trajectory) -> Trajectory:
+        """The steps that the truth covers."""
+        covered = (self.stamps_ns >= truth.stamps_ns[0]) & (self.stamps_ns <= truth.stamps_ns[-1])
+        return Trajectory(self.stamps_ns[covered], self.trajectory.poses[covered])
+
+    def _draw(self, path: Path) -> None:
+        from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
+
+        truth = self._truth()
+        if truth is not None and not self.in_true_frame:
+            map_from_true = inverse(align(self._during(truth).poses[:, :2], truth.poses[:, :2]))
+            truth = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
+        exact = np.zeros((len(self.landmarks.names), 2, 2))
+        picture = draw_landmarks(
+            self.trajectory, self.landmarks.positions, exact, title=self.log.path.name, caption=self.caption(),
+            truth=truth, true_positions=self.landmarks.positions,
+        )  # fmt: skip
+        picture.save(path, optimize=False)

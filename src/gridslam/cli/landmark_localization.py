@@ -1,0 +1,57 @@
+"""gridslam landmarks --method ekf-localization."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from gridslam.api.landmark_localization import localize_by_landmarks
+from gridslam.cli import STARTED_S
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.errors import ArgumentError
+from gridslam.io.landmark_log import open_landmark_log
+from gridslam.pipeline import Stopwatch
+
+__all__ = ["localize_to_folder"]
+
+
+def localize_to_folder(
+    log: Path, out: Path, landmarks: Path | None, start: tuple[float, float, float] | None, unknown: bool, as_json: bool
+) -> None:
+    """Localize a robot by known landmarks into a folder and say what came of it."""
+    watch = Stopwatch(STARTED_S, 0.0)
+    source = open_landmark_log(log)
+    with opened(out) as folder:
+        try:
+            result = localize_by_landmarks(
+                source, landmarks, start=start, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
+            )
+        except ArgumentError as error:
+            raise click.ClickException(f"--{error}") from None
+        document = result.write(folder)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(_summary(document, out)))
+
+
+def _summary(document: dict[str, Any], out: Path) -> list[str]:
+    """What a person wants to know, in a few lines."""
+    told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
+    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    lines = [
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings",
+        f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, "
+        f"{document['not_believed']} sightings not believed",
+    ]
+    if errors is not None:
+        aligned = ", aligned" if errors["aligned"] else ""
+        lines.append(
+            f"position RMSE {errors['trans_rmse_m']:.3f} m, heading RMSE {errors['rot_rmse_deg']:.1f} degrees against "
+            f"the truth{aligned}"
+        )
+    files = "landmarks.png", "trajectory.tum", "trajectory.csv", "run.json"
+    return [*lines, f"results: {', '.join(str(out / name) for name in files)}"]

@@ -1,0 +1,181 @@
+"""EKF localization: one Gaussian over the robot's pose, in a map of landmarks that is known.
+
+It tracks p(x_t | z_1:t, u_1:t, m). A Gaussian has one peak, so it needs to know roughly where the robot begins.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.models.association import AMBIGUOUS, NEW, Association, Told
+from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.sightings import Sightings
+from gridslam.scan import frozen
+from gridslam.types import FloatArray, IntArray, MotionSampler
+
+__all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownLandmarks:
+    """A map of point landmarks, held for exact.
+
+    Attributes
+    ----------
+    names : (M,) int64
+        Signatures, each once.
+    positions : (M, 2) float64, m
+        Map frame.
+    """
+
+    names: IntArray
+    positions: FloatArray
+
+    @classmethod
+    def of(cls, names: ArrayLike, positions: ArrayLike) -> KnownLandmarks:
+        """Validate and copy; ArgumentError for wrong shapes, no landmark, a name twice, a value that is not finite."""
+        places = frozen(positions, np.float64, (None, 2), "positions")
+        signatures = frozen(names, np.int64, (len(places),), "names")
+        if not len(places) or not np.isfinite(places).all():
+            raise ArgumentError("positions", "at least one landmark, at finite places", places.tolist())
+        if len(np.unique(signatures)) < len(signatures):
+            raise ArgumentError("names", "each landmark once", signatures.tolist())
+        return cls(signatures, places)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGaussian:
+    """The belief: mean pose (3,), map frame, and its covariance (3, 3) by x, y in m and theta in rad."""
+
+    pose: FloatArray
+    covariance: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class EkfLocalizationReport:
+    """What one step tells its observers.
+
+    Attributes
+    ----------
+    pose, covariance : (3,), (3, 3) float64
+        The belief after the step.
+    landmarks : (K,) int64
+        Which landmark each sighting was taken for, by name. `NEW` where it is of none in the map, and `AMBIGUOUS` where
+        it cannot be told or believed: nothing is learned from these.
+    log_likelihood : float, nats
+        log p(z_t | z_1:t-1, u_1:t, m) of the sightings that were believed; 0 where there is none.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    landmarks: IntArray
+    log_likelihood: float
+
+
+@final
+@dataclass(frozen=True)
+class EkfLocalization:
+    """The filter; a belief goes into `step`, and another one comes out.
+
+    Attributes
+    ----------
+    landmarks : KnownLandmarks
+        The map m.
+    sensor : LandmarkModel
+        p(z | x, m) of one landmark.
+    association : Association
+        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not. Both gate by the
+        Mahalanobis distance of a sighting from what is predicted.
+
+    Source: Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is taken twice
+    at a time). Where the tables correct by one sighting after the other, all of one step correct at once here: the same
+    for a linear model, and else independent of their order.
+    """
+
+    landmarks: KnownLandmarks
+    sensor: LandmarkModel = field(default_factory=RangeBearing)
+    association: Association = field(default_factory=Told)
+
+    def init(self, start: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
+        """Begin near a pose `start` (3,), as near as a covariance (3, 3) tells.
+
+        Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
+        """
+        mean = frozen(start, np.float64, (3,), "start")
+        spread = frozen(covariance, np.float64, (3, 3), "covariance")
+        if not np.isfinite(mean).all():
+            raise ArgumentError("start", "finite x, y, theta", mean.tolist())
+        if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
+            raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", spread.tolist())
+        return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2]))]), spread)
+
+    def step(
+        self, belief: PoseGaussian, motion: MotionSampler, sightings: Sightings
+    ) -> tuple[PoseGaussian, EkfLocalizationReport]:
+        """Take one step.
+
+        Parameters
+        ----------
+        belief : PoseGaussian
+        motion : MotionSampler
+            The motion model, conditioned on u_t.
+        sightings : Sightings
+            z_t, with c_t where the association needs it; perhaps none.
+
+        Raises
+        ------
+        ArgumentError
+            The association goes by what the sightings tell, and they tell nothing.
+        """
+        belief = self._predicted(belief, motion)
+        if not len(sightings):
+            return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
+        noise = self.sensor.noise(sightings)
+        places = self._correspondences(belief, sightings, noise)
+        seen = np.flatnonzero(places >= 0)
+        belief, log_likelihood = self._corrected(belief, places[seen], sightings.values[seen], noise[seen])
+        told = np.where(places >= 0, self.landmarks.names[places], np.where(places == NEW, NEW, AMBIGUOUS))
+        return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
+
+    def _predicted(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
+        """Table 7.2, lines 2 to 7."""
+        (pose,), (motion_noise,) = motion.moments(belief.pose[None])
+        G = np.eye(3)
+        G[:2, 2] = belief.pose[1] - pose[1], pose[0] - belief.pose[0]
+        return PoseGaussian(pose, G @ belief.covariance @ G.T + motion_noise)
+
+    def _correspondences(self, belief: PoseGaussian, sightings: Sightings, noise: FloatArray) -> IntArray:
+        """Table 7.3, lines 9 to 15: the place of each sighting's landmark in the map."""
+        predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions)
+        residuals = self.sensor.residual(sightings.values[:, None], predicted)
+        S = H @ belief.covariance @ H.swapaxes(1, 2) + noise[:, None]
+        distances = np.einsum("kmi,kmij,kmj->km", residuals, np.linalg.inv(S), residuals)
+        return self.association(sightings, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
+
+    def _corrected(
+        self, belief: PoseGaussian, places: IntArray, measured: FloatArray, noise: FloatArray
+    ) -> tuple[PoseGaussian, float]:
+        """Table 7.2, lines 11 to 21, for K sightings at once: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
+        if not (count := len(places)):
+            return belief, 0.0
+        predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions[places])
+        residuals = self.sensor.residual(measured, predicted).ravel()
+        H, P = H.reshape(-1, 3), belief.covariance
+        S = (H @ P @ H.T).reshape(count, 2, count, 2)
+        S[np.arange(count), :, np.arange(count)] += noise
+        L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
+        W, whitened = np.linalg.solve(L, H @ P), np.linalg.solve(L, residuals)
+        pose = belief.pose + whitened @ W
+        pose[2] = wrap(float(pose[2]))
+        log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)
+        return PoseGaussian(pose, P - W.T @ W), log_likelihood - float(np.log(np.diagonal(L)).sum())

@@ -1,0 +1,103 @@
+"""What localization by landmarks writes and says."""
+
+from __future__ import annotations
+
+import json
+
+import click
+import numpy as np
+import pytest
+from landmark_world import MOTION, drive, ring
+from PIL import Image
+
+from gridslam import __version__
+from gridslam.api.landmark_localization import localize_by_landmarks
+from gridslam.api.landmarks import map_landmarks
+from gridslam.cli.landmark_localization import localize_to_folder
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.text_source import sha256_of
+from gridslam.io.trajectory import read_trajectory_csv, read_tum
+from gridslam.localization.ekf import KnownLandmarks
+from gridslam.models.landmark import RelativePosition
+
+FILES = {"trajectory.tum", "trajectory.csv", "landmarks.png", "run.json"}
+
+
+@pytest.fixture(scope="session")
+def park(tmp_path_factory):
+    """A log in Victoria Park's form, the map that EKF SLAM makes of it, and the true poses."""
+    folder, sensor = tmp_path_factory.mktemp("park"), RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
+    steps, truth = drive(ring(10), 140, np.random.default_rng(1), sensor)
+    covariance = MOTION(steps[0].increment).moments(np.zeros((1, 3)))[1][0]
+    spread = " ".join(f"{v:.9g}" for v in covariance[np.triu_indices(3)])
+    lines = []
+    for k, step in enumerate(steps):
+        x, y, theta = step.increment
+        lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
+        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
+            lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
+    (folder / "ring.txt").write_text("\n".join(lines) + "\n")
+    map_landmarks(folder / "ring.txt", "ekf").save(folder / "slam")
+    return folder / "ring.txt", folder / "slam" / "landmarks.csv", truth
+
+
+def test_files_and_figures(park, tmp_path, capsys):
+    log, landmarks, truth = park
+    localize_to_folder(log, tmp_path / "out", landmarks, None, False, True)
+    document = json.loads(capsys.readouterr().out)
+    assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
+    assert document == json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (document["schema"], document["version"]) == ("gridslam.landmark_localization/1", __version__)
+    assert (document["method"], document["correspondences"]) == ("ekf-localization", "known")
+    assert document["map"] == {"path": str(landmarks), "landmarks": 10}
+    assert document["input"]["sha256"] == sha256_of(log)
+    assert document["errors"] is None
+    assert document["models"]["association"]["kind"] == "Told"
+    trajectory, covariances = read_trajectory_csv(tmp_path / "out" / "trajectory.csv")
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == len(trajectory) == len(covariances) == 141
+    # The map is SLAM's, off by some decimetres at its far side; within it the robot does not drift.
+    assert np.hypot(*(trajectory.poses[1:] - truth)[:, :2].T).max() < 1.0
+    assert np.sqrt(covariances[1:, 0, 0]).max() < 0.2
+    with Image.open(tmp_path / "out" / "landmarks.png") as picture:
+        assert min(picture.size) > 800
+
+
+def test_in_words(park, tmp_path, capsys):
+    localize_to_folder(park[0], tmp_path / "out", park[1], None, True, False)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("ring.txt: 141 steps, ")
+    assert lines[1].startswith("localized by 10 landmarks in ")
+    assert lines[-1].startswith("results: ")
+
+
+def test_what_the_log_tells_of_correspondences_can_be_left_unread(park):
+    known, found = (localize_by_landmarks(*park[:2], unknown=unknown) for unknown in (False, True))
+    np.testing.assert_allclose(found.trajectory.poses, known.trajectory.poses, atol=1e-9)
+
+
+def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
+    localize_to_folder(data_dir / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz", tmp_path, None, None, False, False)
+    assert "degrees against the truth\n" in capsys.readouterr().out
+    errors = json.loads((tmp_path / "run.json").read_text())["errors"]
+    assert errors["aligned"] is False
+    assert errors["trans_rmse_m"] < 0.2
+
+
+def test_what_is_refused(park, tmp_path):
+    log, landmarks, _ = park
+    with pytest.raises(InputError, match=r"ring.txt: expected true landmarks beside it, as no others are given"):
+        localize_by_landmarks(log)
+    bad = tmp_path / "bad.csv"
+    bad.write_text(landmarks.read_text().replace("x_m", "x_cm", 1))
+    with pytest.raises(InputError, match=r"bad.csv, line 1: expected the columns"):
+        localize_by_landmarks(log, bad)
+    bad.write_text("".join(line + "\n" for line in [*landmarks.read_text().splitlines(), "1100,0,0,1,0,1,1"]))
+    with pytest.raises(InputError, match=r"bad.csv: names: expected each landmark once"):
+        localize_by_landmarks(log, bad)
+    with pytest.raises(InputError, match=r"ring.txt: expected sightings of the landmarks in the map"):
+        localize_by_landmarks(log, KnownLandmarks.of([1], [[0.0, 0.0]]))
+    with pytest.raises(ArgumentError, match="start: expected finite x, y, theta"):
+        localize_by_landmarks(log, landmarks, start=(0, 0, np.nan))
+    with pytest.raises(click.ClickException, match="--start"):
+        localize_to_folder(log, tmp_path / "out", landmarks, (0.0, 0.0, np.inf), False, False)
+    assert not (tmp_path / "out").exists()
