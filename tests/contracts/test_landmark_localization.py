@@ -14,6 +14,7 @@ from gridslam import __version__
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import map_landmarks
 from gridslam.cli.landmark_localization import localize_to_folder
+from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
@@ -81,6 +82,23 @@ def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
     errors = json.loads((tmp_path / "run.json").read_text())["errors"]
     assert errors["aligned"] is False
     assert errors["trans_rmse_m"] < 0.2
+
+
+def test_the_command(park, tmp_path, capsys):
+    log, landmarks, _ = park
+    how = ["landmarks", str(log), "-o", str(tmp_path / "out"), "--method", "ekf-localization"]
+    assert main([*how, "--landmarks", str(landmarks), "--start", "0", "0", "0.0", "--unknown", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["correspondences"], document["not_believed"]) == ("unknown", 0)
+    for more, said in (
+        (["--particles", "5", "--landmarks", str(landmarks)], "--particles: expected none for ekf-localization, got 5"),
+        (["--method", "ekf", "--landmarks", str(landmarks)], "expected with --method ekf-localization alone"),
+        ([], "expected true landmarks beside it, as no others are given"),
+    ):
+        assert main([*how[:3], str(tmp_path / "none"), *how[4:], *more]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+    assert not (tmp_path / "none").exists()
 
 
 def test_what_is_refused(park, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -16,14 +17,19 @@ __all__ = ["FAMILY_COMMANDS"]
 @click.argument("log", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder for the results; made if need be.")
 @click.option(
-    "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph"]), default="fastslam2", show_default=True,
-    help="EKF SLAM, FastSLAM 1.0 or 2.0, or GraphSLAM.",
+    "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph", "ekf-localization"]), default="fastslam2",
+    show_default=True, help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM; or localization where the landmarks are known.",
 )  # fmt: skip
 @click.option("--particles", type=int, help="Number of particles of FastSLAM.  [default: 100 for 1.0, 20 for 2.0]")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
 @click.option("--unknown", is_flag=True, help="Do not read which landmark was seen, where LOG says it: find it out.")
+@click.option("--landmarks", type=PATH, help="Known ones, a landmarks.csv, to localize by.  [default: LOG's true ones]")
+@click.option(
+    "--start", type=(float, float, float), metavar="X Y THETA",
+    help="Where to begin to localize, m and rad.  [default: the true pose; with --landmarks the origin]",
+)  # fmt: skip
 @json_option
-def landmarks_command(**options: Any) -> None:  # noqa: ANN401
+def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] | None, **options: Any) -> None:  # noqa: ANN401
     """Map the landmarks that LOG tells of, and where the robot was.
 
     LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat, its other files beside it), or the lines ODOMETRY and
@@ -31,8 +37,15 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 
     OUT gets landmarks.csv (with covariances), landmarks.png, trajectory.tum and run.json.
     """
+    if options["method"] == "ekf-localization":
+        from gridslam.cli.landmark_localization import localize_to_folder
+
+        localize_to_folder(landmarks=landmarks, start=start, **options)
+        return
     from gridslam.cli.landmarks import landmarks_to_folder
 
+    if landmarks is not None or start is not None:
+        raise click.ClickException("--landmarks and --start: expected with --method ekf-localization alone")
     landmarks_to_folder(**options)
 
 

@@ -19,9 +19,19 @@ __all__ = ["localize_to_folder"]
 
 
 def localize_to_folder(
-    log: Path, out: Path, landmarks: Path | None, start: tuple[float, float, float] | None, unknown: bool, as_json: bool
+    log: Path,
+    out: Path,
+    landmarks: Path | None,
+    start: tuple[float, float, float] | None,
+    unknown: bool,
+    as_json: bool,
+    method: str = "ekf-localization",
+    particles: int | None = None,
+    seed: int = 0,
 ) -> None:
-    """Localize a robot by known landmarks into a folder and say what came of it."""
+    """Localize a robot by known landmarks into a folder and say what came of it; it has no particles and no noise."""
+    if particles is not None:
+        raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with opened(out) as folder:
