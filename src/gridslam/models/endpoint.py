@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
@@ -43,15 +44,18 @@ class CauchyAgreement:
     scale_m: float = Field(default=0.1, gt=0)
     tempering: float = Field(default=0.03, gt=0, le=1)
 
+    def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
+        agreement: NDArray[np.float32] = 1 / (1 + np.square(distances) * np.float32(1 / self.scale_m**2))
+        return agreement
+
     def __call__(self, beams: Beams) -> Weigher:
         """Condition on the beams of one scan."""
         ends = beams.ends
-        inverse_square = np.float32(1 / self.scale_m**2)
 
         def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
-            squares = np.square(maps.distances(rows, poses, ends)) * inverse_square
-            agreement: FloatArray = (1 / (1 + squares)).sum(axis=1, dtype=np.float64)
-            return self.tempering * agreement
+            agreement = self.log_likelihoods(maps.distances(rows, poses, ends))
+            return np.asarray(self.tempering * agreement.sum(axis=1, dtype=np.float64))
 
         return weigh
 

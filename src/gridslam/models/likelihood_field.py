@@ -6,6 +6,7 @@ import math
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
@@ -57,16 +58,19 @@ class LikelihoodField:
             raise ValueError("z_hit, z_rand and z_max must sum to 1")
         return self
 
+    def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Log likelihood of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
+        peak = np.float32(self.z_hit / (math.sqrt(math.tau) * self.sigma_hit_m))
+        exponent, uniform = np.float32(-0.5 / self.sigma_hit_m**2), np.float32(self.z_rand / self.range_max_m)
+        log_density: NDArray[np.float32] = np.log(peak * np.exp(exponent * np.square(distances)) + uniform)
+        return log_density
+
     def __call__(self, beams: Beams) -> Weigher:
         """Condition on the beams of one scan."""
         ends = beams.ends
-        peak = np.float32(self.z_hit / (math.sqrt(math.tau) * self.sigma_hit_m))
-        exponent = np.float32(-0.5 / self.sigma_hit_m**2)
-        uniform = np.float32(self.z_rand / self.range_max_m)
 
         def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
-            density = peak * np.exp(exponent * np.square(maps.distances(rows, poses, ends))) + uniform
-            log_likelihood: FloatArray = np.log(density).sum(axis=1, dtype=np.float64)
-            return self.tempering * log_likelihood
+            log_likelihood = self.log_likelihoods(maps.distances(rows, poses, ends))
+            return np.asarray(self.tempering * log_likelihood.sum(axis=1, dtype=np.float64))
 
         return weigh
