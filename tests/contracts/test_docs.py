@@ -15,11 +15,16 @@ from pathlib import Path
 
 import pytest
 
+from gridslam.config import PARAMETERS, Configuration
+from gridslam.config.tables import value_of
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 SHOWN = {"live.md", "logs.md", "ros.md"}
 """Pages whose examples need what is not here."""
+
+ALGORITHMS = "grid_fastslam", "loop_closure", "graph_slam", "mapping", "models", "resampling", "scan_matching"
 
 BLOCK = re.compile(
     r"^<!-- setup\n(?P<setup>.*?)^-->$"  # Python that makes what the examples below it need, not shown
@@ -49,6 +54,9 @@ def examples(page: Path) -> Iterator[Example]:
             yield Example(found["language"], found["shown"], line)
 
 
+RUN = [page for page in PAGES if page.name not in SHOWN and any(examples(page))]
+
+
 def run_console(shown: str, folder: Path) -> None:
     """Run lines that begin with $; what stands below them is their output, where ... is anything."""
     for part in re.split(r"^\$ ", shown, flags=re.MULTILINE)[1:]:
@@ -73,7 +81,9 @@ def environment(folder: Path) -> dict[str, str]:
     return os.environ | here | ({"PYTHONPATH": os.pathsep.join(paths)} if paths else {})
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page.name not in SHOWN and any(examples(page))], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", RUN, ids=lambda page: page.name
+)
 def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
@@ -110,10 +120,17 @@ def test_tests_that_are_named_exist():
 
 
 def test_every_page_of_an_algorithm_shows_its_model_its_trunk_its_picture_and_its_tests():
-    for name in ("grid_fastslam", "mapping", "models", "resampling", "scan_matching", "loop_closure", "graph_slam"):
+    needed = r"figures/\w+\.svg", r"\{literalinclude\}", r"images/\w+\.png", r"tests/[\w/]+\.py::", "When to use it"
+    for name in ALGORITHMS:
         text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
-        for needed in (r"figures/\w+\.svg", r"\{literalinclude\}", r"images/\w+\.(png|svg)", r"tests/[\w/]+\.py::", "When to use it"):  # fmt: skip
-            assert re.search(needed, text), f"{name}.md: {needed}"
+        assert [what for what in needed if not re.search(what, text)] == [], name
+
+
+def test_tuning_names_every_parameter_with_its_default():
+    text = (DOCS / "tuning.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `(\w+)` \| (\S+) \|", text, re.MULTILINE))
+    defaults = {name: value_of(Configuration(), dotted) for name, (dotted, _) in PARAMETERS.items()}
+    assert {name: str(value).lower() for name, value in defaults.items()} == rows
 
 
 def test_graphical_models_are_those_that_the_script_draws():
