@@ -1,0 +1,92 @@
+"""What a cloud of particles says: a pose, how certain it is, and how probable it is that the robot is elsewhere."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.angles import wrap
+from gridslam.types import FloatArray
+
+__all__ = ["NEAR_M", "NEAR_RAD", "Estimate", "estimate", "moved_covariance"]
+
+NEAR_M, NEAR_RAD = 1.0, 0.5
+"""Who is as near as that to the pose that is told is where it says; farther off, the robot is lost."""
+
+_LEAST_FREEDOM = 0.1  # 1 - 1 / N_eff; below, the spread of the weighted particles is that of one or two
+_SHIFTS = 3  # towards the mean of what is near; the first centre is off by less than half a bin
+
+
+class Estimate(NamedTuple):
+    """What the particles say.
+
+    Attributes
+    ----------
+    pose : (3,) float64
+        Mean of the densest cluster.
+    covariance : (3, 3) float64
+        About the pose: of the cluster where most particles are in it, of all particles otherwise.
+    mass : float, [0, 1]
+        Weight of the cluster: the belief's probability that the robot is within 1 m and 0.5 rad of the pose.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    mass: float
+
+
+def estimate(poses: FloatArray, weights: FloatArray) -> Estimate:
+    """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin."""
+    x, y, theta = poses.T.copy()
+    near = _heaviest_bin(x, y, theta, weights)
+    centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
+    for _ in range(_SHIFTS):
+        away = _away(x, y, theta, centre)
+        shares = np.where(near, weights, 0.0)
+        centre = centre + away @ shares / shares.sum()
+        centre[2] = wrap(float(centre[2]))
+        away = _away(x, y, theta, centre)
+        near = (away[0] ** 2 + away[1] ** 2 < NEAR_M**2) & (np.abs(away[2]) < NEAR_RAD)
+    mass = float(weights[near].sum())
+    covariance = _second_moment(away[:, near], weights[near]) if mass > 0.5 else _second_moment(away, weights)
+    return Estimate(centre, covariance, min(mass, 1.0))
+
+
+def _heaviest_bin(x: FloatArray, y: FloatArray, theta: FloatArray, weights: FloatArray) -> NDArray[np.bool_]:
+    """Who (N,) is in the bin of the greatest weight; bins are as wide as a cluster."""
+    column, row, turn = (
+        np.floor((values - values.min()) * (0.5 / width)).astype(np.int64)
+        for values, width in ((x, NEAR_M), (y, NEAR_M), (theta, NEAR_RAD))
+    )
+    bins = (column * (row.max() + 1) + row) * (turn.max() + 1) + turn
+    return np.asarray(bins == np.bincount(bins, weights).argmax())
+
+
+def _second_moment(away: FloatArray, weights: FloatArray) -> FloatArray:
+    """Mean of away away' over (3, N), freed from the bias of few particles: N_eff of them lie nearer to their own mean.
+
+    Where one particle holds nearly all weight, it tells nothing of the spread, and all count alike.
+    """
+    shares = weights / weights.sum()
+    freedom = 1 - float(shares @ shares)
+    if freedom < _LEAST_FREEDOM:
+        shares, freedom = np.full(len(weights), 1 / len(weights)), 1.0
+    return np.asarray((shares * away) @ away.T / freedom)
+
+
+def _away(x: FloatArray, y: FloatArray, theta: FloatArray, centre: FloatArray) -> FloatArray:
+    """Coordinates (3, N) as seen from a centre (3,)."""
+    turn = theta - centre[2]  # of two angles in [-pi, pi): at most one turn too far
+    turn[turn >= math.pi] -= math.tau
+    turn[turn < -math.pi] += math.tau
+    return np.array([x - centre[0], y - centre[1], turn])
+
+
+def moved_covariance(covariance: FloatArray, way: FloatArray, noise: FloatArray) -> FloatArray:
+    """Covariance (3, 3) after a way (2,) in the world frame whose own is `noise`: a doubtful heading bends it."""
+    jacobian = np.array([[1.0, 0.0, -way[1]], [0.0, 1.0, way[0]], [0.0, 0.0, 1.0]])
+    return np.asarray(jacobian @ covariance @ jacobian.T + noise)
+

@@ -1,0 +1,168 @@
+"""The map in which a robot is localized: free space to be in, and obstacles to measure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError
+from gridslam.kernels import PAGE, TILE, backend
+from gridslam.localization.distance_transform import distance_transform
+from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
+
+__all__ = ["KnownMap", "PoseWeigher"]
+
+PoseWeigher = Callable[[FloatArray], FloatArray]
+"""A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
+
+_OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
+_RIM = 2  # cells around the map that hold what lies beyond, so that a look-up needs no test
+_PAGE_CELLS = TILE * PAGE
+
+
+@final
+class KnownMap:
+    """One map for all particles, as `gridslam.types.DistanceMaps` whose rows are all the same.
+
+    A cell is free or occupied where the map is sure of it, with the thresholds of map files: probabilities below 0.196
+    and above 0.65. All others, unknown ones first of all, are neither.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map; at least one free and one occupied cell.
+    reach_m : float, m, > 0
+        Where distances saturate; beyond some five standard deviations of a beam it does not matter.
+    threads : int
+        Threads of the kernels; never changes a result.
+
+    Raises
+    ------
+    ArgumentError
+        No cell is free, or none is occupied: there is nowhere to be, or nothing to see.
+    """
+
+    def __init__(self, grid: OccupancyGrid, *, reach_m: float = 1.0, threads: int = 1) -> None:
+        free, occupied = grid.known & (grid.log_odds < _FREE), grid.known & (grid.log_odds > _OCCUPIED)
+        for name, some in (("free", free), ("occupied", occupied)):
+            if not some.any():
+                raise ArgumentError("map", f"at least one {name} cell", f"none of {some.shape[1]} x {some.shape[0]}")
+        if not reach_m > 0:
+            raise ArgumentError("reach_m", "a length above 0 m", reach_m)
+        self.grid, self.reach_m, self.threads = grid, reach_m, threads
+        self.resolution_m = grid.resolution_m
+        self.free: NDArray[np.bool_] = free
+        self._free_cells = np.argwhere(free)
+        self._corner = np.array(grid.origin) - _RIM * grid.resolution_m
+        cells = distance_transform(np.pad(occupied, _RIM), math.ceil(reach_m / grid.resolution_m))
+        self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
+        self._distances[[0, -1]] = self._distances[:, [0, -1]] = reach_m
+        self._tabulated: dict[LikelihoodField | CauchyAgreement, NDArray[np.float32]] = {}
+        self._occupied = occupied
+        self._tiles: tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]] | None = None
+
+    @property
+    def free_area_m2(self) -> float:
+        """Area of all free cells, m^2."""
+        return len(self._free_cells) * self.resolution_m**2
+
+    def is_free(self, poses: FloatArray) -> NDArray[np.bool_]:
+        """Whether each of poses (N, 3) stands on a free cell."""
+        cells = np.floor((poses[:, :2] - self.grid.origin) * (1 / self.resolution_m)).astype(np.int64)
+        height, width = self.free.shape
+        column, row = cells.T
+        inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        found: NDArray[np.bool_] = inside & self.free[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return found
+
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Poses (count, 3), uniform over free cells and headings."""
+        cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
+        poses = rng.random((count, 3))
+        poses[:, :2] = (poses[:, :2] + cells[:, ::-1]) * self.resolution_m + self.grid.origin
+        poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
+        return poses
+
+    def weigher(self, sensor: SensorModel, beams: Beams) -> PoseWeigher:
+        """Condition a measurement model on this map and one scan.
+
+        What a likelihood field or an agreement says of an end depends on its distance alone, so it is tabulated for all
+        cells once and each scan only adds it up; any other model looks at the map for itself.
+        """
+        if isinstance(sensor, LikelihoodField | CauchyAgreement):
+            field, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
+
+            def add_up(poses: FloatArray) -> FloatArray:
+                summed: FloatArray = backend.sum_at_ends(
+                    field, self._corner, self.resolution_m, poses, ends, self.threads
+                )
+                return summed
+
+            return add_up
+        weigh = sensor(beams)
+        return lambda poses: weigh(self, np.zeros(len(poses), np.int32), poses)
+
+    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
+        """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
+
+        Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
+        """
+        world = np.stack([*_placed(poses, points), np.zeros((len(poses), len(points)))], axis=-1).reshape(-1, 3)
+        found: FloatArray = backend.sum_at_ends(
+            self._distances, self._corner, self.resolution_m, world, np.zeros((1, 2)), self.threads
+        )
+        return found.reshape(len(poses), len(points)).astype(np.float32)
+
+    def cast_rays(
+        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
+    ) -> NDArray[np.float32]:
+        """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
+
+        `max_m` where there is none; directions have length 1; `rows` (K,) are all one map.
+        """
+        if self._tiles is None:
+            self._tiles = _tiles_of(self._occupied)
+        roots, first, pages, field = self._tiles
+        shifted = poses - [*self.grid.origin, 0.0]
+        log_odds = np.zeros((1, TILE, TILE), np.int16)  # rays look at the field alone
+        ranges: NDArray[np.float32] = backend.cast_rays(
+            roots, first, pages, log_odds, field, np.zeros(len(poses), np.int32), shifted, origin, directions,
+            self.resolution_m, max_m, self.threads,
+        )  # fmt: skip
+        return ranges
+
+    def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> NDArray[np.float32]:
+        """What the sensor says of an end in each cell; the map's rounding to cells adds to the noise of a beam."""
+        if sensor not in self._tabulated:
+            blurred = sensor
+            if isinstance(sensor, LikelihoodField):
+                blurred = replace(sensor, sigma_hit_m=math.hypot(sensor.sigma_hit_m, self.resolution_m / math.sqrt(12)))
+            self._tabulated[sensor] = sensor.tempering * blurred.log_likelihoods(self._distances)
+        return self._tabulated[sensor]
+
+
+def _placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """World coordinates x and y (K, B) of points (B, 2) of the base frame at poses (K, 3)."""
+    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    return poses[:, :1] + c * points[:, 0] - s * points[:, 1], poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
+
+
+def _tiles_of(
+    occupied: NDArray[np.bool_],
+) -> tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]]:
+    """Lay a map out as the kernels of `gridslam.kernels.reference` read it: 255 where occupied."""
+    rows, columns = (-(-side // _PAGE_CELLS) for side in occupied.shape)
+    whole = np.zeros((rows * _PAGE_CELLS, columns * _PAGE_CELLS), np.uint8)
+    whole[: occupied.shape[0], : occupied.shape[1]][occupied] = 255
+    tiles = whole.reshape(rows, PAGE, TILE, columns, PAGE, TILE).transpose(0, 3, 1, 4, 2, 5).reshape(-1, TILE, TILE)
+    pages = np.arange(1, len(tiles) + 1, dtype=np.int32).reshape(-1, PAGE, PAGE)
+    roots = np.arange(1, len(pages) + 1, dtype=np.int32).reshape(1, rows, columns)
+    empty = np.zeros((1, PAGE, PAGE), np.int32)
+    return roots, (0, 0), np.concatenate([empty, pages]), np.concatenate([tiles[:1] * 0, tiles])

@@ -1,0 +1,183 @@
+"""Monte Carlo localization: a particle filter over the robot's pose in a known map.
+
+bel(x_t) = eta p(z_t | x_t, m) integral p(x_t | u_t, x_t-1) bel(x_t-1) dx_t-1: particles move as the odometry says, are
+weighed by the scan, and survive by their weights. Augmented: where scans fit worse than they should, a share of the
+belief is that the robot is somewhere else, and is drawn from the whole map.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import between, compose, log
+from gridslam.localization.belief import Estimate, estimate, moved_covariance
+from gridslam.localization.known_map import KnownMap, PoseWeigher
+from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, checked_poses
+from gridslam.models.endpoint import CauchyAgreement
+from gridslam.particles.resampling import Systematic
+from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.types import Beams, FloatArray, LaserScan, MotionModel, MotionSampler, Odometry, Resampler
+
+__all__ = ["MonteCarloLocalization"]
+
+_NOWHERE = Estimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
+_AGREEMENT = CauchyAgreement(scale_m=0.1, tempering=1.0)
+_ASKED = 500  # particles whose agreement with a scan stands for that of all
+
+
+@final
+@dataclass(frozen=True)
+class MonteCarloLocalization:
+    """The filter; what it knows is in the state that goes in and comes out of `step`.
+
+    Attributes
+    ----------
+    map : KnownMap
+        Where the robot is.
+    parts : MonteCarloParts
+        What the filter is put together from.
+    motion : MotionModel or None
+        Instead of that of `parts`.
+    resampler : Resampler
+        Which particles survive.
+
+    Source: Probabilistic Robotics, Tables 8.2 (`MCL`), 8.3 (`Augmented_MCL`) and 8.4 (`KLD_Sampling_MCL`).
+    """
+
+    map: KnownMap
+    parts: MonteCarloParts = field(default_factory=MonteCarloParts)
+    motion: MotionModel | None = None
+    resampler: Resampler = Systematic()
+
+    def init(self, particles: FloatArray | None = None) -> MonteCarloState:
+        """Begin with particles (N, 3) of equal weight (see `gridslam.particles.spread`), or knowing nothing.
+
+        Where nothing is known the first scan that is used draws the particles.
+        """
+        poses = np.empty((0, 3)) if particles is None else checked_poses(particles)
+        log_weights = np.full(len(poses), -math.log(max(len(poses), 1)))
+        known = len(poses) > 0
+        told = estimate(poses, np.exp(log_weights)) if known else _NOWHERE
+        return MonteCarloState(poses, log_weights, self.parts.recovery.begin(), told, math.inf if known else 0.0)
+
+    def step(
+        self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[MonteCarloState, LocalizationReport]:
+        """Take one scan; consumes `state` (keep one for later with `state.snapshot()`)."""
+        state = state.take()
+        moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
+        if reason := self._skip(state, odometry, moved, scan):
+            return state, self._between_updates(state, odometry, scan, moved, reason)
+        beams = self._beams(state.last, odometry, scan)
+        poses = self._motion(moved)(state.poses, rng)  # predict
+        weigh = self._weigher(beams)
+        log_weights = state.log_weights + weigh(poses)  # weigh
+        if share := self._elsewhere(state, poses, beams):  # augment
+            poses, log_weights = self._augmented(poses, log_weights, share, beams, weigh, rng)
+        state.advance(poses, normalize(log_weights), odometry)
+        report = self._report(state, scan, moved, beams, share)
+        if self._resamples(state, report):  # resample
+            parents = self.parts.kld(poses, np.exp(state.log_weights), self.resampler, rng)
+            state.resample(parents)
+            report = replace(report, parents=parents, particles=len(parents))
+        return state, report
+
+    def _motion(self, moved: FloatArray) -> MotionSampler:
+        return (self.motion or self.parts.motion)(moved)
+
+    def _beams(self, last: Odometry | None, odometry: Odometry | None, scan: LaserScan) -> Beams:
+        """Usable beams, evenly thinned, as they were at the scan's stamp."""
+        beams = self._usable(scan)
+        if len(beams) > self.parts.max_beams:
+            chosen = np.arange(self.parts.max_beams) * len(beams) // self.parts.max_beams
+            beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
+        if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
+            return beams
+        return beams.deskewed(log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns)))
+
+    def _skip(
+        self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, scan: LaserScan
+    ) -> LocalizationSkip | None:
+        if odometry is None:
+            return LocalizationSkip.NO_ODOMETRY
+        if state.updates and not self.parts.when_to_update(math.hypot(moved[0], moved[1]), abs(float(moved[2]))):
+            return LocalizationSkip.MOVED_TOO_LITTLE
+        return None if len(self._usable(scan)) else LocalizationSkip.NO_VALID_BEAM
+
+    def _usable(self, scan: LaserScan) -> Beams:
+        return scan.beams(self.parts.range_min_m, self.parts.range_max_m)
+
+    def _weigher(self, beams: Beams) -> PoseWeigher:
+        """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""
+        weigh, log_off_free = self.map.weigher(self.parts.sensor, beams), math.log(self.parts.off_free)
+        return lambda poses: weigh(poses) + np.where(self.map.is_free(poses), 0.0, log_off_free)
+
+    def _elsewhere(self, state: MonteCarloState, poses: FloatArray, beams: Beams) -> float:
+        """Share of the belief that the robot is somewhere else: all of it where nothing is known."""
+        if not len(state.poses):
+            return 1.0
+        some = slice(None, None, max(1, len(state.poses) // _ASKED))  # who descends from one particle stands together
+        weights = np.exp(state.log_weights[some] - state.log_weights[some].max())
+        agreement = float(weights @ self._agreement(beams)(poses[some]) / weights.sum())
+        state.averages, share = self.parts.recovery(state.averages, agreement)
+        return share
+
+    def _agreement(self, beams: Beams) -> PoseWeigher:
+        """Share (N,) of the beams that agree with the map at poses (N, 3)."""
+        agree = self.map.weigher(_AGREEMENT, beams)
+        return lambda poses: agree(poses) / len(beams)
+
+    def _augmented(
+        self, poses: FloatArray, log_weights: FloatArray, share: float, beams: Beams, weigh: PoseWeigher,
+        rng: np.random.Generator,
+    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Mix particles into the belief that stand for a share of it, even over the map, and are weighed like it."""
+        drawn, log_drawn = self.parts.proposal(self.map, beams, weigh, share, rng)
+        if share == 1:
+            return drawn, log_drawn
+        mixed = np.concatenate([log_weights + math.log1p(-share), log_drawn + math.log(share)])
+        return np.concatenate([poses, drawn]), mixed
+
+    def _resamples(self, state: MonteCarloState, report: LocalizationReport) -> bool:
+        if state.updates % self.parts.resample_interval:
+            return False
+        return report.augmented > 0 or self.parts.when_to_resample(report.n_eff, len(state.poses))
+
+    def _report(
+        self, state: MonteCarloState, scan: LaserScan, moved: FloatArray, beams: Beams, share: float
+    ) -> LocalizationReport:
+        """Report of an update, before resampling; keeps the estimate in the state."""
+        told = estimate(state.poses, np.exp(state.log_weights))
+        state.agreement = float(self._agreement(beams)(told.pose[None])[0])
+        state.follow(told, moved)
+        return LocalizationReport(
+            scan.stamp_ns, told.pose, told.covariance, *self._lost(state), state.agreement, len(state.poses),
+            effective_sample_size(state.log_weights), augmented=share, poses=state.poses, log_weights=state.log_weights,
+        )  # fmt: skip
+
+    def _between_updates(
+        self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, moved: FloatArray,
+        reason: LocalizationSkip,
+    ) -> LocalizationReport:  # fmt: skip
+        """Report of a scan that did not update the particles: the pose of the last update, moved on by odometry."""
+        state.last, told = odometry or state.last, state.estimate
+        pose = compose(told.pose, moved)
+        noise = self._motion(moved).moments(told.pose[None])[1][0]
+        covariance = moved_covariance(told.covariance, pose[:2] - told.pose[:2], noise)
+        return LocalizationReport(
+            scan.stamp_ns, pose, covariance, *self._lost(state), state.agreement, len(state.poses), skipped=reason
+        )  # fmt: skip
+
+    def _lost(self, state: MonteCarloState) -> tuple[float, bool]:
+        """How probable it is that the robot is not where it is said to be, and whether it counts as lost.
+
+        The belief's own doubt, that of the recovery, and that of a place that was found but not followed yet.
+        """
+        followed = -math.expm1(-state.followed_m / self.parts.follow_m)
+        probability = 1 - state.estimate.mass * followed * (1 - self.parts.recovery.share(state.averages))
+        return probability, probability > 0.5 or (state.updates > 0 and state.agreement < self.parts.lost_below)

@@ -1,0 +1,89 @@
+"""What Monte Carlo localization is put together from: all of its parameters in one tree."""
+
+from __future__ import annotations
+
+from typing import final
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.localization.kld_sampling import KldSampling
+from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
+from gridslam.models.beam import BeamRangeFinder
+from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
+from gridslam.models.parameters import STRICT
+from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast
+
+__all__ = ["MonteCarloParts"]
+
+
+def _sensor() -> LikelihoodField:
+    """Of 120 beams six are taken as independent: a wall that the map has in a wrong place misleads many at once."""
+    return LikelihoodField(tempering=0.05)
+
+
+def _when_to_update() -> MovedAtLeast:
+    return MovedAtLeast(0.2, 0.2)
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class MonteCarloParts:
+    """Parts and parameters of the filter; each part is explained at its class.
+
+    Parameters
+    ----------
+    motion : GMappingMotion, OdometryMotion or DiffusionMotion
+        p(x_t | u_t, x_{t-1}), conditioned on the odometry since the last update. The default has noise across the
+        motion, too: a base frame beside the wheels' axle slides sideways when the robot turns.
+    sensor : LikelihoodField or BeamRangeFinder
+        p(z_t | x_t, m), conditioned on the scan.
+    recovery : AugmentedRecovery
+        How probable it is that the robot is somewhere else.
+    proposal : MeasurementProposal
+        Where it may be, then and at the start.
+    kld : KldSampling
+        How many particles survive.
+    when_to_update : MovedAtLeast
+        Which scans update the particles: by what moved since the last one that did. 0.2 m and 0.2 rad.
+    when_to_resample : EffectiveSampleSizeBelow or Always
+        When resampling is worth its loss of diversity.
+    resample_interval : int, >= 1
+        Only at every so many-th update; 1: whenever it is worth it.
+    max_beams : int, >= 1
+        Of a scan's usable beams so many are used at most, evenly chosen.
+    range_min_m, range_max_m : float, m
+        Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
+        what it hits.
+    reach_m : float, m, > 0
+        Distances from the map's obstacles saturate here: ten standard deviations of a beam.
+    off_free : float, (0, 1]
+        What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
+        a robot may drive where its map ends.
+    lost_below : float, [0, 1]
+        Where a smaller share of the beams agrees with the map it counts as lost; poses taken by chance have 0.2.
+    follow_m : float, m, > 0
+        A place just found is doubted by exp(-way / follow_m): places that look alike are told apart by driving on.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        A parameter is out of range.
+    """
+
+    motion: GMappingMotion | OdometryMotion | DiffusionMotion = Field(default_factory=GMappingMotion)
+    sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
+    recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
+    proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
+    kld: KldSampling = Field(default_factory=KldSampling)
+    when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
+    when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)
+    resample_interval: int = Field(default=1, ge=1)
+    max_beams: int = Field(default=120, ge=1)
+    range_min_m: float = Field(default=0.05, ge=0)
+    range_max_m: float = Field(default=30.0, gt=0)
+    reach_m: float = Field(default=1.0, gt=0)
+    off_free: float = Field(default=0.01, gt=0, le=1)
+    lost_below: float = Field(default=0.3, ge=0, le=1)
+    follow_m: float = Field(default=2.0, gt=0)

@@ -1,0 +1,129 @@
+"""How a lost robot is noticed, and where it may be: augmented Monte Carlo localization."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.localization.known_map import KnownMap, PoseWeigher
+from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.parameters import STRICT
+from gridslam.types import Beams, FloatArray
+
+__all__ = ["AugmentedRecovery", "Averages", "MeasurementProposal"]
+
+
+class Averages(NamedTuple):
+    """Share of the beams that agree with the map, averaged over the particles and, slowly and fast, over updates."""
+
+    slow: float
+    fast: float
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class AugmentedRecovery:
+    """Tells how probable it is that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
+
+    Parameters
+    ----------
+    alpha_slow, alpha_fast : float, [0, 1]
+        What a new scan counts in the slow and in the fast average; both 0: no recovery. 0.001 and 0.1 are what AMCL's
+        documentation suggests.
+    expected : float, [0, 1]
+        Both averages begin with it: the share of the beams that agrees with a map that is right and some years old.
+        So a robot that was never where it was said to be is found, too.
+
+    Notes
+    -----
+    The book averages the likelihood of whole scans. That of 60 beams varies by many orders of magnitude from one scan
+    to the next, and its average is the greatest one of all. The share of the beams that agree lies in [0, 1] and can be
+    compared between scans, robots and sensor models.
+
+    Source: Probabilistic Robotics, Table 8.3 (`Augmented_MCL`).
+    """
+
+    alpha_slow: float = Field(default=0.001, ge=0, le=1)
+    alpha_fast: float = Field(default=0.1, ge=0, le=1)
+    expected: float = Field(default=0.6, ge=0, le=1)
+
+    def begin(self) -> Averages:
+        """Averages before the first scan."""
+        return Averages(self.expected, self.expected)
+
+    def __call__(self, averages: Averages, agreement: float) -> tuple[Averages, float]:
+        """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1)."""
+        slow = averages.slow + self.alpha_slow * (agreement - averages.slow)
+        fast = averages.fast + self.alpha_fast * (agreement - averages.fast)
+        averages = Averages(slow, fast)
+        return averages, self.share(averages)
+
+    def share(self, averages: Averages) -> float:
+        """Share of the belief that is elsewhere, in [0, 1)."""
+        return max(0.0, 1 - averages.fast / averages.slow) if averages.slow > 0 else 0.0
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class MeasurementProposal:
+    """Draws poses from all over the map, more of them where the scan fits, and weighs them so that they stand for all.
+
+    Poses spread evenly over the free space are as many as are worth a look; those whose beams agree with the map are
+    chosen, and moved a little. Each then carries the importance weight p(z | x) p(x) / q(x), p(x) being even over the
+    free space and q(x) what it was chosen with.
+
+    Parameters
+    ----------
+    poses_per_m2 : float, 1/m^2, > 0
+        How many are looked at where nothing is known: 500 put ten within 0.3 m and 10 degrees of every pose.
+    poses_max : int, >= 1
+        At most; a million take a second.
+    draws : int, >= 1
+        How many of them are chosen.
+    scale_m : float, m, > 0
+        Distance at which a beam agrees by half: as wide as the poses looked at are apart, not as beams are exact.
+    concentration : float, >= 0
+        log q is so many times the share of the beams that agree.
+    jitter_m, jitter_rad : float, m and rad, >= 0
+        Standard deviation of the move, half of what the poses looked at are apart.
+
+    Source: Probabilistic Robotics, Section 8.3.5 (random particles from the measurement); S. Lenser and M. Veloso,
+    Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
+    """
+
+    poses_per_m2: float = Field(default=500.0, gt=0)
+    poses_max: int = Field(default=1_000_000, ge=1)
+    draws: int = Field(default=50_000, ge=1)
+    scale_m: float = Field(default=0.2, gt=0)
+    concentration: float = Field(default=25.0, ge=0)
+    jitter_m: float = Field(default=0.05, ge=0)
+    jitter_rad: float = Field(default=0.03, ge=0)
+
+    def __call__(
+        self, known_map: KnownMap, beams: Beams, weigh: PoseWeigher, share: float, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Draw a `share` in (0, 1] of all draws, looking at so many poses; poses (K, 3) and log weights (K,).
+
+        The weights are such that their sum is the evidence: the mean of p(z | x) over the free space.
+        """
+        count = math.ceil(self.draws * share)
+        looked_at = math.ceil(min(self.poses_per_m2 * known_map.free_area_m2, self.poses_max) * share)
+        poses = known_map.draw(looked_at, rng)
+        agree = known_map.weigher(CauchyAgreement(scale_m=self.scale_m, tempering=1.0), beams)
+        log_q = agree(poses) * (self.concentration / len(beams))
+        ends = np.cumsum(np.exp(log_q - log_q.max()))
+        chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)
+        log_mean_q = math.log(ends[-1] / len(poses)) + log_q.max()
+        poses = self._moved(known_map, poses[chosen], rng)
+        return poses, weigh(poses) + log_mean_q - log_q[chosen] - math.log(count)
+
+    def _moved(self, known_map: KnownMap, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Jitter poses (N, 3), but none out of the free space."""
+        moved = poses + rng.normal(size=poses.shape) * [self.jitter_m, self.jitter_m, self.jitter_rad]
+        moved[:, 2] = wrap(moved[:, 2])
+        return np.where(known_map.is_free(moved)[:, None], moved, poses)

@@ -1,0 +1,157 @@
+"""What Monte Carlo localization knows between two scans, and what it tells after each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose
+from gridslam.localization.belief import NEAR_M, NEAR_RAD, Estimate
+from gridslam.localization.recovery import Averages
+from gridslam.types import FloatArray, IntArray, Odometry
+
+__all__ = ["LocalizationReport", "LocalizationSkip", "MonteCarloState"]
+
+
+class LocalizationSkip(Enum):
+    """Why a scan did not update the particles."""
+
+    MOVED_TOO_LITTLE = "moved too little since the last update"
+    NO_VALID_BEAM = "no valid beam"
+    NO_ODOMETRY = "no odometry"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizationReport:
+    """What one step tells its observers.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Stamp of the scan.
+    pose, covariance : (3,), (3, 3) float64
+        Of the robot's base in the map: mean of the densest cluster of particles. The covariance is that cluster's or,
+        where the robot is lost, that of all particles.
+    lost_probability : float, [0, 1]
+        How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
+    lost : bool
+        That is more probable than not, or the scan agrees with the map too little there.
+    agreement : float, [0, 1]
+        Share of the beams that agree with the map at the pose of the last update.
+    particles : int
+        Number of particles after the step.
+    n_eff : float
+        Effective sample size before resampling; NaN for a scan that was skipped.
+    skipped : LocalizationSkip or None
+        Why the particles were not updated; None where they were.
+    augmented : float, [0, 1]
+        Share of the belief that was drawn anew from all over the map; 1 where nothing was known.
+    poses, log_weights : (N, 3), (N,) float64 or None
+        The particles where they were updated, before resampling; log weights are normalized.
+    parents : (M,) int64 or None
+        For each particle after the step the index of the one that it continues; None where nothing was resampled.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray
+    lost_probability: float
+    lost: bool
+    agreement: float
+    particles: int
+    n_eff: float = float("nan")
+    skipped: LocalizationSkip | None = None
+    augmented: float = 0.0
+    poses: FloatArray | None = None
+    log_weights: FloatArray | None = None
+    parents: IntArray | None = None
+
+
+@final
+@dataclass(slots=True, eq=False)
+class MonteCarloState:
+    """Everything that the filter knows between two scans; arrays in it are replaced, never written to.
+
+    Attributes
+    ----------
+    poses, log_weights : (N, 3), (N,) float64
+        The particles at the last update, map frame, normalized; none where nothing is known.
+    averages : Averages
+        How well scans fitted, lately and for long.
+    estimate : Estimate
+        What the particles said at the last update.
+    followed_m : float, m
+        How far the robot was driven since the place that is told was found; infinite where it was given.
+    agreement : float, [0, 1]
+        Share of the beams that agreed with the map there.
+    odometry : (3,) float64 or None
+        Odometry's pose at the last update; None before the first one.
+    last : Odometry or None
+        Of the last scan.
+    updates : int
+        How many there were.
+    """
+
+    poses: FloatArray
+    log_weights: FloatArray
+    averages: Averages
+    estimate: Estimate
+    followed_m: float = 0.0
+    agreement: float = 0.0
+    odometry: FloatArray | None = None
+    last: Odometry | None = None
+    updates: int = 0
+    consumed: bool = False
+
+    def odometry_or(self, first: Odometry) -> FloatArray:
+        """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""
+        if self.odometry is None:
+            self.odometry = first.pose
+        return self.odometry
+
+    def advance(self, poses: FloatArray, log_weights: FloatArray, odometry: Odometry | None) -> None:
+        """Take the particles (N, 3) of an update and their normalized log weights (N,)."""
+        assert odometry is not None  # an update needs it
+        self.poses, self.log_weights = poses, log_weights
+        self.odometry, self.last = odometry.pose, odometry
+        self.updates += 1
+
+    def follow(self, told: Estimate, moved: FloatArray) -> None:
+        """Take what the particles say after the robot has `moved` (3,): on from where it was, or somewhere else."""
+        dx, dy, turn = between(compose(self.estimate.pose, moved), told.pose).tolist()
+        same = math.hypot(dx, dy) < NEAR_M and abs(turn) < NEAR_RAD
+        self.followed_m = self.followed_m + math.hypot(moved[0], moved[1]) if same else 0.0
+        self.estimate = told
+
+    def resample(self, parents: IntArray) -> None:
+        """Let particle i continue particle parents[i] of parents (M,), all with equal weights."""
+        self.poses = self.poses[parents]
+        self.log_weights = np.full(len(parents), -np.log(len(parents)))
+
+    def take(self) -> MonteCarloState:
+        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
+        twin = self.snapshot()
+        self.consumed = True
+        return twin
+
+    def snapshot(self) -> MonteCarloState:
+        """Keep this state for later; it costs nothing, as arrays in it are replaced, never written to."""
+        if self.consumed:
+            raise ConsumedStateError
+        return replace(self)
+
+
+def checked_poses(particles: FloatArray) -> FloatArray:
+    """Copy of finite poses (N, 3), theta wrapped; raises ArgumentError for anything else."""
+    poses = np.array(particles, np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():
+        raise ArgumentError("particles", "finite poses of shape (N, 3)", f"{particles!r:.60}")
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses
