@@ -20,7 +20,6 @@ __all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
 _MOST_BEAMS = 360
 _RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
-_RATE_HZ = 21.0  # scans that come faster are thinned out: at 40 Hz every other one is matched
 _STRETCH = 500  # scans that are matched, or passed over, together
 _WHOLE_STRETCHES = 40  # so many are matched without a gap; of later ones ever fewer
 _BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
@@ -84,8 +83,14 @@ class LaserWitness:
 
     The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and of a log of more than 20000 such scans the
     later ones are matched in stretches of 500 that become rare as it grows.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Scans that come faster are thinned out: at 40 Hz every other one is matched.
     """
 
+    rate_hz: float = 21.0
     _odometry: LaserOdometry = field(default_factory=LaserOdometry)
     _rows: array[float] = field(default_factory=lambda: array("d"))  # pose, share, track, odometry, information
     _stamps: array[int] = field(default_factory=lambda: array("q"))  # of the pose, of the odometry
@@ -106,7 +111,7 @@ class LaserWitness:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
         self._scans += 1
-        if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / _RATE_HZ:
+        if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
             return
         stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
         if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
