@@ -13,6 +13,7 @@ from gridslam.cli.live import live_options, place_options
 from gridslam.cli.log_options import log_options
 from gridslam.cli.node_commands import NODE_COMMANDS
 from gridslam.cli.options import PATH, SEED, SETTINGS, json_option
+from gridslam.cli.rerun import rerun_option
 
 __all__ = ["gridslam"]
 
@@ -66,6 +67,7 @@ class _MapCommand(click.Command):
 )  # fmt: skip
 @log_options
 @live_options
+@rerun_option
 @json_option
 def map_command(**options: Any) -> None:  # noqa: ANN401
     """Map LOG with grid-based FastSLAM and loop closure.
@@ -150,6 +152,7 @@ def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("-o", "--out", type=PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Of the simulation and of the filter.")
 @live_options
+@rerun_option
 @json_option
 def demo_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in a small office, and map it; needs no data.

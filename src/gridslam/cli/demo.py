@@ -13,6 +13,7 @@ from gridslam.cli.evaluate import against_truth, tell
 from gridslam.cli.live import live_page, wait_for_viewer
 from gridslam.cli.map import map_shown, summary
 from gridslam.cli.output import opened, print_json
+from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import compose
@@ -32,11 +33,12 @@ _SPEED = 30.0  # times as fast as the robot drives, so that one can look on
 _LOG, _TRUTH = "demo.clf.gz", "truth.tum"
 
 
-def demo(out: Path, seed: int, live: LiveOptions | None, as_json: bool) -> None:
+def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_json: bool) -> None:
     """Simulate the world `demo`, map it and compare with the truth."""
     watch, rng = Stopwatch(STARTED_S, 0.0), np.random.default_rng(seed)
     slowed, configuration = None if live is None else replace(live, speed=_SPEED), Configuration()
-    with live_page(slowed, "demo", configuration.range_max_m) as page:
+    range_max_m = configuration.range_max_m
+    with rerun_recording(rerun, "demo", range_max_m) as recording, live_page(slowed, "demo", range_max_m) as page:
         with opened(out) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_LOG), simulated.measurements)
@@ -45,7 +47,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, as_json: bool) -> None:
             wait_for_viewer(page)
             watch.resume()
             log = CarmenLog(folder.file(_LOG))
-            result = map_shown(log, configuration, seed, 1, not as_json, watch, page=page)
+            result = map_shown(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
             result = replace(result, source=out / _LOG)
             document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
         errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))

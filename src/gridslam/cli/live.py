@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from gridslam.live.page import LivePage
     from gridslam.ros import NodeCore
     from gridslam.ros.messages import Diagnostics
+    from gridslam.viz.rerun_recording import RerunRecording
 
 __all__ = ["live_options", "live_page", "node_page", "place_options", "served", "show_result", "wait_for_viewer"]
 
@@ -113,15 +114,15 @@ def wait_for_viewer(page: LivePage | None) -> None:
             page.control.set_speed(None)
 
 
-def show_result(page: LivePage | None, result: MapResult) -> None:
-    """Show what a run came to in the end."""
-    if page is None:
+def show_result(onlooker: LivePage | RerunRecording | None, result: MapResult) -> None:
+    """Show what a run came to in the end, on its page or in its recording."""
+    if onlooker is None:
         return
     import numpy as np  # help must not pay for it
 
     poses = result.graph.poses
     closures = np.zeros((0, 2), np.int64) if result.loops is None else result.loops.closures
-    page.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
+    onlooker.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
 
 
 def _options(port: int | None, host: str | None) -> LiveOptions:

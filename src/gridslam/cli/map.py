@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,15 +15,18 @@ from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import live_page, show_result
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
+from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration, load, override, preset, with_laser
 from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.measurement import Measurement
 from gridslam.live.options import LiveOptions
-from gridslam.pipeline import Stopwatch
+from gridslam.pipeline import Observer, Stopwatch
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
 
 if TYPE_CHECKING:
     from gridslam.live.page import LivePage
+    from gridslam.viz.rerun_recording import RerunRecording
 
 __all__ = ["map_shown", "map_to_folder", "summary"]
 
@@ -46,15 +48,17 @@ def map_to_folder(
     no_loop_closure: bool,
     repair: Literal["needed", "all", "none"],
     live: LiveOptions | None,
+    rerun: str | None,
     as_json: bool,
 ) -> None:
     """Map a log into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, laser, particles, config, assignments, no_loop_closure)
     source = checked(open_log(log, options), options)
-    with live_page(live, source.path.name, configuration.range_max_m) as page:
+    name, range_max_m = source.path.name, configuration.range_max_m
+    with rerun_recording(rerun, name, range_max_m) as recording, live_page(live, name, range_max_m) as page:
         with opened(out) as folder:
-            result = map_shown(source, configuration, seed, threads, not as_json, watch, repair, page)
+            result = map_shown(source, configuration, seed, threads, not as_json, watch, repair, page, recording)
             document = result.write(folder)
         for warning in _warnings(result):
             click.echo(f"gridslam: {log}: {warning}", err=True)
@@ -67,8 +71,16 @@ def map_to_folder(
 def map_shown(
     source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
     repair: Literal["needed", "all", "none"] = "none", page: LivePage | None = None,
+    recording: RerunRecording | None = None,
 ) -> MapResult:
-    """Map a log while progress is shown, and the map on a page if there is one."""
+    """Map a log while progress is shown, the map on a page if there is one, and all of it recorded."""
+    onlookers: list[Observer] = [] if page is None else [page.observer]
+    onlookers += [] if recording is None else [recording]
+
+    def gate(source: Iterable[Measurement]) -> Iterator[Measurement]:
+        held = iter(source) if page is None else page.paced(source, watch)
+        return held if recording is None else recording.followed(held)
+
     if page is not None:
         page.tell_progress(lambda: source.statistics.share_read)
     with progress(lambda: source.statistics, shown=shown) as show:
@@ -83,10 +95,10 @@ def map_shown(
 
         result = map_log(
             source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
-            observers=[observe] if page is None else [observe, page.observer],
-            gate=iter if page is None else partial(page.paced, stopwatch=watch),
+            observers=[observe, *onlookers], gate=gate,
         )  # fmt: skip
-        show_result(page, result)
+        for onlooker in (page, recording):
+            show_result(onlooker, result)
         return result
 
 

@@ -9,6 +9,7 @@ import click
 
 from gridslam.cli.live import live_options
 from gridslam.cli.options import PATH, SEED, SETTINGS
+from gridslam.cli.rerun import rerun_option
 
 __all__ = ["NODE_COMMANDS"]
 
@@ -27,7 +28,7 @@ _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
 
 def _node_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = live_options(command)
+    command = live_options(rerun_option(command))
     for option in reversed(_NODE):
         command = option(command)
     return command

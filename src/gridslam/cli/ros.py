@@ -10,6 +10,7 @@ from typing import Any
 
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import node_page
+from gridslam.cli.rerun import rerun_recording
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.core import NodeCore
@@ -31,11 +32,18 @@ def given_parameters(
     return {name: value for name, value in options.items() if value is not None}
 
 
-def ros1(arguments: Sequence[str], *, live: LiveOptions | None = None, **options: Any) -> None:  # noqa: ANN401
+def ros1(
+    arguments: Sequence[str],
+    *,
+    live: LiveOptions | None = None,
+    rerun: str | None = None,
+    **options: Any,  # noqa: ANN401
+) -> None:
     """Be the node in ROS 1 until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
-    run_ros1(arguments, given=given_parameters(**options), watch=_watch("ROS 1", live), tick=stop_if_interrupted)
+    given, watch = given_parameters(**options), _watch("ROS 1", live, rerun)
+    run_ros1(arguments, given=given, watch=watch, tick=stop_if_interrupted)
 
 
 def ros2(
@@ -44,10 +52,11 @@ def ros2(
     transport: str = "auto",
     interfaces: Sequence[str] = (),
     live: LiveOptions | None = None,
+    rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Be the node in ROS 2 until it is stopped: by rclpy where a ROS 2 is sourced, else by Cyclone DDS."""
-    given, watch = given_parameters(**options), _watch("ROS 2", live)
+    given, watch = given_parameters(**options), _watch("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
@@ -60,12 +69,15 @@ def ros2(
     run_ros2(arguments, given=given, watch=watch, tick=stop_if_interrupted)
 
 
-def _watch(title: str, live: LiveOptions | None) -> Watch:
+def _watch(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:
     """Let in those who look on at a node."""
 
     @contextmanager
     def watched(core: NodeCore) -> Iterator[None]:
         with ExitStack() as stack:
+            recording = stack.enter_context(rerun_recording(rerun, title, core.configuration.range_max_m))
+            if recording is not None:
+                core.watch(recording, recording.followed)
             if live is not None:
                 stack.enter_context(node_page(live, title, core))
             yield

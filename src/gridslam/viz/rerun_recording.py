@@ -1,0 +1,174 @@
+"""A run as a recording of Rerun (the extra `rerun`), written to a file or streamed to its viewer."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+from typing import Any, Final, TypeVar, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ConfigurationError, OutputError
+from gridslam.geometry.se2 import compose
+from gridslam.slam.state import GridFastSlamState
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
+from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH
+
+__all__ = ["RerunRecording"]
+
+_Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
+
+_KEYS_A_MAP = 10
+_SCAN_NS = 100_000_000
+_HEIGHT_M: Final = {"path": 0.02, "closures": 0.03, "particles": 0.04, "scan": 0.05}  # what hides what from above
+
+
+@final
+class RerunRecording:
+    """Observer that records what can be seen of a run; entered as a context, and closed in the end.
+
+    Under ``map`` are the best particle's map and path (after every tenth key scan), the particles (at key scans), the
+    scan and the robot (ten times a second of the log); under ``filter`` the effective sample size, the latency and
+    whether the robot is lost. Timelines are ``stamp``, the time of the log, and ``scan``, which counts.
+
+    Parameters
+    ----------
+    target : str
+        A file (``run.rrd``), or the address of a viewer: ``127.0.0.1:9876``, or as Rerun writes it, ``rerun+http://...``.
+    title : str
+        What is mapped.
+    range_max_m : float, m
+        The filter's, beyond which beams are not used.
+
+    Raises
+    ------
+    ConfigurationError
+        Rerun is not installed.
+    OutputError
+        On entering: the file cannot be written, or the address is none.
+    """
+
+    def __init__(self, target: str, title: str, *, range_max_m: float = math.inf) -> None:
+        try:
+            self._rerun: Any = importlib.import_module("rerun")
+            self._blueprint: Any = importlib.import_module("rerun.blueprint")
+        except ImportError as error:
+            raise ConfigurationError(f"Rerun is not there ({error}): pip install 'gridslam[rerun]'") from None
+        self._target, self._range_max_m = target, range_max_m
+        self._recording: Any = self._rerun.RecordingStream(f"gridslam {title}")
+        self._scans = self._keys = 0
+        self._due_ns = 0
+        self._scan: LaserScan | None = None
+        self._closures: list[tuple[int, int]] = []
+
+    def __enter__(self) -> RerunRecording:
+        """Open the file, or the line to the viewer."""
+        recording, layout = self._recording, self._layout()
+        try:
+            if "://" in self._target:
+                recording.connect_grpc(self._target, default_blueprint=layout)
+            elif re.fullmatch(r"[\w.-]+:\d+|\[[\da-fA-F:]+\]:\d+", self._target):
+                recording.connect_grpc(f"rerun+http://{self._target}/proxy", default_blueprint=layout)
+            else:
+                recording.save(self._target, default_blueprint=layout)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise OutputError(f"{self._target}: cannot be recorded to: {error}") from None
+        recording.log("map", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Write what is still to be written."""
+        self._recording.flush()
+        self._recording.disconnect()
+
+    def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+        """The measurements of a source, as they come; a robot's next session begins the map anew."""
+        self._keys, self._closures = 0, []
+        for measurement in source:
+            self._scan = measurement[1]
+            yield measurement
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Record one scan."""
+        rerun, log = self._rerun, self._recording.log
+        self._scans += 1
+        self._closures.extend(report.closures)
+        is_key = report.skipped is None
+        if not is_key and 0 <= report.stamp_ns - self._due_ns + _SCAN_NS < _SCAN_NS:
+            return
+        self._due_ns = report.stamp_ns + _SCAN_NS
+        self._recording.set_time("scan", sequence=self._scans)
+        self._recording.set_time("stamp", timestamp=np.datetime64(report.stamp_ns, "ns"))
+        log("filter/latency_ms", rerun.Scalars(1e3 * seconds))
+        log("filter/lost", rerun.Scalars(float(report.lost)))
+        self._log_robot(report)
+        if is_key:
+            self._keys += 1
+            log("filter/effective_particles", rerun.Scalars(report.n_eff))
+            self._points("particles", state.poses, 0.03, CLOSURE)
+            if report.corrected or self._keys % _KEYS_A_MAP == 1:
+                self._log_map(state.maps.occupancy(state.best))
+                self._log_past(state.ancestry.trajectory(state.best), self._closures)
+
+    def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
+        """Record the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        self._log_map(grid)
+        self._strips("path", [poses[:, :2]], TIME_ENDS[1])
+        self._strips("closures", closures.reshape(-1, 2, 2), TRUTH)
+
+    def _log_robot(self, report: StepReport) -> None:
+        x, y, theta = report.pose.tolist()
+        rerun = self._rerun
+        heading = rerun.Arrows3D(
+            origins=[[x, y, _HEIGHT_M["scan"]]], vectors=[[0.6 * math.cos(theta), 0.6 * math.sin(theta), 0.0]],
+            radii=0.05, colors=[TIME_ENDS[0]],
+        )  # fmt: skip
+        self._recording.log("map/robot", heading)
+        if self._scan is not None:
+            ends = self._scan.beams(0.05, self._range_max_m).ends
+            world = compose(report.pose, np.column_stack([ends, np.zeros(len(ends))]))
+            self._points("scan", world, 0.02, TIME_ENDS[1])
+
+    def _log_map(self, grid: OccupancyGrid) -> None:
+        rerun = self._rerun
+        cells: NDArray[np.uint8] = np.full(grid.known.shape, 255, np.uint8)  # as of nav_msgs/OccupancyGrid: -1, and 0 to 100
+        cells[grid.known] = np.rint(100 * grid.probability[grid.known]).astype(np.uint8)
+        height, width = cells.shape
+        form = rerun.components.ImageFormat(width=width, height=height, color_model="L", channel_datatype="U8")
+        picture = rerun.GridMap(
+            data=np.flipud(cells).tobytes(), format=form, cell_size=grid.resolution_m, translation=[*grid.origin, 0.0],
+            colormap=rerun.components.Colormap.RvizMap,
+        )  # fmt: skip
+        self._recording.log("map/grid", picture)
+
+    def _log_past(self, past: FloatArray, closures: list[tuple[int, int]]) -> None:
+        self._strips("path", [past[:, :2]], FAINT)
+        if closures:
+            self._strips("closures", past[np.array(closures), :2], TRUTH)
+
+    def _points(self, name: str, poses: FloatArray, radius_m: float, colour: tuple[int, int, int]) -> None:
+        points = _raised(poses[:, :2], _HEIGHT_M[name])
+        self._recording.log(f"map/{name}", self._rerun.Points3D(points, radii=radius_m, colors=[colour]))
+
+    def _strips(self, name: str, strips: Iterable[FloatArray], colour: tuple[int, int, int]) -> None:
+        lines = [_raised(strip, _HEIGHT_M[name]) for strip in strips]
+        self._recording.log(f"map/{name}", self._rerun.LineStrips3D(lines, radii=0.03, colors=[colour]))
+
+    def _layout(self) -> Any:  # noqa: ANN401
+        views = self._blueprint
+        names = "effective_particles", "latency_ms", "lost"
+        charts = [views.TimeSeriesView(origin=f"filter/{name}") for name in names]
+        return views.Blueprint(
+            views.Horizontal(views.Spatial3DView(origin="map"), views.Vertical(*charts), column_shares=[3, 1])
+        )
+
+
+def _raised(points: FloatArray, height_m: float) -> NDArray[np.float32]:
+    """Points (K, 2) at a height: (K, 3)."""
+    return np.column_stack([points, np.full(len(points), height_m)]).astype(np.float32)
