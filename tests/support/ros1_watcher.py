@@ -8,7 +8,6 @@ Nothing of the package is imported: messages are those of ROS, transforms are lo
 import json
 import os
 import sys
-import threading
 import time
 
 import rospy
@@ -32,25 +31,44 @@ def described(grid):
     }
 
 
+def settle(told, seconds=120.0):
+    """Wait until the node has said twice that it has done all that it has received, and then for its next map."""
+    end, before = time.monotonic() + seconds, {}
+    while time.monotonic() < end:
+        values = told.get("values", {})
+        if values and values is not before:
+            ends = ("accepted", "refused", "dropped", "throttled", "paused")
+            done = sum(int(values[name]) for name in ends) == int(values["received"])
+            if done and before.get("received") == values["received"]:
+                break
+            before = values
+        time.sleep(0.1)
+    time.sleep(1.0)
+
+
 def main():
     rospy.init_node("watcher", anonymous=True, disable_signals=True)
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
-    told, seen = {}, threading.Event()
+    told = {}
 
     def diagnostics(message):
         status = message.status[0]
         told["level"], told["values"] = status.level, {pair.key: pair.value for pair in status.values}
-        seen.set()
 
+    print("listening", flush=True)
     while not os.path.exists(sys.argv[1]):
         time.sleep(0.05)
     rospy.Subscriber("/diagnostics", DiagnosticArray, diagnostics)
-    found = {
-        "map": described(rospy.wait_for_message("/map", OccupancyGrid, timeout=10)),
-        "metadata_width": rospy.wait_for_message("/map_metadata", MapMetaData, timeout=10).width,
-        "dynamic_map": described(rospy.ServiceProxy("/dynamic_map", GetMap)().map),
-    }
+    settle(told)
+    for _ in range(20):  # the last map comes at its interval
+        found = {
+            "map": described(rospy.wait_for_message("/map", OccupancyGrid, timeout=60)),
+            "metadata_width": rospy.wait_for_message("/map_metadata", MapMetaData, timeout=60).width,
+            "dynamic_map": described(rospy.ServiceProxy("/dynamic_map", GetMap)().map),
+        }
+        if found["map"] == found["dynamic_map"] and found["metadata_width"] == found["map"]["width"]:
+            break
     for name in sys.argv[2:]:
         parent, child = name.split(":")
         try:
@@ -58,7 +76,6 @@ def main():
             found[name] = [link.translation.x, link.translation.y, link.rotation.z, link.rotation.w]
         except tf2_ros.TransformException as error:
             found[name] = str(error)
-    seen.wait(5)
     print(json.dumps({**found, "diagnostics": told}))
     listener.unregister()
 
