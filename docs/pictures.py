@@ -28,6 +28,8 @@ from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.palette import CLOSURE, TRUTH
 
+DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
 
 def grid_fastslam() -> None:
     """A loop before and after it closes: the particles' pasts, and how far they are apart."""
@@ -99,13 +101,12 @@ def mapping() -> None:
 
 def loop_closure() -> None:
     """The ACES log with a single particle, without and with loop closure; needs the log and its relations."""
-    data = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    if not (data / "aces.clf.bz2").exists():
-        print(f"loop_closure.png: left as it is, no aces.clf.bz2 in {data} (GRIDSLAM_DATA)")
+    if not (DATA / "aces.clf.bz2").exists():
+        print(f"loop_closure.png: left as it is, no aces.clf.bz2 in {DATA} (GRIDSLAM_DATA)")
         return
-    panels, relations = [], read_relations(data / "aces.relations")
+    panels, relations = [], read_relations(DATA / "aces.relations")
     for closes, head in ((False, "the filter alone"), (True, "with loop closure")):
-        result = map_log(data / "aces.clf.bz2", 1, 0, loop_closure=closes)
+        result = map_log(DATA / "aces.clf.bz2", 1, 0, loop_closure=closes)
         error = relation_errors(result.trajectory, relations)
         panel = Panel(f"{head}: {error.trans_mean_m:.3f} m", [-34, -58, 36, 12])
         panel.grid(result.map)
@@ -150,12 +151,29 @@ def graph_slam() -> None:
 
 
 def first_map() -> None:
-    """What `gridslam demo` writes, smaller."""
+    """What `gridslam demo` draws."""
+    small_copy("first_map", "map.png", "demo")
+
+
+def landmarks() -> None:
+    """What `gridslam landmarks` draws of MRCLAM and of Victoria Park; needs these logs."""
+    mrclam = DATA / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz"
+    if not mrclam.exists():
+        print(f"pictures of landmarks: left as they are, no logs in {DATA} (GRIDSLAM_DATA)")
+        return
+    small_copy("ekf_slam", "landmarks.png", "landmarks", str(mrclam), "--method", "ekf")
+    small_copy("fastslam", "landmarks.png", "landmarks", str(mrclam), "--method", "fastslam2")
+    park = str(mrclam.with_name("victoria_park.txt.gz"))
+    small_copy("landmark_graph", "landmarks.png", "landmarks", park, "--method", "graph")
+
+
+def small_copy(name: str, drawn: str, *command: str) -> None:
+    """Run a command of gridslam, and keep the picture that it draws, smaller."""
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, "-m", "gridslam.cli.main", "demo", "-o", folder], check=True)
-        picture = Image.open(Path(folder) / "map.png")
+        subprocess.run([sys.executable, "-m", "gridslam.cli.main", *command, "-o", folder], check=True)
+        picture = Image.open(Path(folder) / drawn)
         small = picture.resize((760, round(760 * picture.height / picture.width)), Image.Resampling.LANCZOS)
-    small.quantize(96, dither=Image.Dither.NONE).save(IMAGES / "first_map.png", optimize=True)
+    small.quantize(96, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
 
 
 PICTURES = (
@@ -168,6 +186,7 @@ PICTURES = (
     scan_matching,
     loop_closure,
     graph_slam,
+    landmarks,
 )
 
 if __name__ == "__main__":
