@@ -191,7 +191,7 @@ bool matched(fdds::DataWriter *writer, int readers = 1) {
 }
 
 template <class True>
-bool until(True true_, int seconds = 20) {
+bool until(True true_, int seconds = 60) {
   for (int k = 0; k < seconds * 50; k++) {
     if (true_()) return true;
     std::this_thread::sleep_for(std::chrono::milliseconds(20));
@@ -214,26 +214,25 @@ int main(int, char **arguments) {
     return 1;
   }
   double x = 2, y = 2, yaw = 0.3;
-  for (int k = 0; k < scans; k++) {
+  int links = 0;
+  for (int k = 0; k < scans || (links < 30 && k < 30 * scans); k++) {  // it stands in the end, until it has heard enough
     const auto now = std::chrono::system_clock::now().time_since_epoch();
     const int64_t stamp_ns = std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
     send_transform(moving, stamp_ns, "odom", "base_link", x, y, yaw);
     send_scan(laser, stamp_ns, x, y, yaw);
-    x += 0.03 * std::cos(yaw), y += 0.03 * std::sin(yaw), yaw += 0.005;
+    if (k < scans) x += 0.03 * std::cos(yaw), y += 0.03 * std::sin(yaw), yaw += 0.005;
     std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    take_all(heard, [&](Bytes &bytes) {
+      FastBuffer buffer(bytes.data(), bytes.size());
+      Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
+      cdr.read_encapsulation();
+      uint32_t count, nanoseconds;
+      int32_t seconds;
+      std::string parent, child;
+      cdr >> count >> seconds >> nanoseconds >> parent >> child;
+      links += parent == "map" && child == "odom";
+    });
   }
-  std::this_thread::sleep_for(std::chrono::milliseconds(1000));
-  int links = 0;
-  take_all(heard, [&](Bytes &bytes) {
-    FastBuffer buffer(bytes.data(), bytes.size());
-    Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
-    cdr.read_encapsulation();
-    uint32_t count, nanoseconds;
-    int32_t seconds;
-    std::string parent, child;
-    cdr >> count >> seconds >> nanoseconds >> parent >> child;
-    links += parent == "map" && child == "odom";
-  });
   std::string found;
   fdds::DataReader *late = peer.reader(peer.topic("rt/map", grid), true, 1);
   until([&] {

@@ -127,3 +127,34 @@ def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
 def test_without_ros_the_other_way_is_named():
     with pytest.raises(ConfigurationError, match=r"ROS 2 is not there .*--transport dds"):
         run_ros2()
+
+
+def scan_bytes(measurement, **changes):
+    message = scan_message(measurement, SHIFT_NS, **changes)
+    values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
+    empty = encoded("sensor_msgs/LaserScan", (header(message.stamp_ns, message.frame), *values, [], []))
+    count = len(message.ranges).to_bytes(4, "little")
+    return empty[:-8] + count + message.ranges.astype("<f4").tobytes() + bytes(4)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ranges": np.ones(3, np.float32)}, "scan refused: /scan: 3 beams are too few"),
+        ({"ranges": np.ones(26_214_400, np.float32)}, "scan refused: /scan: 26214400 beams, more than the 100000"),
+        ({"stamp_ns": 0}, "scan refused: /scan: expected a stamp of more than 0 s"),
+        ({"frame": ""}, "scan refused: /scan: expected the name of a frame"),
+        ({"angle_min": float("nan")}, "message refused: scan: its angles are from nan"),
+    ],
+)
+def test_what_is_no_scan_is_named_and_the_next_one_is_taken(monkeypatch, drive, change, says):
+    world = fake_rclpy.installed(monkeypatch, {"particles": 3})
+
+    def script():
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        world.subscriptions["scan"][2](scan_bytes(drive[0], **change))
+        send(world, drive[1])
+        assert until(lambda: len(world.published.get("~/pose", ())) == 1), world.logged
+
+    run(world, script)
+    assert says in str(world.logged)

@@ -1,0 +1,47 @@
+"""The node by Cyclone DDS in this process: what comes as bytes is a scan, or is named; nothing ends it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
+
+from dds_peer import free_domain
+from ros_node import until
+
+from gridslam.ros.cdr import encoded
+from gridslam.ros.parameters import node_parameters
+from gridslam.ros.ros2_arguments import RosArguments
+from gridslam.ros.ros2_dds import DdsNode
+
+STAMP = 1_700_000_000, 5
+
+
+def scan(beams):
+    values = STAMP, "laser"
+    empty = encoded("sensor_msgs/LaserScan", (values, -1.0, 1.0, 2e-8, 0.0, 0.0, 0.1, 30.0, [], []))
+    return empty[:-8] + beams.to_bytes(4, "little") + np.ones(beams, "<f4").tobytes() + bytes(4)
+
+
+def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
+    node = DdsNode(RosArguments(), node_parameters({}, "default"), domain=free_domain(), interfaces=["127.0.0.1"])
+    take = {reader.topic.name: take for reader, take in node._participant._readers}
+    node.start()
+    try:
+        take["rt/scan"](scan(26_214_400))
+        take["rt/scan"](b"\0\1\0\0nonsense")
+        take["rt/scan"](b"")
+        take["rt/scan"](encoded("std_msgs/Float64", (1.0,)))
+        take["rt/tf"](b"\0\1\0\0\xff\xff\xff\xff")
+        take["rq/gridslam/pauseRequest"](b"\0\1")
+        said = []
+        assert until(lambda: said.append(capfd.readouterr().err) or "request refused" in "".join(said))
+        values = node.core.diagnostics().values
+        assert values["refused"] == "1"
+        assert values["message refused, times"] == "4"
+        assert "scan refused: /scan: 26214400 beams, more than the 100000 that a scan may have" in "".join(said)
+        assert not node.core.ended.is_set()
+    finally:
+        node.close(None)
+    assert node.core.failure is None
