@@ -100,11 +100,12 @@ def test_json_is_all_that_is_printed(call, log, truth, tmp_path):
 
 def test_options_reach_the_map(call, log, truth, tmp_path):
     how = ("--decay", 20, "--resolution", 0.1, "--max-gap", 5, "--threads", 2, "--every", 3, "--repair", "none")
+    how = (*how, "--no-deskew")
     status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", *how)
     document = json.loads(text)
     assert status == 0
     assert (document["half_life_scans"], document["configuration"]["resolution_m"]) == (20.0, 0.1)
-    assert (document["trajectory"]["max_gap_s"], document["scans"]["used"]) == (5.0, 40)
+    assert (document["trajectory"]["max_gap_s"], document["scans"]["used"], document["deskew"]) == (5.0, 40, False)
     assert read_map(tmp_path / "map.yaml").resolution_m == 0.1
     status, text, _ = call(log, "--trajectory", truth, "-o", tmp_path, "--json", "--laser", "hokuyo-urg-04lx")
     document = json.loads(text)
@@ -189,6 +190,8 @@ def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch
         for odometry, scan in simulated.measurements[:30]
     ]
     map_with_poses(_Kept(open_log(log), scans), truth, repair="none")
+    assert len(twists) == 30
+    map_with_poses(_Kept(open_log(log), scans), truth, repair="none", deskew=False)
     assert len(twists) == 30
     moved = np.hypot(*(whole.poses[20] - whole.poses[19])[:2]) + np.hypot(*(whole.poses[21] - whole.poses[20])[:2])
     seconds = (whole.stamps_ns[21] - whole.stamps_ns[19]) * 1e-9

@@ -39,6 +39,7 @@ def map_with_poses(
     laser: str | None = None,
     configuration: Configuration | None = None,
     max_gap_s: float = 1.0,
+    deskew: bool = True,
     options: LogOptions | None = None,
     repair: Literal["needed", "all", "none"] = "needed",
     threads: int = 1,
@@ -70,6 +71,9 @@ def map_with_poses(
         Of which the mapper and the limits of the ranges are used.
     max_gap_s : float, s, > 0
         Between poses of the trajectory farther apart in time nothing is interpolated.
+    deskew : bool
+        Undo the motion during a scan, where its beams have times; False for logs whose times mean nothing, of which
+        `map_log` finds out by matching.
     options : LogOptions, optional
         What to read of the log at a path.
     repair : "needed", "all" or "none"
@@ -96,29 +100,30 @@ def map_with_poses(
     watch = stopwatch or Stopwatch()
     read = opened_log(log, options)
     source = read if repair == "none" else RepairedLog(read, repair)
+    path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
     given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
-    used, unplaced = _count(source, poses, counts, (config.range_min_m, config.range_max_m), tick)
+    used, unplaced = _count(source, poses, counts, (config.range_min_m, config.range_max_m), deskew, tick)
     watch.lap("count")
     if not len(used):
-        where = source.path if isinstance(trajectory, Trajectory) else trajectory
-        raise InputError(where, _nothing(source, poses, unplaced))
+        raise InputError(path or source.path, _nothing(source, poses, unplaced))
+    repaired = source.repair if isinstance(source, RepairedLog) else None
     result = GridResult(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-        configuration=config, log=source.statistics, source=source.path, digest=digest_of(source.path), given=given,
-        given_path=None if isinstance(trajectory, Trajectory) else Path(trajectory), stopwatch=watch,
-        repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
+        deskew=deskew, configuration=config, log=source.statistics, repair=repaired or Repair(), given=given,
+        source=source.path, digest=digest_of(source.path), given_path=path, stopwatch=watch,
     )  # fmt: skip
     watch.lap("map")
     return result
 
 
 def _count(
-    source: Log, poses: KnownPoses, counts: BeamCounts, limits_m: tuple[float, float], tick: Callable[[], None]
-) -> tuple[Trajectory, Counter[Unplaced]]:
+    source: Log, poses: KnownPoses, counts: BeamCounts, limits_m: tuple[float, float], deskew: bool,
+    tick: Callable[[], None],
+) -> tuple[Trajectory, Counter[Unplaced]]:  # fmt: skip
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
     stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[Unplaced]()
     scan: LaserScan
@@ -127,7 +132,8 @@ def _count(
         if isinstance(pose, Unplaced):
             unplaced[pose] += 1
         else:
-            counts.add(pose, poses.sharpened(scan.beams(*limits_m)))
+            beams = scan.beams(*limits_m)
+            counts.add(pose, poses.sharpened(beams) if deskew else beams)
             stamps.append(scan.stamp_ns)
             taken.append(pose)
         tick()

@@ -41,6 +41,7 @@ class GridResult:
         "bayes" or "counting".
     half_life_scans : float or None
     max_gap_s : float
+    deskew : bool
     configuration : Configuration
         Of which the mapper and the limits of the ranges were used.
     log : LogStatistics
@@ -63,6 +64,7 @@ class GridResult:
     model: str
     half_life_scans: float | None
     max_gap_s: float
+    deskew: bool
     configuration: Configuration
     log: LogStatistics
     source: Path
@@ -121,6 +123,7 @@ class GridResult:
             "version": __version__,
             "model": self.model,
             "half_life_scans": self.half_life_scans,
+            "deskew": self.deskew,
             "input": self._input(),
             "trajectory": self._given(),
             "scans": {

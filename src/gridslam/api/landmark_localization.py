@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.api.landmark_localization_result import LandmarkLocalizationResult
+from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
 from gridslam.io.digest import digest_of
@@ -16,21 +17,12 @@ from gridslam.io.landmark_files import read_landmarks
 from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import MaximumLikelihood, Told
-from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
-from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import LandmarkStep, SightingKind
+from gridslam.models.landmark import LandmarkModel
+from gridslam.models.sightings import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel
 
 __all__ = ["localize_by_landmarks"]
-
-_SENSORS: dict[SightingKind, LandmarkModel] = {
-    SightingKind.RANGE_BEARING: RangeBearing(),
-    SightingKind.DEPTH_BEARING: DepthBearing(),
-    SightingKind.POSITION: RelativePosition(),
-}
-_MOTION = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.08)
-"""What MRCLAM's commands are off by after a metre or a radian; logs that tell their own noise do not need it."""
 
 _SEEN_IN_MAP = MaximumLikelihood(same=100.0, other=100.0)
 """In a map that is complete a sighting far off tells that the pose is wrong, rather than that it is of something new.
@@ -50,7 +42,7 @@ def localize_by_landmarks(
     start_covariance: ArrayLike = _NEAR,
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
-    motion: MotionModel = _MOTION,
+    motion: MotionModel = MOTION,
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkLocalizationResult:
@@ -92,7 +84,7 @@ def localize_by_landmarks(
     source = open_landmark_log(log) if isinstance(log, str | Path) else log
     known = _known(source, landmarks)
     association = _SEEN_IN_MAP if unknown else Told()
-    model = sensor or _SENSORS[source.kind]
+    model = sensor or SENSORS[source.kind]
     ekf = EkfLocalization(known, model, association)
     watch.lap("start")
     steps = list(source)

@@ -65,6 +65,7 @@ def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] 
 @click.option("--laser", metavar="NAME", help="What the laser is: limits and cells that suit it (see gridslam map).")
 @click.option("--max-gap", "max_gap_s", type=float, default=1.0, show_default=True, metavar="S",
               help="Interpolate between poses at most so many seconds apart.")  # fmt: skip
+@click.option("--no-deskew", is_flag=True, help="Take no notice of the times of beams.")
 @click.option(
     "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
     help="What is taken out of the log first, as for gridslam map.",
@@ -82,6 +83,38 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
     from gridslam.cli.grid import grid_to_folder
 
     grid_to_folder(**options)
+
+
+@click.command("localize")
+@click.argument("log", type=PATH)
+@click.option("--map", "map_path", type=PATH, required=True, help="The map's YAML file, of map_server or nav2.")
+@click.option("-o", "--out", type=PATH, help="Folder for the results; made if need be.")
+@click.option(
+    "--initial-pose", default="global", show_default=True, metavar="X,Y,THETA",
+    help="Where the robot is at first, m and rad, or global: anywhere.",
+)  # fmt: skip
+@click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
+@click.option("--particles", type=click.IntRange(min=1), help="Greatest number of particles.  [default: 20000]")
+@click.option("--threads", type=click.IntRange(1, 256), default=1, show_default=True, help="Never changes a result.")
+@click.option(
+    "--preset", type=click.Choice(["default", "amcl", "nav2"]), default="default", show_default=True,
+    help="Parameters to begin with: gridslam's, or the defaults of AMCL in ROS 1 or in nav2.",
+)  # fmt: skip
+@click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one, by its name here or in AMCL.")
+@click.option("--strict-thresholds", is_flag=True, help="Read the map's thresholds literally, even for the pixel 205.")
+@log_options
+@json_option
+def localize_command(**options: Any) -> None:  # noqa: ANN401
+    """Localize the robot of LOG in a known map, by Monte Carlo localization.
+
+    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans, with odometry.
+
+    OUT gets trajectory.tum (a pose for every scan, as it was told at the time), trajectory.csv (with covariances),
+    belief.csv (at which scans the robot was lost, and how sure that is), localization.png and run.json.
+    """
+    from gridslam.cli.localize import localize_to_folder
+
+    localize_to_folder(**options)
 
 
 @click.command("graph")
@@ -146,4 +179,4 @@ def simulate_command(**options: Any) -> None:  # noqa: ANN401
     simulate_to_log(**options)
 
 
-FAMILY_COMMANDS = (grid_command, landmarks_command, graph_command, evaluate_command, simulate_command)
+FAMILY_COMMANDS = (localize_command, grid_command, landmarks_command, graph_command, evaluate_command, simulate_command)

@@ -32,6 +32,7 @@ def grid_to_folder(
     resolution_m: float | None,
     laser: str | None,
     max_gap_s: float,
+    no_deskew: bool,
     repair: Literal["needed", "all", "none"],
     threads: int,
     as_json: bool,
@@ -48,7 +49,8 @@ def grid_to_folder(
         try:
             result = map_with_poses(
                 source, trajectory, model=model, half_life_scans=half_life_scans, resolution_m=resolution_m,
-                laser=laser, max_gap_s=max_gap_s, repair=repair, threads=threads, tick=tick, stopwatch=watch,
+                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads, tick=tick,
+                stopwatch=watch,
             )  # fmt: skip
         except ArgumentError as error:
             option = _OPTIONS.get(error.argument, error.argument)

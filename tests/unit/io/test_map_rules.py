@@ -151,3 +151,23 @@ def test_the_turtlebot_map_is_told_about(data_dir):
     literal = read_map(data_dir / "maps" / "mac_1st_floor_final.yaml", strict_thresholds=True)
     assert (literal.log_odds[~grid.known] < 0).all()
     assert load_map(data_dir / "maps" / "meeting.yaml").remarks == ()
+
+
+def test_whatever_happens_to_the_files_it_is_told_in_one_line(tmp_path):
+    """Bytes changed, cut out and put in: a map, or one line that names the file."""
+    rng, good = np.random.default_rng(0), saved(tmp_path, Image.fromarray(np.full((9, 9), 205, np.uint8)))
+    files = [good, tmp_path / "m.png"]
+    texts, told = [file.read_bytes() for file in files], list[str]()
+    for _ in range(400):
+        for file, text in zip(files, texts, strict=True):
+            changed = bytearray(text)
+            for _ in range(rng.integers(0, 4)):
+                at, kind = rng.integers(len(changed)), rng.integers(3)
+                changed[at : at + (0, 1, 5)[kind]] = rng.integers(32, 127, (2, 1, 0)[kind], np.uint8).tobytes()
+            file.write_bytes(changed)
+        try:
+            load_map(good)
+        except InputError as error:
+            told.append(str(error))
+    assert 100 < len(told) < 400
+    assert all(line.startswith(str(tmp_path)) and "\n" not in line for line in told)
