@@ -21,6 +21,7 @@ from loops import PROVOKED, loop_drive
 from gridslam.api import map_log
 from gridslam.config import build
 from gridslam.io.carmen_writer import write_carmen
+from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import ReplayPage
@@ -31,7 +32,7 @@ FLAGS = (
     "--disable-background-networking", "--disable-component-update", "--hide-scrollbars",
 )  # fmt: skip
 BROWSERS = "chromium", "chromium-browser", "google-chrome"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 def missing():
@@ -259,6 +260,41 @@ def test_hands_move_the_map_and_save_it(browser, drive):
         assert sorted(zipfile.ZipFile(archive).namelist()) == ["map.pgm", "map.yaml"]
         click(browser, "save-picture")
         wait(lambda: next(browser.downloads.glob("*.png"), None), "the picture is saved")
+
+
+def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive, screenshot):
+    paused = []
+    control = RobotControl(lambda: bool(paused) and paused[-1], paused.append)
+    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, robot=control) as page:
+        browser.get(page.url)
+        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
+
+        def shown(name):
+            return browser.find_element("id", name).is_displayed()
+
+        def mapped(part):
+            rng, observers = np.random.default_rng(1), [page.observer]
+            run(page.session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
+            page.say("")
+
+        page.say("missing transform: base_link <- laser")
+        wait(lambda: shown("notice"), "what is wrong")
+        assert browser.find_element("id", "notice").text == "missing transform: base_link <- laser"
+        mapped(drive[:60])
+        session = wait(lambda: int(told(browser)["tiles"]) > 10 and told(browser)["session"], "a map")
+        wait(lambda: not shown("notice"), "nothing is wrong any more")
+        assert [name for name in ("pause", "step", "speed", "line", "follow") if shown(name)] == ["pause", "follow"]
+        browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "paused", "paused")
+        screenshot("paused")
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "running", "it goes on")
+        assert paused == [True, False]
+        mapped(drive[60:64])
+        wait(lambda: told(browser)["session"] != session, "another session")
+        wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
+        assert int(told(browser)["keys"]) < 5
 
 
 def test_a_finished_run_has_a_time_line(browser, drive, tmp_path, screenshot):

@@ -2,12 +2,14 @@
 
 Messages are encoded and decoded by `gridslam.ros.cdr`, and the library only carries their bytes. It asks the class of
 a topic's messages to `serialize` and `deserialize` them, and these classes answer with the bytes as they are: a grid of
-1000 x 1000 cells costs half a millisecond, and as a list it would cost a hundred.
+1000 x 1000 cells costs half a millisecond, and as a list it would cost a hundred. Where the library is of another
+version than the one that is known to ask so, it gets messages as objects and encodes them itself.
 """
 
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias, final
@@ -18,6 +20,7 @@ from gridslam.ros.cdr import fields_of
 
 __all__ = ["DdsParticipant"]
 
+_KNOWN = "11."
 _POLL_NS = 200_000_000
 _MOST_TAKEN = 64
 
@@ -54,6 +57,7 @@ class DdsParticipant:
 
     def __init__(self, domain: int, interfaces: Sequence[str] = ()) -> None:
         self._dds = dds = _library()
+        self._carries_bytes = importlib.metadata.version("cyclonedds").startswith(_KNOWN)
         self._types: dict[str, Any] = {}
         self._writers: dict[str, Any] = {}
         self._readers: list[tuple[Any, Handler]] = []
@@ -91,9 +95,7 @@ class DdsParticipant:
     def publish(self, topic: str, data: bytes) -> None:
         """Publish bytes on a topic that has a writer."""
         writer = self._writers[topic]
-        message = object.__new__(writer.data_type)
-        message.cdr = data
-        writer.write(message)
+        writer.write(writer.data_type.deserialize(data))
 
     def close(self) -> None:
         """Leave."""
@@ -107,13 +109,15 @@ class DdsParticipant:
             for reader, take in self._readers:
                 for message in reader.take(_MOST_TAKEN):
                     if message.sample_info.valid_data:  # else it only says that a writer has gone
-                        take(message.cdr)
+                        take(message.serialize(use_version_2=False))
 
     def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
         return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))
 
     def _carrier(self, message_type: str) -> Any:  # noqa: ANN401
         """Class of a type whose messages are their own bytes."""
+        if not self._carries_bytes:
+            return self._struct(message_type)
         kind = f"{message_type}*"
         if kind not in self._types:
             carrier = self._types[kind] = self._struct(message_type)
