@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import Estimate, estimate, moved_covariance
@@ -19,6 +20,7 @@ from gridslam.localization.known_map import KnownMap, PoseWeigher
 from gridslam.localization.parts import MonteCarloParts
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, checked_poses
 from gridslam.models.endpoint import CauchyAgreement
+from gridslam.particles.initial import spread
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize
 from gridslam.types import Beams, FloatArray, LaserScan, MotionModel, MotionSampler, Odometry, Resampler
@@ -64,6 +66,13 @@ class MonteCarloLocalization:
         known = len(poses) > 0
         told = estimate(poses, np.exp(log_weights)) if known else _NOWHERE
         return MonteCarloState(poses, log_weights, self.parts.recovery.begin(), told, math.inf if known else 0.0)
+
+    def around(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
+        """Begin at a pose (3,) of which a covariance (3, 3) is known; raises ArgumentError for anything else."""
+        kld = self.parts.kld
+        poses = spread(kld.particles_max, pose, covariance, rng)
+        needed = kld.size(poses, np.full(len(poses), 1 / len(poses)), rng)
+        return self.init(poses[:needed])
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator

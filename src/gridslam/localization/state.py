@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from gridslam.localization.belief import NEAR_M, NEAR_RAD, Estimate
 from gridslam.localization.recovery import Averages
 from gridslam.types import FloatArray, IntArray, Odometry
 
-__all__ = ["LocalizationReport", "LocalizationSkip", "MonteCarloState"]
+__all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]
 
 
 class LocalizationSkip(Enum):
@@ -146,6 +146,13 @@ class MonteCarloState:
         if self.consumed:
             raise ConsumedStateError
         return replace(self)
+
+
+class LocalizationObserver(Protocol):
+    """Sees every scan's report; recorders, live pages and publishers are observers."""
+
+    def __call__(self, report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
+        """Take note of a step that took `seconds`; `state` may be read now, but belongs to the filter."""
 
 
 def checked_poses(particles: FloatArray) -> FloatArray:

@@ -1,0 +1,164 @@
+"""From a log and a map to where the robot was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.api.localization_result import LocalizationResult
+from gridslam.api.source import opened_log
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.digest import digest_of
+from gridslam.io.log import Log, LogOptions
+from gridslam.io.map_server import LoadedMap, load_map
+from gridslam.io.measurement import Measurement
+from gridslam.localization.known_map import KnownMap
+from gridslam.localization.monte_carlo import MonteCarloLocalization
+from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray, OccupancyGrid
+
+__all__ = ["INITIAL_COVARIANCE", "known_map", "localize"]
+
+INITIAL_COVARIANCE: FloatArray = np.diag([0.25, 0.25, (math.pi / 12) ** 2])
+"""Of an initial pose of which nothing is said: half a metre and 15 degrees, as AMCL takes it."""
+
+_FOUND, _TRIED_M = 0.1, 5.0  # found at a smaller share of the scans on so long a way: the log is of somewhere else
+
+
+def localize(
+    log: str | Path | Log,
+    map: str | Path | OccupancyGrid | KnownMap,
+    *,
+    pose: ArrayLike | None = None,
+    covariance: ArrayLike = INITIAL_COVARIANCE,
+    seed: int = 0,
+    options: LogOptions | None = None,
+    parts: MonteCarloParts | None = None,
+    threads: int = 1,
+    strict_thresholds: bool = False,
+    observers: Sequence[LocalizationObserver] = (),
+    gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
+    stopwatch: Stopwatch | None = None,
+) -> LocalizationResult:
+    """Localize the robot of a log in a map, by Monte Carlo localization.
+
+    Parameters
+    ----------
+    log : str, Path or Log
+        The log, of any format that `open_log` knows.
+    map : str, Path, OccupancyGrid or KnownMap
+        The map: the YAML file of map_server or nav2, or a map at hand.
+    pose : (3,) float64, optional
+        Where the robot is at the first scan, map frame [x m, y m, theta rad]; it is found if not given.
+    covariance : (3, 3) float64, m^2, m rad, rad^2
+        Of that pose.
+    seed : int, >= 0
+        The same log, map, parameters and seed give the same bytes.
+    options : LogOptions, optional
+        What to read of the log at a path.
+    parts : MonteCarloParts, optional
+        Of the filter.
+    threads : int, >= 1
+        Threads of the kernels; their number never changes a result.
+    strict_thresholds : bool
+        Read the thresholds of the map's file literally (see `gridslam.io.map_server.load_map`).
+    observers : sequence of LocalizationObserver
+        Called after each scan.
+    gate : callable
+        Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
+    stopwatch : Stopwatch, optional
+        To go on with.
+
+    Returns
+    -------
+    LocalizationResult
+        A pose for every scan, as it was told at the time; `lost` says which of them are guesses.
+
+    Raises
+    ------
+    ArgumentError
+        The seed is negative, there is no thread, the pose or its covariance are none, or both `options` and a log that
+        is open already are given.
+    InputError
+        The log or the map cannot be read, the map has no free or no occupied cell, the log has no odometry or no scan
+        that can be used, or nothing in it looks like the map.
+    """
+    if seed < 0:
+        raise ArgumentError("seed", "a number >= 0", seed)
+    if threads < 1:
+        raise ArgumentError("threads", "at least one", threads)
+    watch, parts = stopwatch or Stopwatch(), parts or MonteCarloParts()
+    source = opened_log(log, options)
+    path, loaded, known = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
+    rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, parts)
+    state = mcl.init() if pose is None else mcl.around(pose, covariance, rng)
+    watch.lap("start")
+    state, reports, driven = _run(gate(source), mcl, state, rng, observers, watch)
+    _check(source, path, reports, driven, parts.lost_below)
+    result = LocalizationResult(
+        reports, driven, loaded.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed, threads,
+        source.statistics, source.path, path, digest_of(source.path), loaded.remarks, watch,
+    )  # fmt: skip
+    watch.lap("finish")
+    return result
+
+
+def known_map(
+    source: str | Path | OccupancyGrid | KnownMap, parts: MonteCarloParts, threads: int = 1, *,
+    strict_thresholds: bool = False,
+) -> tuple[Path, LoadedMap, KnownMap]:  # fmt: skip
+    """Read a map and lay it out for the filter; the path is empty for one that is at hand.
+
+    Raises InputError where a file is no map in which a robot could be.
+    """
+    if isinstance(source, KnownMap):
+        return Path(), LoadedMap(source.grid, ()), source
+    if isinstance(source, OccupancyGrid):
+        return Path(), LoadedMap(source, ()), KnownMap(source, reach_m=parts.reach_m, threads=threads)
+    loaded = load_map(source, strict_thresholds=strict_thresholds)
+    try:
+        return Path(source), loaded, KnownMap(loaded.grid, reach_m=parts.reach_m, threads=threads)
+    except ArgumentError as error:
+        raise InputError(source, str(error).removeprefix("map: ")) from None
+
+
+def _run(
+    source: Iterable[Measurement], mcl: MonteCarloLocalization, state: MonteCarloState, rng: np.random.Generator,
+    observers: Sequence[LocalizationObserver], watch: Stopwatch,
+) -> tuple[MonteCarloState, list[LocalizationReport], FloatArray]:  # fmt: skip
+    """Take all measurements, one after the other; reports without particles, and the way (N,) up to each."""
+    reports, driven, last = list[LocalizationReport](), [0.0], None
+    for odometry, scan in source:
+        watch.lap("read")
+        state, report = mcl.step(state, odometry, scan, rng)
+        seconds = watch.lap("skip" if report.skipped else "update")
+        for observe in observers:
+            observe(report, state, seconds)
+        reports.append(replace(report, poses=None, log_weights=None, parents=None))
+        way = 0.0 if odometry is None or last is None else float(np.hypot(*(odometry.pose - last.pose)[:2]))
+        driven.append(driven[-1] + way)
+        last = odometry or last
+        watch.lap("observe")
+    watch.lap("read")
+    return state, reports, np.array(driven[1:])
+
+
+def _check(log: Log, path: Path, reports: list[LocalizationReport], driven_m: FloatArray, lost_below: float) -> None:
+    """Refuse a log of which nothing can be told."""
+    updates = [report for report in reports if report.skipped is None]
+    if not updates:
+        lacks = "odometry, which localization needs" if log.statistics.without_odometry else "scan with a usable beam"
+        raise InputError(log.path, f"has no {lacks}")
+    best, found = max(report.agreement for report in updates), np.mean([not report.lost for report in reports])
+    if best < lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M):
+        where, usual = path.name or "the map", float(np.median([report.agreement for report in updates]))
+        raise InputError(
+            log.path, f"does not fit {where}: {usual:.0%} of a scan's beams agree with it, the robot is never found"
+        )

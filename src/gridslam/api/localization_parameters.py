@@ -1,0 +1,56 @@
+"""Parameters of localization as text: gridslam's own dotted names and AMCL's, side by side."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+
+from gridslam.api.amcl import AMCL_NAMES, AmclParameters, from_amcl
+from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.errors import ConfigurationError
+from gridslam.localization.parts import MonteCarloParts
+
+__all__ = ["override_parts"]
+
+
+def override_parts(parts: MonteCarloParts, assignments: Iterable[str]) -> AmclParameters:
+    """Change parameters by ``name=value``, AMCL's first and then gridslam's own (see `MonteCarloParts`).
+
+    Raises
+    ------
+    ConfigurationError
+        An assignment is malformed, or a parameter is unknown, of a wrong type or out of range.
+    """
+    amcl: Table = {}
+    changes: Table = {}
+    for assignment in assignments:
+        name, equals, text = (part.strip() for part in assignment.partition("="))
+        if not (name and equals and text):
+            raise ConfigurationError(f"expected name=value, got {assignment!r}")
+        if name in AMCL_NAMES and name not in to_table(parts):
+            amcl[name] = _value(text)
+        else:
+            _put(changes, name, _value(text), parts)
+    read = from_amcl(amcl, parts)
+    return read._replace(parts=changed(read.parts, changes))
+
+
+def _put(changes: Table, name: str, value: object, parts: MonteCarloParts) -> None:
+    """Put a value into nested tables, where its dotted name says."""
+    *above, last = name.split(".")
+    if [*above, last][0] not in to_table(parts):
+        raise ConfigurationError(f"{name}: no such parameter{meant(name, [*names(parts), *AMCL_NAMES])}")
+    for key in above:
+        changes = changes.setdefault(key, {})
+        if not isinstance(changes, dict):
+            raise ConfigurationError(f"{name}: {key} was given as {changes!r} before")
+    changes[last] = value
+
+
+def _value(text: str) -> object:
+    """A number, true or false, or the text itself."""
+    try:
+        value: object = json.loads(text)
+        return value
+    except json.JSONDecodeError:
+        return text

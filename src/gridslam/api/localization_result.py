@@ -1,0 +1,217 @@
+"""What localizing a log in a map gives, and the files it is kept in."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam import __version__
+from gridslam.config.tables import to_table
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.output import OutputFolder
+from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+
+__all__ = ["BELIEF_HEADER", "LOCALIZATION_SCHEMA", "LocalizationResult", "Stretch"]
+
+LOCALIZATION_SCHEMA = "gridslam.localization/1"
+BELIEF_HEADER = "stamp_s,lost,lost_probability,agreement,particles,n_eff,augmented"
+"""First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""
+
+
+class Stretch(NamedTuple):
+    """Scans in a row at which the robot was found, or lost.
+
+    Attributes
+    ----------
+    lost : bool
+    first, last : int
+        Which scans, counted from 0.
+    driven_m : float
+        Way before the first of them, by odometry.
+    """
+
+    lost: bool
+    first: int
+    last: int
+    driven_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizationResult:
+    """A robot's way in a known map, and how it was found.
+
+    Attributes
+    ----------
+    reports : list of LocalizationReport
+        One for each scan, without particles.
+    driven_m : (N,) float64
+        Way up to each scan, by odometry.
+    map : OccupancyGrid
+    state : MonteCarloState
+        The filter after the last scan.
+    parts : MonteCarloParts
+        The effective parameters.
+    pose : (3,) float64 or None
+        Where the robot was said to begin; None where it was to be found.
+    seed, threads : int
+        As given.
+    log : LogStatistics
+        What was met in the log.
+    source, map_path : Path
+        The log, and the map's YAML file or, for a map that was given as such, an empty path.
+    digest : str
+        SHA-256 of the log.
+    remarks : tuple of str
+        What is odd about the map's file.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    reports: list[LocalizationReport]
+    driven_m: FloatArray
+    map: OccupancyGrid
+    state: MonteCarloState
+    parts: MonteCarloParts
+    pose: FloatArray | None
+    seed: int
+    threads: int
+    log: LogStatistics
+    source: Path
+    map_path: Path
+    digest: str
+    remarks: tuple[str, ...]
+    stopwatch: Stopwatch
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each scan, map frame, as it was told at the time; a guess where the robot was lost."""
+        return Trajectory(self.stamps_ns, np.array([report.pose for report in self.reports]))
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Stamps (N,) of the scans."""
+        return np.array([report.stamp_ns for report in self.reports], np.int64)
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariances (N, 3, 3) of the poses."""
+        return np.array([report.covariance for report in self.reports])
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Whether the robot was lost at each scan: (N,)."""
+        return np.array([report.lost for report in self.reports])
+
+    def stretches(self) -> list[Stretch]:
+        """Where the robot was found and where it was lost, in order."""
+        lost = self.lost
+        begins = np.flatnonzero(np.diff(lost, prepend=~lost[:1]))
+        ends = np.append(begins[1:], len(lost)) - 1
+        pairs = zip(begins.tolist(), ends.tolist(), strict=True)
+        return [Stretch(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
+
+    def save(self, folder: str | Path) -> dict[str, Any]:
+        """Write all results into a folder, all of them or none; returns what run.json says."""
+        with OutputFolder(folder) as out:
+            return self.write(out)
+
+    def write(self, out: OutputFolder) -> dict[str, Any]:
+        """Write all results into an open output folder; returns what run.json says."""
+        self.stopwatch.resume()
+        write_tum(out.file("trajectory.tum"), self.trajectory)
+        write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
+        out.file("belief.csv").write_text("\n".join([BELIEF_HEADER, *self._belief(), ""]), encoding="ascii")
+        self.stopwatch.lap("write")
+        self._draw(out.file("localization.png"))
+        self.stopwatch.lap("draw")
+        document = self.document()
+        out.write_json("run.json", document)
+        return document
+
+    def document(self) -> dict[str, Any]:
+        """What run.json says."""
+        wall, cpu = self.stopwatch.total()
+        stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stopwatch.stages.items()}
+        return {
+            "schema": LOCALIZATION_SCHEMA,
+            "version": __version__,
+            "seed": self.seed,
+            "threads": self.threads,
+            "input": self._input(),
+            "initial_pose": "global" if self.pose is None else self.pose.tolist(),
+            "scans": self._scans(),
+            "filter": self._filter(),
+            "stretches": [self._told(stretch) for stretch in self.stretches()],
+            "time": {"wall_s": wall, "cpu_s": cpu, "stages": stages},
+            "configuration": to_table(self.parts),
+        }
+
+    def caption(self) -> list[str]:
+        """Lines that tell how the robot was localized."""
+        scans, lost = len(self.reports), int(self.lost.sum())
+        found = next((stretch for stretch in self.stretches() if not stretch.lost), None)
+        where = "never found" if found is None else f"found after {found.driven_m:.1f} m"
+        start = where if self.pose is None else f"begun at {', '.join(f'{v:g}' for v in self.pose)}"
+        return [
+            f"{scans} scans, {self.log.duration_s:.0f} s, {self.driven_m[-1]:.0f} m driven",
+            f"{start}; lost at {lost} of {scans} scans",
+            f"seed {self.seed}, {self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
+        ]
+
+    def _input(self) -> dict[str, Any]:
+        return {
+            "path": os.fspath(self.source),
+            "sha256": self.digest,
+            "map": os.fspath(self.map_path),
+            "map_remarks": list(self.remarks),
+            "selection": self.log.selection,
+            "duration_s": self.log.duration_s,
+            "odometry_length_m": float(self.driven_m[-1]),
+        }
+
+    def _scans(self) -> dict[str, Any]:
+        reasons = [report.skipped for report in self.reports]
+        skipped = {reason.value: reasons.count(reason) for reason in LocalizationSkip if reason in reasons}
+        return {"read": len(reasons), "used": reasons.count(None), "skipped": skipped, "lost": int(self.lost.sum())}
+
+    def _filter(self) -> dict[str, Any]:
+        updates = [report for report in self.reports if report.skipped is None]
+        return {
+            "particles_mean": float(np.mean([report.particles for report in updates])),
+            "particles_max": max(report.particles for report in updates),
+            "n_eff_mean": float(np.mean([report.n_eff for report in updates])),
+            "agreement_mean": float(np.mean([report.agreement for report in updates])),
+            "augmented_updates": sum(report.augmented > 0 for report in updates),
+        }
+
+    def _told(self, stretch: Stretch) -> dict[str, Any]:
+        stamps = self.stamps_ns[[stretch.first, stretch.last]].tolist()
+        return {"lost": stretch.lost, "stamps_ns": stamps, "driven_m": stretch.driven_m}
+
+    def _belief(self) -> Iterator[str]:
+        for r in self.reports:
+            n_eff = f"{r.n_eff:.1f}" if r.skipped is None else ""
+            whole, rest = divmod(r.stamp_ns, 10**9)
+            yield (
+                f"{whole}.{rest:09d},{r.lost:d},{r.lost_probability:.6g},{r.agreement:.4f},{r.particles},{n_eff},"
+                f"{r.augmented:.4g}"
+            )
+
+    def _draw(self, path: Path) -> None:
+        from gridslam.viz.localization_picture import draw_localization  # only drawing pays for the import of Pillow
+
+        picture = draw_localization(
+            self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption()
+        )  # fmt: skip
+        picture.save(path, optimize=False)

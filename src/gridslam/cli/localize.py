@@ -1,0 +1,142 @@
+"""gridslam localize."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl
+from gridslam.api.localization import localize
+from gridslam.api.localization_parameters import override_parts
+from gridslam.api.localization_result import LocalizationResult
+from gridslam.cli import STARTED_S
+from gridslam.cli.doctor import checked
+from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.output import opened, print_json
+from gridslam.cli.progress import reading_progress
+from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.state import LocalizationReport, MonteCarloState
+from gridslam.pipeline import Stopwatch
+from gridslam.types import FloatArray
+
+__all__ = ["localize_to_folder"]
+
+
+def localize_to_folder(
+    log: Path,
+    map_path: Path,
+    out: Path | None,
+    initial_pose: str,
+    seed: int,
+    particles: int | None,
+    threads: int,
+    preset: str,
+    assignments: Sequence[str],
+    strict_thresholds: bool,
+    options: LogOptions,
+    as_json: bool,
+) -> None:
+    """Localize a log in a map, into a folder where one is given, and say what came of it."""
+    watch = Stopwatch(STARTED_S, 0.0)
+    read = _parameters(preset, assignments, particles)
+    pose = _pose(initial_pose, read.pose)
+    source = checked(open_log(log, options), options)
+    with nullcontext() if out is None else opened(out) as folder:
+        result = _shown(source, map_path, pose, read, seed, threads, strict_thresholds, not as_json, watch)
+        document = result.document() if folder is None else result.write(folder)
+    for warning in _warnings(result, read.ignored):
+        click.echo(f"gridslam: {warning}", err=True)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(_summary(document, result, out)))
+
+
+def _shown(
+    source: Log, map_path: Path, pose: FloatArray | None, read: AmclParameters, seed: int, threads: int,
+    strict_thresholds: bool, shown: bool, watch: Stopwatch,
+) -> LocalizationResult:  # fmt: skip
+    """Localize while progress is shown."""
+    with reading_progress(lambda: source.statistics, shown=shown) as show:
+
+        def observe(report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
+            stop_if_interrupted()
+            show()
+
+        return localize(
+            source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
+            strict_thresholds=strict_thresholds, observers=[observe], stopwatch=watch,
+        )  # fmt: skip
+
+
+def _parameters(preset: str, assignments: Sequence[str], particles: int | None) -> AmclParameters:
+    """The preset, then single parameters; --particles holds whatever these say."""
+    parts = MonteCarloParts() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).parts
+    most = [] if particles is None else [f"kld.particles_max={particles}"]
+    if particles is not None and particles < parts.kld.particles_min:
+        most.append(f"kld.particles_min={particles}")
+    return override_parts(parts, [*assignments, *most])
+
+
+def _pose(text: str, given: FloatArray | None) -> FloatArray | None:
+    """Where to begin, X,Y,THETA in m and rad; where the option is not used, AMCL's initial pose, or None: anywhere."""
+    if text == "global":
+        return given
+    try:
+        pose = np.array([float(number) for number in text.split(",")])
+    except ValueError:
+        pose = np.empty(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise click.ClickException(f"--initial-pose: expected X,Y,THETA (m, rad) or global, got {text!r}")
+    return pose
+
+
+def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
+    """What a person wants to know of a run, in a few lines."""
+    scans, filter_, seconds = document["scans"], document["filter"], document["time"]["wall_s"]
+    yield (
+        f"{result.source.name} in {result.map_path.name}: {scans['read']} scans, {result.log.duration_s:.0f} s, "
+        f"{result.driven_m[-1]:.0f} m driven"
+    )
+    yield (
+        f"localized in {seconds:.1f} s: {scans['used']} updates of {filter_['particles_mean']:.0f} particles "
+        f"on average, {filter_['agreement_mean']:.0%} of the beams agree with the map"
+    )
+    yield from _found(result)
+    x, y, theta = result.reports[-1].pose.tolist()
+    deviation = math.sqrt(float(np.trace(result.reports[-1].covariance[:2, :2])))
+    yield f"at the end: x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad, position within {deviation:.2f} m (1 sigma)"
+    if out is not None:
+        yield f"trajectory: {out / 'trajectory.tum'}, picture: {out / 'localization.png'}"
+
+
+def _found(result: LocalizationResult) -> Iterator[str]:
+    """Where the robot was found and lost."""
+    begin, stretches = int(result.stamps_ns[0]), result.stretches()
+    for k, stretch in enumerate(stretches[:_TOLD]):
+        after = 1e-9 * (int(result.stamps_ns[stretch.first]) - begin)
+        if stretch.lost:
+            yield f"lost from {after:.1f} s on" if k else "lost at first: poses until it is found are guesses"
+        elif k or result.pose is None:
+            yield f"found after {stretch.driven_m:.1f} m ({after:.1f} s)"
+    if len(stretches) > _TOLD:
+        yield f"and so on, {len(stretches)} stretches in all: run.json has them"
+
+
+_TOLD = 8
+
+
+def _warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
+    """What is odd about the map, and what was not heeded."""
+    yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
+    if ignored:
+        yield f"{', '.join(ignored)}: means nothing here, ignored"
+    if result.lost.all():
+        yield f"{result.source}: the robot was never found for certain; it was not driven far enough"
