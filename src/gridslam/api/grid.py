@@ -109,11 +109,10 @@ def map_with_poses(
     watch.lap("count")
     if not len(used):
         raise InputError(path or source.path, _nothing(source, poses, unplaced))
-    repaired = source.repair if isinstance(source, RepairedLog) else None
     result = GridResult(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-        deskew=deskew, configuration=config, log=source.statistics, repair=repaired or Repair(), given=given,
+        deskew=deskew, configuration=config, log=source.statistics, repair=_repair_of(source), given=given,
         source=source.path, digest=digest_of(source.path), given_path=path, stopwatch=watch,
     )  # fmt: skip
     watch.lap("map")
@@ -138,6 +137,10 @@ def _count(
             taken.append(pose)
         tick()
     return Trajectory(np.array(stamps, np.int64), np.array(taken).reshape(-1, 3)), unplaced
+
+
+def _repair_of(log: Log) -> Repair:
+    return (log.repair if isinstance(log, RepairedLog) else None) or Repair()
 
 
 def _configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
