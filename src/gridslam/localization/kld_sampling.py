@@ -86,12 +86,13 @@ class KldSampling:
             drawn = np.append(drawn, bins[np.minimum(ends.searchsorted(points, side="right"), len(bins) - 1)])
             enough = self._enough(drawn)
             if enough is not None or count >= self.particles_max:
-                return min(max(enough or count, self.particles_min), self.particles_max)
+                return min(enough or count, self.particles_max)
             count = min(2 * count, self.particles_max)
 
     def _enough(self, drawn: IntArray) -> int | None:
         """After how many draws there are first as many as the bins so far ask for; None where never."""
         first = np.sort(np.unique(drawn, return_index=True)[1])
         needed = np.maximum(first + 1, self.bound(np.arange(1, len(first) + 1)))
+        needed = np.maximum(needed, self.particles_min)
         met = np.flatnonzero(needed <= np.append(first[1:], len(drawn)))
         return int(needed[met[0]]) if len(met) else None

@@ -23,7 +23,6 @@ PoseWeigher = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
 _OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
-_RIM = 2  # cells around the map that hold what lies beyond, so that a look-up needs no test
 _PAGE_CELLS = TILE * PAGE
 
 
@@ -60,10 +59,11 @@ class KnownMap:
         self.resolution_m = grid.resolution_m
         self.free: NDArray[np.bool_] = free
         self._free_cells = np.argwhere(free)
-        self._corner = np.array(grid.origin) - _RIM * grid.resolution_m
-        cells = distance_transform(np.pad(occupied, _RIM), math.ceil(reach_m / grid.resolution_m))
+        reach = math.ceil(reach_m / grid.resolution_m)
+        rim = reach + 1  # the field goes on beyond the map, to where it says the same for good
+        self._corner = np.array(grid.origin) - rim * grid.resolution_m
+        cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
-        self._distances[[0, -1]] = self._distances[:, [0, -1]] = reach_m
         self._tabulated: dict[LikelihoodField | CauchyAgreement, NDArray[np.float32]] = {}
         self._occupied = occupied
         self._tiles: tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]] | None = None

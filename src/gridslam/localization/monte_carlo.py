@@ -68,11 +68,12 @@ class MonteCarloLocalization:
         return MonteCarloState(poses, log_weights, self.parts.recovery.begin(), told, math.inf if known else 0.0)
 
     def around(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
-        """Begin at a pose (3,) of which a covariance (3, 3) is known; raises ArgumentError for anything else."""
-        kld = self.parts.kld
-        poses = spread(kld.particles_max, pose, covariance, rng)
-        needed = kld.size(poses, np.full(len(poses), 1 / len(poses)), rng)
-        return self.init(poses[:needed])
+        """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
+
+        The first scan knows far more than whoever gave the pose, and few of the particles will be where it says.
+        Raises ArgumentError for anything that is no pose or covariance.
+        """
+        return self.init(spread(self.parts.kld.particles_max, pose, covariance, rng))
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator

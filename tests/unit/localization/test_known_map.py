@@ -1,0 +1,146 @@
+"""The map of localization: distances, rays, free space and tabulated models, against brute force and closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gridslam.errors import ArgumentError
+from gridslam.localization import KnownMap
+from gridslam.localization.distance_transform import distance_transform
+from gridslam.models.beam import BeamRangeFinder
+from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.types import LaserScan, OccupancyGrid, ScanGeometry
+
+CELL = 0.1
+ORIGIN = (-1.0, 2.0)
+
+
+def grid_of(cells: np.ndarray) -> OccupancyGrid:
+    """0 free, 1 occupied, 2 unknown."""
+    return OccupancyGrid(np.where(cells == 1, 4.0, -4.0).astype(np.float32), cells != 2, CELL, ORIGIN)
+
+
+def room() -> np.ndarray:
+    """4 m x 3 m of free space with walls around it, and an unknown part at the left."""
+    cells = np.zeros((32, 52), int)
+    cells[:, :10] = 2
+    cells[[0, -1], 10:] = cells[:, [10, -1]] = 1
+    return cells
+
+
+def scan_of(ends: np.ndarray) -> LaserScan:
+    geometry = ScanGeometry(np.arctan2(ends[:, 1], ends[:, 0]))
+    return LaserScan.from_ranges(0, np.hypot(*ends.T), geometry, range_max_m=29.0)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 30), st.integers(1, 12))
+def test_distance_transform_is_that_of_brute_force(seed, height, width, reach):
+    occupied = np.random.default_rng(seed).random((height, width)) < 0.05
+    y, x = np.mgrid[:height, :width]
+    apart = [np.hypot(y - row, x - column) for row, column in np.argwhere(occupied)]
+    nearest = np.minimum(np.min(apart, axis=0), reach) if apart else np.full((height, width), reach)
+    np.testing.assert_allclose(distance_transform(occupied, reach), nearest, rtol=1e-6)
+
+
+def test_distances_are_those_to_the_nearest_occupied_centre():
+    cells = room()
+    known, rng = KnownMap(grid_of(cells), reach_m=0.75), np.random.default_rng(0)
+    centres = (np.argwhere(cells == 1)[:, ::-1] + 0.5) * CELL + ORIGIN
+    poses = np.column_stack([rng.uniform([-1.5, 1.5], [5, 6], (40, 2)), rng.uniform(-3, 3, 40)])
+    points = rng.uniform(-1, 1, (7, 2))
+    found = known.distances(np.zeros(40, np.int32), poses, points)
+    for k, (x, y, theta) in enumerate(poses):
+        turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+        ends = points @ turn.T + [x, y]
+        exact = np.minimum(np.hypot(*(ends[:, None] - centres).transpose(2, 0, 1)).min(axis=1), 0.75)
+        # Between centres the field is interpolated: its bends, at obstacles and at the reach, are cut by half a cell's
+        # diagonal at most.
+        np.testing.assert_allclose(found[k], exact, atol=CELL / math.sqrt(2))
+    assert (known.distances(np.zeros(1), np.array([[90.0, -90, 0]]), points) == np.float32(0.75)).all()
+
+
+def test_rays_meet_the_walls():
+    known = KnownMap(grid_of(room()))
+    pose, directions = np.array([[2.0, 3.5, math.pi / 2]]), np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+    ranges = known.cast_rays(np.zeros(1), pose, np.zeros(2), directions, 30.0)
+    # To the centres of the wall's cells: y 5.15, x 0.05, y 2.05, x 4.15.
+    np.testing.assert_allclose(ranges[0], [1.65, 1.95, 1.45, 2.15], atol=1e-6)
+
+
+@pytest.mark.parametrize("sensor", [LikelihoodField(tempering=0.3), CauchyAgreement(tempering=0.2)])
+def test_a_tabulated_model_says_what_the_model_says(sensor):
+    known, rng = KnownMap(grid_of(room())), np.random.default_rng(1)
+    beams = scan_of(rng.uniform(-2, 2, (50, 2))).beams(0.01, 29.0)
+    poses = np.column_stack([rng.uniform([0.5, 2.5], [4, 5], (200, 2)), rng.uniform(-3, 3, 200)])
+    blurred = sensor
+    if isinstance(sensor, LikelihoodField):  # the map's rounding to cells is noise, too
+        blurred = replace(sensor, sigma_hit_m=math.hypot(sensor.sigma_hit_m, CELL / math.sqrt(12)))
+    exact = blurred(beams)(known, np.zeros(200, np.int32), poses)
+    tabulated = known.weigher(sensor, beams)(poses)
+    # One interpolates the distance, the other what it means: they differ between centres, not in the mean.
+    assert np.corrcoef(exact, tabulated)[0, 1] > 0.98
+    assert abs(np.mean(exact - tabulated)) < 0.1 * sensor.tempering * 50
+
+
+def test_at_centres_of_cells_both_agree_exactly():
+    known, sensor = KnownMap(grid_of(room())), CauchyAgreement(tempering=1.0)
+    beams = scan_of(np.array([[0.3, 0.2], [-0.5, 0.1], [1.0, -0.7]])).beams(0.01, 29.0)
+    poses = np.array([[1.05, 3.05, 0.0], [2.35, 4.75, 0.0]])
+    exact = sensor(beams)(known, np.zeros(2, np.int32), poses)
+    np.testing.assert_allclose(known.weigher(sensor, beams)(poses), exact, rtol=1e-5)
+
+
+def test_the_beam_model_prefers_the_true_pose():
+    known = KnownMap(grid_of(room()))
+    truth, bearings = np.array([2.0, 3.5, 0.4]), np.linspace(-2, 2, 60)
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ranges = known.cast_rays(np.zeros(1), truth[None], np.zeros(2), directions, 30.0)[0]
+    beams = LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
+    poses = truth + np.array([[0, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [0, 0, 0.2]])
+    assert known.weigher(BeamRangeFinder(), beams)(poses).argmax() == 0
+
+
+def test_free_space_is_only_what_is_known_to_be_free():
+    cells = room()
+    known, rng = KnownMap(grid_of(cells)), np.random.default_rng(2)
+    poses = known.draw(20_000, rng)
+    assert known.is_free(poses).all()
+    column, row = np.floor((poses[:, :2] - ORIGIN) / CELL).astype(int).T
+    assert (cells[row, column] == 0).all()
+    assert known.free_area_m2 == pytest.approx(np.count_nonzero(cells == 0) * CELL**2)
+    # Even over 1200 cells: 16.7 a cell, Poisson, whose chi-square over 1199 degrees has a deviation of 49.
+    counts = np.bincount(row * 52 + column, minlength=cells.size).reshape(cells.shape)[cells == 0]
+    expected = 20_000 / len(counts)
+    assert abs(((counts - expected) ** 2 / expected).sum() - len(counts)) < 5 * math.sqrt(2 * len(counts))
+    assert abs(np.exp(1j * poses[:, 2]).mean()) < 5 / math.sqrt(20_000)
+
+
+@pytest.mark.parametrize("log_odds", [-1.0, 0.0, 0.5])
+def test_a_cell_of_which_the_map_is_not_sure_is_neither_free_nor_occupied(log_odds):
+    grid = grid_of(room())
+    odds = grid.log_odds.copy()
+    odds[10:20, 20:30] = log_odds
+    known = KnownMap(replace(grid, log_odds=odds))
+    inside = np.array([[ORIGIN[0] + 2.5, ORIGIN[1] + 1.5, 0.0]])
+    assert not known.is_free(inside)[0]
+    assert known.distances(np.zeros(1), inside, np.zeros((1, 2)))[0, 0] > 0.9
+
+
+def test_off_the_map_nothing_is_free():
+    known = KnownMap(grid_of(room()))
+    assert not known.is_free(np.array([[-9.0, 3, 0], [99.0, 3, 0], [2.0, -9, 0], [2.0, 99, 0], [1e12, -1e12, 0]])).any()
+
+
+def test_maps_without_free_or_occupied_cells_are_refused():
+    for cells, missing in ((np.ones((5, 5), int), "free"), (np.zeros((5, 5), int), "occupied")):
+        with pytest.raises(ArgumentError, match=f"at least one {missing} cell"):
+            KnownMap(grid_of(cells))
+    with pytest.raises(ArgumentError, match="reach_m"):
+        KnownMap(grid_of(room()), reach_m=0.0)
