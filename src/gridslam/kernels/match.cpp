@@ -11,21 +11,22 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 
-// Normals of the straight walls on which ends lie sparsely, in the frame of the ends; a wall seen so says nothing along itself: its far
-// ends are mapped as dots, and dots would match dots. (0, 0) with `on` 0 for all other ends, which say what the field says.
+// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and `along`, 0 for those that
+// lie so sparsely that they say nothing along the wall: its far ends are mapped as dots, and dots would match dots.
 struct Walls {
-  std::vector<float> x, y, on;
-  Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), on(x) {
+  std::vector<float> x, y, along;
+  Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
     if (!(sparse > 0)) return;
     constexpr int kFirst[3] = {-1, -2, 0};  // the end itself is the middle of three, or the last, or the first
     const float least = static_cast<float>(sparse);
     for (int i = 0; i < ends.n; ++i) {
       const float apart = std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
-      if (apart < least) continue;
       const int stride = std::max(1, static_cast<int>(std::ceil(std::min(kBase / apart, static_cast<float>(ends.n)))));
       for (const int first : kFirst) {
         const int a = i + first * stride, b = a + 2 * stride;
-        if (a >= 0 && b < ends.n && straight(ends, a, a + stride, b, i)) break;
+        if (a < 0 || b >= ends.n || !straight(ends, a, a + stride, b, i)) continue;
+        along[i] = apart < least ? 1.0f : 0.0f;
+        break;
       }
     }
   }
@@ -41,7 +42,7 @@ struct Walls {
     const float ux = e.x[m] - e.x[a], uy = e.y[m] - e.y[a], vx = e.x[b] - e.x[m], vy = e.y[b] - e.y[m];
     const float cx = ux + vx, cy = uy + vy, length = std::sqrt(cx * cx + cy * cy);
     if (ux * vx + uy * vy <= 0 || std::abs(ux * cy - uy * cx) > kAside * length) return false;
-    x[i] = -cy / length, y[i] = cx / length, on[i] = 1.0f;
+    x[i] = -cy / length, y[i] = cx / length;
     return true;
   }
 };
@@ -51,6 +52,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   const CellPose pose(x, y, theta);
   const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
+  constexpr float kBeyond = 3.0f;  // the gradient leans 55 degrees from the wall's normal
   float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: the same bytes whatever the instruction set
   Block f;
   for (int block = 0; block < ends.blocks; ++block) {
@@ -62,8 +64,11 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
       const float gu = -to_cells * f.du[l], gv = -to_cells * f.dv[l];
       const int j = block * kLanes + l;
       const float nx = pose.c * walls.x[j] - pose.s * walls.y[j], ny = pose.s * walls.x[j] + pose.c * walls.y[j];
-      const float across = gu * nx + gv * ny, off = 1.0f - walls.on[j];
-      const float ju = off * gu + across * nx, jv = off * gv + across * ny, jt = jv * f.rx[l] - ju * f.ry[l];
+      const float across = gu * nx + gv * ny, beside = gu - across * nx, aside = gv - across * ny;
+      // A wall goes on where it is not mapped yet; the mapped part's end, which is nearest there, would draw the scan back.
+      const float on_map = (nx * nx + ny * ny) * (gu * gu + gv * gv) > kBeyond * across * across ? 0.0f : 1.0f;
+      const float ju = on_map * (across * nx + walls.along[j] * beside), jv = on_map * (across * ny + walls.along[j] * aside);
+      const float jt = jv * f.rx[l] - ju * f.ry[l];
       const float wu = w * ju, wv = w * jv, wt = w * jt;
       sums[kH00][l] += wu * ju, sums[kH01][l] += wu * jv, sums[kH02][l] += wu * jt;
       sums[kH11][l] += wv * jv, sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;

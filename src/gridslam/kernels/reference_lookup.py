@@ -17,6 +17,7 @@ _OCCUPIED = 255
 _HOLD = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
+_BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
 
 
 @final
@@ -106,7 +107,8 @@ def match(
     way from the guess and P its information, in m and rad. A step is clipped to `max_step_cells` and `max_step_rad`;
     one below both `stop_cells` and `stop_rad` is the last. Along a direction with less information than
     `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells` or more apart say
-    nothing along it (0: all say what the field says).
+    nothing along it, and those whose nearest obstacle lies along their wall rather than across say nothing at all
+    (0: all say what the field says).
 
     Returns
     -------
@@ -142,8 +144,9 @@ def match(
 
 
 def _linearize(
-    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: FloatMap, cauchy_cells: float, reach_cells: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: tuple[FloatMap, FloatMap], cauchy_cells: float,
+    reach_cells: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
     u, v = placed(poses, ends)
     value, du, dv = lookup.sample(u, v)
@@ -151,17 +154,21 @@ def _linearize(
     d = reach_cells - to_cells * value.astype(np.float64)
     gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    normals = walls @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
-    across = (gradient * normals).sum(axis=-1, keepdims=True) * normals
-    ju, jv = np.moveaxis(np.where(walls.any(axis=1, keepdims=True), across, gradient), -1, 0)
+    own, along = walls
+    normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    slope = (gradient * normals).sum(axis=-1, keepdims=True)
+    beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
+    across = slope * normals
+    said = across + along[:, None] * (gradient - across)
+    ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, said), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
     weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
     return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
 
 
-def _walls(ends: FloatArray, sparse: float) -> FloatMap:
-    """Normals (B, 2) of the straight walls on which ends (B, 2) lie sparsely, in cells; 0 for all other ends.
+def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells, 0 on none; 0 in (B,) for sparse ones.
 
     An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
     where three ends that are equally many beams apart, so many that `_BASE` cells would lie between them were all as
@@ -169,15 +176,16 @@ def _walls(ends: FloatArray, sparse: float) -> FloatMap:
     of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
     """
     at = ends.astype(np.float32)
-    normals = np.zeros_like(at)
+    normals, along = np.zeros_like(at), np.ones(len(at), np.float32)
     if not np.float32(sparse) > 0 or len(ends) < 3:
-        return normals
+        return normals, along
     steps = np.diff(at, axis=0)
     between = np.sqrt((steps * steps).sum(axis=1))
     apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
-    left = np.flatnonzero(apart >= np.float32(sparse))
+    left = np.arange(len(at))
     for first in (-1, -2, 0):
-        stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
+        with np.errstate(divide="ignore", over="ignore"):
+            stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
         a, m, b = (left + (first + k) * stride for k in range(3))
         inside = (a >= 0) & (b < len(ends))
         i, a, m, b = left[inside], a[inside], m[inside], b[inside]
@@ -187,8 +195,9 @@ def _walls(ends: FloatArray, sparse: float) -> FloatMap:
         straight = (u * v).sum(axis=1) > 0
         straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= _ASIDE * length
         normals[i[straight]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[straight] / length[straight, None]
+        along[i[straight]] = apart[i[straight]] < np.float32(sparse)
         left = np.setdiff1d(left, i[straight])
-    return normals
+    return normals, along
 
 
 def _hold(h: FloatArray, least: FloatArray) -> FloatArray:

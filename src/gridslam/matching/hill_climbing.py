@@ -12,7 +12,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.types import Beams, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = ["HillClimbing"]
 
@@ -52,7 +52,7 @@ class HillClimbing:
     minimum_score: float = Field(default=0.0, ge=0)
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3); `priors` (K, 3, 3) are not used."""
         poses, scores = guesses.copy(), self._score(maps, rows, guesses, beams)
@@ -71,7 +71,7 @@ class HillClimbing:
         poses = np.where((scores >= self.minimum_score)[:, None], poses, guesses)
         return GaussNewton(max_passes=0)(maps, rows, poses, priors, beams)
 
-    def _score(self, maps: TileMaps, rows: Int32Array, poses: FloatArray, beams: Beams) -> FloatArray:
+    def _score(self, maps: TileMaps, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> FloatArray:
         distances = maps.distances(rows, poses, beams.ends)
         scores = np.where(distances <= self.kernel_m, np.exp(np.square(distances) * np.float32(-1 / self.scale_m2)), 0)
         total: FloatArray = scores.sum(axis=1, dtype=np.float64)

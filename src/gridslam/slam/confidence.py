@@ -15,7 +15,7 @@ from gridslam.matching.gauss_newton import undetermined
 from gridslam.particles.weights import effective_sample_size
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.state import GridFastSlamState
-from gridslam.types import Beams, FloatArray, LaserScan, SkipReason, StepReport
+from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepReport
 
 __all__ = ["Confidence"]
 
@@ -71,7 +71,7 @@ class Confidence:
         )  # fmt: skip
 
     def key_scan(
-        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, proposed: Proposed, beams: Beams
+        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, proposed: Proposed, beams: BeamEnds
     ) -> StepReport:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match

@@ -143,10 +143,10 @@ class GridFastSlam:
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
         motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)  # predict
         weigh = self.sensor(beams)
-        proposed = self.proposal(state.maps, state.poses, motion, weigh, beams, rng)  # match and weigh
+        proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.joint, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
         state.advance(proposed, tracked.pose, scan.sensor)
-        report = self.confidence.key_scan(state, scan, moved, proposed, beams)
+        report = self.confidence.key_scan(state, scan, moved, proposed, tracked.joint)
         if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)

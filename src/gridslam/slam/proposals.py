@@ -7,6 +7,7 @@ weighs: the tracker's prediction is such a control.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -19,16 +20,18 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.types import Beams, FloatArray, Match, MotionSampler, Weigher
+from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
 
 __all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
+
+_LOOK = GaussNewton(max_passes=0)
 
 
 class Matcher(Protocol):
     """Finds where a scan fits maps best (see `gridslam.matching`)."""
 
     def __call__(
-        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: Beams
+        self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
 
@@ -52,7 +55,7 @@ class Proposal(Protocol):
         poses: FloatArray,
         motion: MotionSampler,
         weigh: Weigher,
-        beams: Beams,
+        beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
@@ -95,12 +98,12 @@ class Prior:
         poses: FloatArray,
         motion: MotionSampler,
         weigh: Weigher,
-        beams: Beams,
+        beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = GaussNewton(max_passes=0)(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
+        match = _LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
         return Proposed(drawn, weigh(maps, rows, drawn), match)
 
 
@@ -126,6 +129,8 @@ class Peak:
 
     matcher: GaussNewton | HillClimbing = GaussNewton()
     beam_sigma_m: float = Field(default=1.6e-4, gt=0)
+    still_m: float = Field(default=0.02, ge=0)
+    still_rad: float = Field(default=0.02, ge=0)
 
     def __call__(
         self,
@@ -133,13 +138,18 @@ class Peak:
         poses: FloatArray,
         motion: MotionSampler,
         weigh: Weigher,
-        beams: Beams,
+        beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = self.matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
+        matcher = self.matcher if self._moved(motion, poses) else _LOOK
+        match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return Proposed(match.poses, weigh(maps, rows, match.poses), match)
+
+    def _moved(self, motion: MotionSampler, poses: FloatArray) -> bool:
+        dx, dy, turn = (motion.moments(poses[:1])[0][0] - poses[0]).tolist()
+        return math.hypot(dx, dy) > self.still_m or abs(math.remainder(turn, math.tau)) > self.still_rad
 
 
 @final
@@ -171,7 +181,7 @@ class Gaussian:
         poses: FloatArray,
         motion: MotionSampler,
         weigh: Weigher,
-        beams: Beams,
+        beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""

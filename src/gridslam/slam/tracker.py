@@ -21,9 +21,9 @@ from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import Deskew
-from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, pose_of
+from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, is_within, pose_of
 from gridslam.slam.tracker_velocity import ConstantVelocity
-from gridslam.types import Beams, FloatArray, Match, Odometry
+from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
 __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
@@ -70,6 +70,9 @@ class Tracker:
         directions are better determined than that, the odometry's errors are learned.
     velocity : ConstantVelocity
         What is predicted where there is no odometry.
+    join_m, join_rad : float
+        A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry;
+        where there is none, from a twentieth of that.
     search_share : float
         Where a smaller share of the beams agrees with a match, a better one is searched for from the velocity's
         prediction and all around: on real logs more agree in the right place, and fewer in others.
@@ -95,6 +98,8 @@ class Tracker:
     matcher: GaussNewton = GaussNewton()
     steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
     velocity: ConstantVelocity = ConstantVelocity()
+    join_m: float = Field(default=0.3, ge=0)
+    join_rad: float = Field(default=0.3, ge=0)
     search_share: float = Field(default=0.7, ge=0, le=1)
     patience: int = Field(default=3, ge=1)
     deskew: Deskew | None = Deskew()
@@ -119,6 +124,7 @@ class Tracker:
                 state, predicted, lambda pose: self.velocity.twist(state, pose, seconds), beams,
                 lambda sharp: self._found(state, predicted, sharp),
             )  # fmt: skip
+        joint = self._joined(state, found.pose, found.predicted, beams)
         self._advance(state, found)
         state.overruled += odometry is not None and not found.predicted.by_odometry
         if found.matched or not found.predicted.by_odometry:
@@ -127,7 +133,7 @@ class Tracker:
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
-        return Tracked(found.pose, found.predicted.pose, beams, None if found.predicted.by_odometry else spread)
+        return Tracked(found.pose, found.predicted.pose, beams, joint, None if found.predicted.by_odometry else spread)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
@@ -157,25 +163,31 @@ class Tracker:
             return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
         if not len(beams):
             return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
+        joint = self._joined(state, predicted.pose, predicted, beams)
         if not predicted.by_odometry:
-            return self._searched(state, predicted, beams)
-        if self._still(state, seen, predicted, beams):
+            return self._searched(state, predicted, joint)
+        if self._still(state, seen, predicted, joint):
             return Found(predicted.pose, predicted, matched=False, poor=False)
-        found = self._matched(state, predicted, beams)
+        found = self._matched(state, predicted, joint)
         if found.share < self.search_share:  # it may be the odometry that is wrong: a reading came late
-            other = self._searched(state, self._by_velocity(state, predicted.seconds), beams)
+            other = self._searched(state, self._by_velocity(state, predicted.seconds), joint)
             convinces = other.share >= self.search_share and other.share - found.share > self.slip_gain
             found = other if convinces else found
         return found
 
-    def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: Beams) -> bool:
+    def _joined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
+        """The scan, taken at about `pose`, with those of the other lasers."""
+        trusted = 1.0 if predicted.by_odometry else 0.05
+        return state.joined(beams, pose, trusted * self.join_m, trusted * self.join_rad)
+
+    def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: BeamEnds) -> bool:
         """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
-        if not _within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
+        if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return False
         share = _LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
         return bool(share > seen.share - self.slip_gain)
 
-    def _matched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
+    def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self.calibration is not None and self.calibration.is_known(state.learned)
         matcher = self.steady_matcher if known else self.matcher
@@ -192,7 +204,7 @@ class Tracker:
         determined = pose is best and self._determined(match)
         return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
 
-    def _searched(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
+    def _searched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         maps, row, count = state.maps, state.row, len(beams)
         match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
@@ -206,7 +218,7 @@ class Tracker:
         if match.score[0] < self.poor_share * count:
             return Found(predicted.pose, predicted, matched=True, poor=True)
         pose, score = match.poses[0], float(match.score[0])
-        stands = _within(state.pose, pose, self.still_m, self.still_rad)
+        stands = is_within(state.pose, pose, self.still_m, self.still_rad)
         determined = self._determined(match)
         return Found(state.pose if stands else pose, predicted, True, False, score / count, determined)
 
@@ -242,13 +254,14 @@ class Tracker:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
-        due = seen is None or not _within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
+        due = seen is None or not is_within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
         if found.poor and found.predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
             due = due and found.predicted.turned_rad <= self.insert_rad
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
         last = seen or Seen.first(state.stamp_ns, found.pose)
-        last = last._replace(stamp_ns=state.stamp_ns, matched_pose=found.pose, share=found.share)
+        ends = beams.ends if len(state.sensors) > 1 else last.ends
+        last = last._replace(stamp_ns=state.stamp_ns, matched_pose=found.pose, share=found.share, ends=ends)
         state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
@@ -269,7 +282,7 @@ class OdometryTracker:
         """Track one scan; updates `state`; ArgumentError where there is no odometry."""
         state.odometry, state.stamp_ns = _needed(odometry, stamp_ns).pose, stamp_ns
         state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
-        return Tracked(state.pose, state.pose, beams)
+        return Tracked(state.pose, state.pose, beams, beams)
 
 
 def _needed(odometry: Odometry | None, stamp_ns: int) -> Odometry:
@@ -283,9 +296,3 @@ def _motion(increment: FloatArray) -> tuple[float, float]:
     """Metres and radians of an increment (3,)."""
     x, y, turn = increment.tolist()
     return math.hypot(x, y), abs(turn)
-
-
-def _within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
-    """Whether poses (3,) are nearer to each other than both."""
-    dx, dy, turn = (a - b).tolist()
-    return math.hypot(dx, dy) < metres and abs(math.remainder(turn, math.tau)) < radians

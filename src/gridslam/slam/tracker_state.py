@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, final
@@ -9,12 +10,13 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.odometry_calibration import LearnedOdometry
-from gridslam.types import Beams, FloatArray, Odometry
+from gridslam.types import BeamEnds, Beams, EndPoints, FloatArray, Odometry
 
-__all__ = ["Found", "Prediction", "Seen", "Tracked", "TrackerState", "pose_of"]
+__all__ = ["Found", "Prediction", "Seen", "Tracked", "TrackerState", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
@@ -29,6 +31,7 @@ class Seen(NamedTuple):
     share: float  # of the beams that agreed with the map then; 0 where it was not believed
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
     orders: FloatArray  # (3,), what its scans told of the order of their beams; see `Deskew`
+    ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> Seen:
@@ -111,6 +114,18 @@ class TrackerState:
         """Keep the last of a laser; copies that were made before do not change."""
         self.sensors = {**self.sensors, sensor: seen}
 
+    def joined(self, beams: Beams, pose: FloatArray, metres: float, radians: float) -> BeamEnds:
+        """The scan, taken at about `pose` (3,), with what the other lasers saw last from no farther away.
+
+        All lasers are one sensor: each alone may see a single wall.
+        """
+        others = [
+            transform_points(between(pose, seen.matched_pose), seen.ends)
+            for sensor, seen in self.sensors.items()
+            if sensor != beams.scan.sensor and is_within(seen.matched_pose, pose, metres, radians)
+        ]
+        return EndPoints(np.concatenate([beams.ends, *others]), beams.origin) if others else beams
+
     def insert(self, beams: Beams, most: int) -> None:
         """Insert a scan at the present pose; the local maps take turns by so many scans of each laser."""
         scans, active, full = list(self.scans), self.active, most * len(self.sensors)
@@ -134,10 +149,11 @@ class TrackerState:
         arrays["counters"] = np.array(counters, np.int64)
         arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
         arrays["period_s"] = np.array(self.period_s)
-        stamps, *parts = zip(*self.sensors.values(), strict=True)
+        stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
         arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
         arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
         arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
+        arrays["sensors.counts"], arrays["sensors.ends"] = np.array([len(e) for e in ends]), np.concatenate(ends)
         arrays |= {f"learned.{name}": array for name, array in self.learned.to_arrays().items()}
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
@@ -149,7 +165,8 @@ class TrackerState:
         stamp_ns, active, first, second, blind, overruled, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
-        last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, strict=True)]
+        ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
+        last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, ends, strict=True)]
         return cls(
             maps, stamp_ns=stamp_ns, learned=learned,
             sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
@@ -161,6 +178,12 @@ class TrackerState:
 
 _OF_SENSORS = ("matched_poses", "shares", "inserted_poses", "orders")
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "spread")
+
+
+def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
+    """Whether poses (3,) are nearer to each other than both."""
+    dx, dy, turn = (a - b).tolist()
+    return math.hypot(dx, dy) < metres and abs(math.remainder(turn, math.tau)) < radians
 
 
 def pose_of(odometry: Odometry | None) -> FloatArray:
@@ -210,6 +233,8 @@ class Tracked:
         In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too.
     beams : Beams
         As seen from the base at the stamp: deskewed.
+    joint : BeamEnds
+        These, and what the other lasers saw a moment ago: what is to be matched.
     spread : (2,) float64 or None
         Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
         motion model's.
@@ -218,4 +243,5 @@ class Tracked:
     pose: FloatArray
     predicted: FloatArray
     beams: Beams
+    joint: BeamEnds
     spread: FloatArray | None = None

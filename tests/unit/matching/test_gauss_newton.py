@@ -263,3 +263,33 @@ def test_where_no_three_ends_follow_one_another_nothing_changes():
     one, other = (GaussNewton(sparse_m=sparse)(maps, ROW, guess, prior(), beams) for sparse in (0.0, 0.06))
     np.testing.assert_array_equal(one.poses, other.poses)
     np.testing.assert_array_equal(one.information, other.information)
+
+
+def map_of_nothing():
+    return TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
+
+
+def half_seen(pose, half):
+    """What a laser that looks ahead, 180 degrees, sees of an empty rectangle."""
+    beams = scan_of_room(pose, np.array(half))
+    ahead = np.abs(GEOMETRY.bearings[beams.indices]) < np.pi / 2
+    return replace(beams, indices=beams.indices[ahead], ends=beams.ends[ahead])
+
+
+@pytest.mark.parametrize("half", [(1.62, 1.22), (3.22, 1.22), (4.02, 1.22)])
+def test_a_wall_goes_on_where_it_is_not_mapped_yet(half):
+    """A robot turns on the spot, and sees more of the wall that was beside it.
+
+    The mapped part's end is the nearest obstacle to all that is new of it, and would draw the robot forward, and hold
+    it back in turning.
+    """
+    maps, truth = map_of_nothing(), [0.0, 0.0, -0.2]
+    maps.update(ROW, np.zeros((1, 3)), half_seen(np.zeros(3), half))
+    drawn, free = (
+        GaussNewton(sparse_m=sparse)(maps, ROW, np.array([truth]), prior(), half_seen(np.array(truth), half)).poses[0]
+        - truth
+        for sparse in (0.0, 0.06)
+    )
+    assert drawn[0] > 0.01
+    assert np.abs(free).max() < 0.0075
+    assert free[0] < 0.6 * drawn[0]
