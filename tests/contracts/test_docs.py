@@ -21,9 +21,6 @@ from gridslam.config.tables import value_of
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
-SHOWN = {"live.md", "logs.md", "ros.md"}
-"""Pages whose examples need what is not here."""
-
 ALGORITHMS = "grid_fastslam", "loop_closure", "graph_slam", "mapping", "models", "resampling", "scan_matching"
 
 BLOCK = re.compile(
@@ -54,7 +51,7 @@ def examples(page: Path) -> Iterator[Example]:
             yield Example(found["language"], found["shown"], line)
 
 
-RUN = [page for page in PAGES if page.name not in SHOWN and any(examples(page))]
+RUN = [page for page in PAGES if any(examples(page))]
 
 
 def run_console(shown: str, folder: Path) -> None:
