@@ -18,7 +18,7 @@ from panels import IMAGES, ORANGE, SIDE, Chart, Panel, save
 from pictures_of_parts import measurement_models, motion_models, resampling, scan_matching
 from PIL import Image
 
-from gridslam import GraphSlam, GridFastSlam, OccupancyGrid, PoseGraph, run
+from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, PoseGraph, run
 from gridslam.api import map_log
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
@@ -33,19 +33,23 @@ DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).parents[2] / "shared"
 
 def grid_fastslam() -> None:
     """A loop before and after it closes: the particles' pasts, and how far they are apart."""
-    log = drive("loop")
-    told: list[tuple[float, float]] = []
+    log, told = drive("loop"), []
     kept: dict[int, tuple[FloatArray, int, OccupancyGrid]] = {}
-    before, after = 93, 101
+    wanted: tuple[int, ...] = ()
 
-    def watch(report: StepReport, state: object, seconds: float) -> None:
+    def watch(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         if report.skipped is None:
-            spread = state.poses[:, :2] - state.poses[:, :2].mean(0)
-            told.append((report.n_eff, float(np.sqrt(np.square(spread).sum(1).mean()))))
-            if len(told) - 1 in (before, after):
+            away = state.poses[:, :2] - state.poses[:, :2].mean(0)
+            told.append((report.n_eff, float(np.sqrt(np.square(away).sum(1).mean()))))
+            if len(told) - 1 in wanted:
                 kept[len(told) - 1] = state.ancestry.trajectories(), state.best, state.maps.occupancy(state.best)
 
-    run(log.measurements, GridFastSlam(), particles=30, rng=np.random.default_rng(0), observers=[watch])
+    for _ in range(2):  # the first time to find out when the particles are farthest apart
+        told.clear()
+        run(log.measurements, GridFastSlam(), particles=30, rng=np.random.default_rng(0), observers=[watch])
+        before = int(np.argmax([spread for _, spread in told]))
+        after = before + 8
+        wanted = before, after
     paths, best, grid = kept[before]
     at = paths[best, -1, :2]
     near = [at[0] - 1.1, at[1] - 1.6, at[0] + 4.9, at[1] + 1.2]
