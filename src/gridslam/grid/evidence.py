@@ -27,8 +27,8 @@ class Evidence:
 
     def __init__(self, hit: float, miss: float, minimum: float, maximum: float, occupied_above: float) -> None:
         steps = tuple(round(v / LOG_ODDS_UNIT) for v in (hit, miss, minimum, maximum, occupied_above))
-        if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] < -UNKNOWN):
+        if not (steps[1] < 0 < steps[0] and UNKNOWN < steps[2] < 0 < steps[3] and steps[3] - steps[2] < -UNKNOWN):
             got = hit, miss, minimum, maximum
-            raise ArgumentError("Evidence", "miss < 0 < hit and clamps within +-327 nats", got)
+            raise ArgumentError("Evidence", "miss < 0 < hit and clamps less than 327 nats apart", got)
         self.steps: tuple[int, ...] = steps
         self.occupied_above: int = steps[4]

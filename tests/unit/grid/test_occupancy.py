@@ -65,7 +65,7 @@ def test_one_cell_follows_bayes_rule(true_occupied, true_free, measured):
 
 def test_log_odds_do_not_depend_on_the_order_of_scans_away_from_the_clamps():
     rng = np.random.default_rng(3)
-    evidence = Evidence(0.9, -0.4, -300, 300, 1.0)
+    evidence = Evidence(0.9, -0.4, -163, 163, 1.0)
     scans = [(rng.normal(scale=2, size=(12, 2)), rng.normal(scale=0.5, size=3)) for _ in range(10)]
     grids = []
     for order in (range(10), rng.permutation(10), range(9, -1, -1)):
@@ -178,3 +178,10 @@ def test_evidence_that_could_not_be_stored_is_refused(values):
 def test_maps_out_of_range_are_refused(name, arguments):
     with pytest.raises(ArgumentError, match=name):
         TileMaps(**arguments, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
+
+
+def test_clamps_keep_the_arithmetic_of_16_bits():
+    """What lies between them is counted in int16; farther apart, passes would have turned cells occupied."""
+    assert Evidence(0.9, -0.01, -163.0, 163.0, 1.0).steps[2:4] == (-16300, 16300)
+    with pytest.raises(ArgumentError, match="less than 327 nats apart"):
+        Evidence(0.9, -0.01, -300.0, 300.0, 1.0)
