@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from gridslam.geometry.se2 import compose, inverse
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.models.motion import GaussianIncrement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
@@ -19,8 +20,9 @@ RANDOM_WALK = OdometryNoise(distance_scale=1.0, turn_scale=1.0, bias_rad_per_m=0
 def flat() -> World:
     """12 m x 8 m, two rooms and a corridor, no two places alike."""
     walls = [
-        box(0, 0, 12, 8), box(0, 3.0, 4.6, 3.1), box(6.0, 3.0, 12, 3.1), box(7.0, 4.6, 7.1, 8.0), box(0.6, 0.5, 1.6, 1.2),
-        box(9.5, 0.4, 10.1, 1.9), box(2.0, 6.2, 3.4, 7.0), box(10.4, 6.6, 11.2, 7.4), box(5.0, 7.2, 6.2, 8.0),
+        box(0, 0, 12, 8), box(0, 3.0, 4.6, 3.1), box(6.0, 3.0, 12, 3.1), box(7.0, 4.6, 7.1, 8.0),
+        box(0.6, 0.5, 1.6, 1.2), box(9.5, 0.4, 10.1, 1.9), box(2.0, 6.2, 3.4, 7.0),
+        box(10.4, 6.6, 11.2, 7.4), box(5.0, 7.2, 6.2, 8.0),
     ]  # fmt: skip
     way = [(2.6, 1.6), (5.3, 1.6), (5.3, 4.0), (1.5, 4.6), (4.6, 5.2), (6.2, 3.9), (9.5, 4.2), (9.2, 6.6), (11.0, 5.4)]
     return World.of("flat", join(*walls), way)
@@ -57,8 +59,6 @@ class RandomWalk:
 
 def kidnapped(log: SimulatedLog, last: int, first: int) -> tuple[list, np.ndarray]:
     """Measurements up to scan `last` and from scan `first` on, between which odometry tells nothing; and the truth."""
-    from gridslam.geometry.se2 import compose, inverse
-
     before, after = list(log.measurements[: last + 1]), log.measurements[first:]
     carried = compose(before[-1][0].pose, inverse(after[0][0].pose))
     moved = [m._replace(odometry=Odometry.at(m[0].stamp_ns, compose(carried, m[0].pose))) for m in after]

@@ -1,0 +1,216 @@
+"""Monte Carlo localization in a simulated flat: tracking, finding, kidnapping, and what holds at every step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from localization_world import RandomWalk, drive, flat_map, kidnapped
+
+from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.geometry.angles import wrap
+from gridslam.localization import KnownMap, LocalizationSkip, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization.kld_sampling import KldSampling
+from gridslam.models.beam import BeamRangeFinder
+from gridslam.models.motion import OdometryMotion
+from gridslam.sim import OdometryNoise
+from gridslam.types import BeamStatus, LaserScan
+
+SPREAD = np.diag([0.04, 0.04, 0.01])
+
+
+@pytest.fixture(scope="module")
+def known():
+    return KnownMap(flat_map())
+
+
+@pytest.fixture(scope="module")
+def log():
+    return drive(1, OdometryNoise())
+
+
+def follow(mcl, measurements, seed, pose=None):
+    """All reports, and the last state."""
+    rng = np.random.default_rng(seed)
+    state, reports = mcl.init() if pose is None else mcl.around(pose, SPREAD, rng), []
+    for odometry, scan in measurements:
+        state, report = mcl.step(state, odometry, scan, rng)
+        reports.append(report)
+    return reports, state
+
+
+def errors(reports, truth):
+    poses = np.array([report.pose for report in reports])
+    return np.hypot(*(poses - truth)[:, :2].T), np.abs(wrap(poses[:, 2] - truth[:, 2]))
+
+
+def test_tracks_from_a_first_pose(known, log):
+    reports, state = follow(MonteCarloLocalization(known), log.measurements, 0, log.truth.poses[0] + [0.2, -0.1, 0.05])
+    metres, radians = errors(reports, log.truth.poses)
+    assert np.sqrt(np.mean(metres[5:] ** 2)) < 0.05
+    assert np.sqrt(np.mean(radians[5:] ** 2)) < 0.03
+    assert not any(report.lost for report in reports)
+    assert len(state.poses) < 1000
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_is_found_from_nothing(known, log, seed):
+    reports, _ = follow(MonteCarloLocalization(known), log.measurements, seed)
+    metres, _ = errors(reports, log.truth.poses)
+    found = next(k for k, report in enumerate(reports) if not report.lost)
+    way = np.hypot(*np.diff(log.truth.poses[: found + 1, :2], axis=0).T).sum()
+    assert way < 4
+    assert metres[found:].max() < 0.3
+    assert reports[0].augmented == 1
+    assert reports[0].lost_probability > 0.9
+
+
+def test_a_kidnapped_robot_is_missed_and_found(known):
+    measurements, truth = kidnapped(drive(2), 50, 90)
+    reports, _ = follow(MonteCarloLocalization(known), measurements, 0, truth[0])
+    metres, _ = errors(reports, truth)
+    assert metres[20:51].max() < 0.3
+    assert np.hypot(*(truth[51] - truth[50])[:2]) > 2
+    assert any(report.lost for report in reports[51:])
+    assert metres[-5:].max() < 0.3
+    assert sum(report.augmented > 0 for report in reports[51:]) >= 1
+
+
+def test_a_wrong_first_pose_is_put_right(known, log):
+    wrong = np.array([10.5, 5.6, 2.0])
+    reports, _ = follow(MonteCarloLocalization(known), log.measurements, 1, wrong)
+    metres, _ = errors(reports, log.truth.poses)
+    assert reports[0].augmented > 0
+    assert metres[-20:].max() < 0.3
+
+
+def test_by_the_beam_model(known, log):
+    kld = KldSampling(particles_min=100, particles_max=300)
+    parts = MonteCarloParts(sensor=BeamRangeFinder(tempering=0.1), max_beams=20, kld=kld)
+    reports, _ = follow(MonteCarloLocalization(known, parts), log.measurements[:40], 0, log.truth.poses[0])
+    assert errors(reports, log.truth.poses[:40])[0][5:].max() < 0.2
+
+
+def test_the_same_seed_gives_the_same_bytes_with_any_number_of_threads(log):
+    runs = []
+    for threads in (1, 2, 5):
+        reports, state = follow(
+            MonteCarloLocalization(KnownMap(flat_map(), threads=threads)), log.measurements[:30], 7
+        )  # fmt: skip
+        poses = np.array([report.pose for report in reports])
+        runs.append((poses.tobytes(), state.poses.tobytes(), reports[-1].lost_probability))
+    assert runs[0] == runs[1] == runs[2]
+    other, _ = follow(MonteCarloLocalization(KnownMap(flat_map())), log.measurements[:30], 8)
+    assert np.array([r.pose for r in other]).tobytes() != runs[0][0]
+
+
+def test_resampling_changes_no_expectation(known, log):
+    """The mean of what survives is in the mean that of the weighted particles: 200 resamplings of one belief."""
+    mcl = MonteCarloLocalization(known)
+    _, state = follow(mcl, log.measurements[:12], 0, log.truth.poses[0])
+    odometry, scan = log.measurements[14]
+    means, reports = [], []
+    for seed in range(200):
+        after, report = mcl.step(state.snapshot(), odometry, scan, np.random.default_rng(seed))
+        if report.parents is not None:
+            reports.append(report)
+            means.append(after.poses.mean(axis=0) - np.exp(report.log_weights) @ report.poses)
+    assert len(means) > 20
+    assert all(len(set(report.parents.tolist())) > 1 for report in reports)
+    deviation = np.std(means, axis=0) / math.sqrt(len(means))
+    assert (np.abs(np.mean(means, axis=0)) < 5 * deviation).all()
+
+
+def test_weights_are_those_of_the_sensor(known, log):
+    """log w = log p(z | x) up to a constant where all were equal, less what it costs to stand on no free cell."""
+    mcl = MonteCarloLocalization(known)
+    poses = np.concatenate([known.draw(200, np.random.default_rng(0)), [[-3.0, -3.0, 0.0], [0.05, 0.05, 1.0]]])
+    odometry, scan = log.measurements[0]
+    _, report = mcl.step(mcl.init(poses), odometry, scan, np.random.default_rng(0))
+    beams = scan.beams(0.05, 30.0)
+    thinned = replace(beams, indices=beams.indices[np.arange(120) * len(beams) // 120],
+                      ends=beams.ends[np.arange(120) * len(beams) // 120])  # fmt: skip
+    at = report.poses[: len(poses)]
+    expected = known.weigher(mcl.parts.sensor, thinned)(at) + np.where(known.is_free(at), 0, math.log(0.01))
+    found = report.log_weights[: len(poses)]
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-6)
+
+
+def test_no_particle_is_drawn_where_nothing_is_known(known, log):
+    mcl = MonteCarloLocalization(known)
+    state, report = mcl.step(mcl.init(), *log.measurements[0], np.random.default_rng(0))
+    assert known.is_free(report.poses).all()
+    assert known.is_free(state.poses).all()
+
+
+def test_what_is_unknown_does_not_count_as_free(known, log):
+    """Half of the particles are put on unknown cells where the scan fits as well: they hardly survive an update."""
+    grid = known.grid
+    x = np.arange(grid.known.shape[1]) * grid.resolution_m + grid.origin[0]
+    pose = log.truth.poses[10]
+    unseen = grid.known & (grid.log_odds < 0) & (x > pose[0])  # the map's free space ends where the robot stands
+    mcl = MonteCarloLocalization(KnownMap(replace(grid, known=grid.known & ~unseen)))
+    poses = np.repeat(pose[None], 400, axis=0)
+    poses[:200, 0] -= 0.06
+    poses[200:, 0] += 0.06
+    _, report = mcl.step(mcl.init(poses), *log.measurements[10], np.random.default_rng(0))
+    weights = np.exp(report.log_weights)
+    assert weights[200:400].sum() < 0.1 * weights[:200].sum()
+
+
+def test_scans_that_do_not_update_say_why(known, log):
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(0)
+    odometry, scan = log.measurements[0]
+    state, report = mcl.step(mcl.init(), None, scan, rng)
+    assert report.skipped is LocalizationSkip.NO_ODOMETRY
+    assert report.lost
+    blind = LaserScan(scan.stamp_ns, scan.ranges, np.full(len(scan), BeamStatus.NO_RETURN, np.uint8), scan.geometry)
+    state, report = mcl.step(state, odometry, blind, rng)
+    assert report.skipped is LocalizationSkip.NO_VALID_BEAM
+    state, report = mcl.step(state, odometry, scan, rng)
+    assert report.skipped is None
+    assert report.particles == len(state.poses)
+    state, report = mcl.step(state, odometry, scan, rng)
+    assert report.skipped is LocalizationSkip.MOVED_TOO_LITTLE
+    assert report.poses is None
+
+
+def test_between_updates_the_pose_goes_on_by_odometry_and_grows_less_sure(known, log):
+    mcl = MonteCarloLocalization(known)
+    reports, _ = follow(mcl, drive(1, rate_hz=20.0).measurements[:200], 0, log.truth.poses[0])
+    updated = np.array([report.skipped is None for report in reports])
+    quiet = np.flatnonzero(updated[:-2] & ~updated[1:-1] & ~updated[2:])
+    assert len(quiet) > 5
+    for k in quiet.tolist():
+        headings = [report.covariance[2, 2] for report in reports[k : k + 3]]
+        assert headings[0] < headings[1] < headings[2]
+        assert np.linalg.eigvalsh(reports[k + 2].covariance)[0] > 0
+
+
+def test_states(known, log):
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(0)
+    state = mcl.init()
+    kept = state.snapshot()
+    mcl.step(state, *log.measurements[0], rng)
+    with pytest.raises(ConsumedStateError):
+        mcl.step(state, *log.measurements[0], rng)
+    with pytest.raises(ConsumedStateError):
+        state.snapshot()
+    mcl.step(kept, *log.measurements[0], rng)
+    for wrong in (np.zeros((3, 2)), np.full((2, 3), np.nan)):
+        with pytest.raises(ArgumentError, match="particles"):
+            mcl.init(wrong)
+    with pytest.raises(ArgumentError, match="covariance"):
+        mcl.around(np.zeros(3), -np.eye(3), rng)
+
+
+def test_another_motion_model(known, log):
+    alphas = dict.fromkeys(("alpha1", "alpha2", "alpha3", "alpha4"), 0.05)
+    for mcl in (
+        MonteCarloLocalization(known, MonteCarloParts(motion=OdometryMotion(**alphas))),
+        MonteCarloLocalization(known, motion=RandomWalk()),
+    ):
+        reports, _ = follow(mcl, drive(1).measurements, 0, log.truth.poses[0])
+        assert errors(reports, log.truth.poses)[0][5:].max() < 0.25
