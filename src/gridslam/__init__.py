@@ -10,11 +10,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gridslam.api import MapResult, convert_log, map_log
+    from gridslam.api.grid import map_with_poses
+    from gridslam.api.landmark_localization import localize_by_landmarks
+    from gridslam.api.landmarks import map_landmarks
+    from gridslam.api.localization import localize
     from gridslam.config import Configuration, build, preset
     from gridslam.doctor import diagnose
     from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, InputError, OutputError
     from gridslam.io.carmen import CarmenLog
     from gridslam.io.log import LogOptions, open_log
+    from gridslam.io.map_server import load_map, read_map, write_map
     from gridslam.pipeline import run
     from gridslam.slam.graph_slam import GraphSlam
     from gridslam.slam.grid_fastslam import GridFastSlam
@@ -26,19 +31,25 @@ if TYPE_CHECKING:
 __all__ = [
     "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GraphSlam", "GridFastSlam",
     "GridFastSlamState", "GridslamError", "InputError", "LaserScan", "LogOptions", "LoopClosure", "MapResult",
-    "OccupancyGrid", "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory", "__version__",
-    "build", "convert_log", "diagnose", "map_log", "open_log", "preset", "run",
+    "OccupancyGrid", "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory",
+    "__version__", "build", "convert_log", "diagnose", "load_map", "localize", "localize_by_landmarks",
+    "map_landmarks", "map_log", "map_with_poses", "open_log", "preset", "read_map", "run", "write_map",
 ]  # fmt: skip
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "api": ("MapResult", "convert_log", "map_log"),
+    "api.grid": ("map_with_poses",),
+    "api.landmark_localization": ("localize_by_landmarks",),
+    "api.landmarks": ("map_landmarks",),
+    "api.localization": ("localize",),
     "config": ("Configuration", "build", "preset"),
     "doctor": ("diagnose",),
     "errors": ("ArgumentError", "ConfigurationError", "GridslamError", "InputError", "OutputError"),
     "io.carmen": ("CarmenLog",),
     "io.log": ("LogOptions", "open_log"),
+    "io.map_server": ("load_map", "read_map", "write_map"),
     "pipeline": ("run",),
     "slam.graph_slam": ("GraphSlam",),
     "slam.grid_fastslam": ("GridFastSlam",),
