@@ -1,0 +1,208 @@
+"""gridslam localize: what it writes and says, and what it refuses in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from localization_world import drive, flat_map
+from PIL import Image
+
+from gridslam.api.localization import localize
+from gridslam.api.localization_result import BELIEF_HEADER
+from gridslam.cli.main import main
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.digest import digest_of
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.map_server import write_map
+from gridslam.io.trajectory import read_trajectory_csv, read_tum
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+
+FILES = {"trajectory.tum", "trajectory.csv", "belief.csv", "localization.png", "run.json"}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with flat.yaml, a drive through that flat, and one through another house."""
+    folder = tmp_path_factory.mktemp("flat")
+    write_map(folder / "flat.yaml", flat_map())
+    write_carmen(folder / "flat.clf", drive(1, OdometryNoise()).measurements)
+    rng = np.random.default_rng(0)
+    other = simulate(make_world("hall", rng), RobotConfig(), OdometryNoise(), LidarConfig(rate_hz=2), rng)
+    write_carmen(folder / "hall.clf", other.measurements[:100])
+    return folder
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    status = main(["localize", *map(str, arguments)])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_files_and_figures(place, tmp_path, capsys):
+    out = tmp_path / "out"
+    status, text, _ = run(capsys, place / "flat.clf", "--map", place / "flat.yaml", "-o", out, "--json", "--seed", 3)
+    assert status == 0
+    document = json.loads(text)
+    assert document == json.loads((out / "run.json").read_text())
+    assert {file.name for file in out.iterdir()} == FILES
+    assert (document["schema"], document["seed"]) == ("gridslam.localization/1", 3)
+    assert document["initial_pose"] == "global"
+    assert document["input"]["sha256"] == digest_of(place / "flat.clf")
+    assert document["configuration"]["kld"]["particles_min"] == 500
+    trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
+    truth = drive(1).truth.poses
+    assert len(read_tum(out / "trajectory.tum")) == len(trajectory) == len(truth) == document["scans"]["read"]
+    assert (np.linalg.eigvalsh(covariances) > 0).all()
+    rows = (out / "belief.csv").read_text().splitlines()
+    assert rows[0] == BELIEF_HEADER
+    lost = np.array([row.split(",")[1] == "1" for row in rows[1:]])
+    assert lost.sum() == document["scans"]["lost"] > 0
+    assert np.hypot(*(trajectory.poses - truth)[~lost, :2].T).max() < 0.3
+    first, second, *_ = document["stretches"]
+    assert (first["lost"], second["lost"]) == (True, False)
+    assert 0 < second["driven_m"] < 5
+    with Image.open(out / "localization.png") as picture:
+        assert max(picture.size) >= 1400
+
+
+def test_in_words_without_a_folder(place, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    status, text, _ = run(capsys, place / "flat.clf", "--map", place / "flat.yaml")
+    lines = text.splitlines()
+    assert status == 0
+    assert lines[0].startswith("flat.clf in flat.yaml: ")
+    assert lines[2] == "lost at first: poses until it is found are guesses"
+    assert lines[3].startswith("found after ")
+    assert lines[-1].startswith("at the end: x ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_from_a_first_pose(place, capsys):
+    x, y, theta = drive(1).truth.poses[0]
+    status, text, _ = run(
+        capsys, place / "flat.clf", "--map", place / "flat.yaml", "--initial-pose", f"{x},{y},{theta}", "--json"
+    )  # fmt: skip
+    assert status == 0
+    document = json.loads(text)
+    assert document["scans"]["lost"] == 0
+    assert document["initial_pose"] == pytest.approx([x, y, theta])
+
+
+def test_names_of_amcl(place, capsys):
+    status, text, warned = run(
+        capsys, place / "flat.clf", "--map", place / "flat.yaml", "--preset", "nav2", "--particles", 800, "--json",
+        *(word for name in ("recovery_alpha_slow=0.001", "recovery_alpha_fast=0.1", "tf_broadcast=true", "max_beams=50")
+          for word in ("--set", name)),
+    )  # fmt: skip
+    assert status == 0
+    configuration = json.loads(text)["configuration"]
+    assert configuration["motion"]["kind"] == "OdometryMotion"
+    assert configuration["kld"]["particles_max"] == 800
+    assert (configuration["max_beams"], configuration["recovery"]["alpha_fast"]) == (50, 0.1)
+    assert "tf_broadcast: means nothing here, ignored" in warned
+
+
+def test_the_same_seed_gives_the_same_bytes(place, tmp_path):
+    for name, threads in (("a", 1), ("b", 2)):
+        localize(place / "flat.clf", place / "flat.yaml", seed=5, threads=threads).save(tmp_path / name)
+    for file in FILES - {"run.json", "localization.png"}:  # these tell the time it took
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_map_at_hand_and_observers(place):
+    seen = []
+    result = localize(
+        place / "flat.clf", flat_map(), options=LogOptions(every=2),
+        observers=[lambda report, state, seconds: seen.append((report.particles, len(state.poses), seconds))],
+    )  # fmt: skip
+    assert len(seen) == len(result.trajectory)
+    assert all(told == held and seconds >= 0 for told, held, seconds in seen)
+
+
+def broken_maps(place: Path, folder: Path):
+    """Maps that are none, and what is said of each."""
+    yaml = (place / "flat.yaml").read_text()
+    image = (place / "flat.pgm").read_bytes()
+    (folder / "flat.pgm").write_bytes(image)
+    (folder / "missing.yaml").write_text(yaml.replace("flat.pgm", "gone.pgm"))
+    yield "missing.yaml", "gone.pgm"
+    with Image.open(place / "flat.pgm") as grey:
+        colours = Image.merge("RGB", [grey, grey.point(lambda v: 255 - v), grey])
+    colours.save(folder / "colours.png")
+    (folder / "colours.yaml").write_text(yaml.replace("flat.pgm", "colours.png"))
+    yield "colours.yaml", "grey"
+    (folder / "sizeless.yaml").write_text("\n".join(k for k in yaml.splitlines() if not k.startswith("resolution")))
+    yield "sizeless.yaml", "resolution"
+    Image.new("L", (50, 40), 0).save(folder / "solid.pgm")
+    (folder / "solid.yaml").write_text(yaml.replace("flat.pgm", "solid.pgm"))
+    yield "solid.yaml", "at least one free cell"
+    Image.new("L", (50, 40), 254).save(folder / "empty.pgm")
+    (folder / "empty.yaml").write_text(yaml.replace("flat.pgm", "empty.pgm"))
+    yield "empty.yaml", "at least one occupied cell"
+
+
+def test_bad_maps_end_with_one_line(place, tmp_path, capsys):
+    for name, said in broken_maps(place, tmp_path):
+        status, _, problem = run(capsys, place / "flat.clf", "--map", tmp_path / name, "-o", tmp_path / "out")
+        assert (status, problem.count("\n")) == (2, 1), problem
+        assert said in problem
+        assert name.split(".")[0] in problem or "gone" in problem
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_that_never_sees_the_map(place, tmp_path, capsys):
+    status, _, problem = run(capsys, place / "hall.clf", "--map", place / "flat.yaml", "-o", tmp_path / "out")
+    assert status == 2
+    assert "does not fit flat.yaml" in problem.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_log_without_odometry(place, tmp_path, capsys):
+    status, _, problem = run(capsys, place / "flat.clf", "--map", place / "flat.yaml", "--no-odometry")
+    assert status == 2
+    assert "has no odometry" in problem.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--initial-pose", "1,2", "X,Y,THETA"),
+        ("--initial-pose", "1,2,nan", "X,Y,THETA"),
+        ("--set", "max_beams=0", "max_beams"),
+        ("--set", "min_particle=3", "did you mean"),
+        ("--preset", "magic", "magic"),
+        ("--particles", "0", "particles"),
+    ],
+)
+def test_bad_usage(place, capsys, option, value, said):
+    status, _, problem = run(capsys, place / "flat.clf", "--map", place / "flat.yaml", option, value)
+    assert status == 2
+    assert said in problem
+
+
+def test_bad_calls(place):
+    log, flat = place / "flat.clf", place / "flat.yaml"
+    for options in ({"seed": -1}, {"threads": 0}, {"pose": (1, 2)}, {"pose": (0, 0, 0), "covariance": -np.eye(3)}):
+        with pytest.raises(ArgumentError):
+            localize(log, flat, **options)
+    with pytest.raises(ArgumentError):
+        localize(open_log(log), flat, options=LogOptions())
+    with pytest.raises(InputError):
+        localize(log, place / "none.yaml")
+
+
+def test_strict_thresholds(place, tmp_path, capsys):
+    """A free_thresh of 0.25 makes 205 free to who reads literally."""
+    (tmp_path / "flat.pgm").write_bytes((place / "flat.pgm").read_bytes())
+    loose = (place / "flat.yaml").read_text().replace("0.196", "0.25")
+    (tmp_path / "loose.yaml").write_text(loose)
+    assert "0.25" in loose
+    _, _, warned = run(capsys, place / "flat.clf", "--map", tmp_path / "loose.yaml")
+    assert "pixel 205 free" in warned
+    assert "--strict-thresholds" in warned
+    _, _, quiet = run(capsys, place / "flat.clf", "--map", tmp_path / "loose.yaml", "--strict-thresholds")
+    assert "205" not in quiet
