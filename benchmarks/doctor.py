@@ -110,14 +110,14 @@ def _first(log: SimulatedLog, longest: float, sweep: float) -> Drawn:
     return Drawn(kept, log.truth.poses[: len(kept)], sweep)
 
 
-def _spoilt(code: str, **how: int) -> Case:
+def _spoilt(code: str, *, told: bool = False, **how: int) -> Case:
     """A fault of `gridslam.sim.faults` of its usual size, in a log that has no other."""
 
     def make(seed: int) -> Drawn:
         log = any_log(seed, **how)
         return log._replace(measurements=list(with_fault(log.measurements, code, np.random.default_rng(seed))))
 
-    return Case(make, lambda log: None if code == "reflected_laser" else FAULTS[code].size, code)
+    return Case(make, lambda log: None if code == "reflected_laser" else FAULTS[code].size, code, told)
 
 
 def _untimed(seed: int) -> Drawn:
@@ -135,7 +135,9 @@ def _smear_rad(log: Drawn) -> float:
 
 CASES: Mapping[str, Case] = {
     "clean": Case(any_log, lambda _: None, ""),
-    **{code: _spoilt(code) for code in ("reflected_laser", "yaw_offset", "clock_skew", "odometry_scale")},
+    **{code: _spoilt(code) for code in ("reflected_laser", "yaw_offset")},
+    "clock_skew": _spoilt("clock_skew", told=True),
+    "odometry_scale": _spoilt("odometry_scale"),
     "beam_count_varies": _spoilt("beam_count_varies", beams=460),
     "invalid_beams": _spoilt("invalid_beams"),
     "two lasers": Case(lambda seed: any_log(seed, lasers=2), lambda _: 2.0, "several_lasers", told=True),

@@ -13,11 +13,12 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Intervals", "cumulative_headings", "intervals", "shifted"]
+__all__ = ["Intervals", "cumulative_headings", "intervals", "shifted", "turn_rates"]
 
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
 _MOVED_M, _MOVED_RAD = 0.03, 0.03
+_RATE_OVER_S = 0.3  # a turn rate is the turn over so long
 
 
 @final
@@ -93,6 +94,22 @@ def cumulative_headings(poses: FloatArray) -> FloatArray:
     turns = np.nan_to_num(wrap(np.diff(poses[:, 2])))
     headings: FloatArray = np.concatenate([[0.0], np.cumsum(turns)])
     return headings
+
+
+def turn_rates(motion: LaserMotion) -> FloatArray:
+    """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; 0 at the ends."""
+    rates = np.zeros(len(motion))
+    if len(motion) < 3:
+        return rates
+    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
+    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
+    if len(motion) <= 2 * apart:
+        return rates
+    headings = cumulative_headings(motion.poses)
+    passed, turned = times[2 * apart :] - times[: -2 * apart], headings[2 * apart :] - headings[: -2 * apart]
+    same = motion.tracks[2 * apart :] == motion.tracks[: -2 * apart]
+    rates[apart:-apart] = np.where(same & (passed > 0), turned / np.maximum(passed, 1e-3), 0.0)
+    return rates
 
 
 def shifted(motion: LaserMotion, seconds: float) -> FloatArray:

@@ -10,6 +10,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.doctor.beam_order import BeamTimes
 from gridslam.doctor.laser_odometry import LaserOdometry
 from gridslam.io.measurement import Measurement
 from gridslam.matching.gauss_newton import LEAST_INFORMATION
@@ -88,9 +89,15 @@ class LaserWitness:
     ----------
     rate_hz : float
         Scans that come faster are thinned out: at 40 Hz every other one is matched.
+
+    Attributes
+    ----------
+    times : BeamTimes
+        When the beams of a scan are measured. Scans are straightened by it.
     """
 
     rate_hz: float = 21.0
+    times: BeamTimes = field(default_factory=BeamTimes)
     _odometry: LaserOdometry = field(default_factory=LaserOdometry)
     _rows: array[float] = field(default_factory=lambda: array("d"))  # pose, share, track, odometry, information
     _stamps: array[int] = field(default_factory=lambda: array("q"))  # of the pose, of the odometry
@@ -111,31 +118,39 @@ class LaserWitness:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
         self._scans += 1
+        self.times.note(scan)
         if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
             return
         stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
         if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
             self._passed_over = True
             return
-        ends, times_s = self._ends(scan)
-        middle_s = 0.0 if times_s is None or not len(times_s) else float(times_s.mean())
-        stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
+        ends, beams = self._ends(scan)
         if len(ends) < _FEWEST_BEAMS:
             self._passed_over = True
             return
-        share, information = 0.0, np.zeros((3, 3))
-        if self._passed_over:
-            self._odometry.begin(stamp_ns, ends)
-        else:
-            information, share = self._odometry.step(stamp_ns, ends, None if times_s is None else times_s - middle_s)
+        middle_s = 0.0 if scan.beam_times_s is None else float(scan.beam_times_s[beams].mean())
+        stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
+        information, share = self._found(stamp_ns, ends, scan, beams)
         self._passed_over = False
         told = (math.nan,) * 3 if odometry is None else odometry.pose
         self._rows.extend((*self._odometry.pose, share, self._odometry.track, *told, *information.ravel()))
         self._stamps.extend((stamp_ns, scan.stamp_ns if odometry is None else odometry.stamp_ns))
         self._last_ns = scan.stamp_ns
 
-    def _ends(self, scan: LaserScan) -> tuple[FloatArray, FloatArray | None]:
-        """Ends (K, 2) of at most 360 beams in the laser's frame, and their times (K,) where the scan has them."""
+    def _found(self, stamp_ns: int, ends: FloatArray, scan: LaserScan, beams: IntArray) -> tuple[FloatArray, float]:
+        """Match ends (K, 2), and try in which order their beams were measured."""
+        if self._passed_over:
+            self._odometry.begin(stamp_ns, ends)
+            return np.zeros((3, 3)), 0.0
+        times_s = self.times.of(scan, beams)
+        information, share = self._odometry.step(stamp_ns, ends, self.times.straightening(times_s))
+        if share and times_s is not None and self.times.wanted(self._odometry.turn_rate * float(np.ptp(times_s))):
+            self.times.order.add(self._odometry.orders(ends, times_s))
+        return information, share
+
+    def _ends(self, scan: LaserScan) -> tuple[FloatArray, IntArray]:
+        """Ends (K, 2) of at most 360 beams in the laser's frame, and which beams (K,) they are."""
         if scan.geometry is not self._geometry:
             self._geometry = scan.geometry
             self._first = self._first or scan.geometry
@@ -145,8 +160,7 @@ class LaserWitness:
             self._directions = scan.geometry.directions @ np.array([[c, -s], [s, c]])
         used = scan.beams(*_RANGES_M).indices
         used = used[:: -(-len(used) // _MOST_BEAMS) or 1]
-        times_s = None if scan.beam_times_s is None else scan.beam_times_s[used]
-        return self._directions[used] * scan.ranges[used, None], times_s
+        return self._directions[used] * scan.ranges[used, None], used
 
     @property
     def motion(self) -> LaserMotion:

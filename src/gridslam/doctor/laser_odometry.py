@@ -51,7 +51,8 @@ class LaserOdometry:
     """
 
     __slots__ = (
-        "_active", "_backward", "_inserted", "_maps", "_period_s", "_scans", "_stamp_ns", "_twist", "pose", "track",
+        "_active", "_backward", "_due", "_inserted", "_maps", "_period_s", "_scans", "_stamp_ns", "_twist", "pose",
+        "track",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -65,6 +66,7 @@ class LaserOdometry:
         """Begin a track with a scan's ends (K, 2) in the laser's frame, m."""
         self._maps.clear(0)
         self._maps.clear(1)
+        self._due: FloatArray | None = None
         self.pose = self._twist = np.zeros(3)
         self._stamp_ns, self._active, self._scans = stamp_ns, 0, [0, 0]
         self.track += 1
@@ -77,9 +79,11 @@ class LaserOdometry:
         begin or end by the twist would in turn change the twist, from scan to scan by ever more. The share is 0 where
         the track was lost and this scan begins another.
         """
+        if self._due is not None:
+            self._draw(self._due)
+            self._due = None
         if times_s is not None:
-            vx, vy, omega = self._twist.tolist()
-            ends = ends + times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
+            ends = ends + self._moved(ends, times_s)
         seconds = self._passed(stamp_ns)
         predicted = compose(self.pose, exp(self._twist * seconds))
         match = self._match(_ROUGH, predicted[None], ends)
@@ -96,8 +100,27 @@ class LaserOdometry:
         self.pose = pose
         apart = np.abs(between(self._inserted, pose))
         if np.hypot(apart[0], apart[1]) >= _INSERT_M or apart[2] >= _INSERT_RAD:
-            self._draw(ends)
+            self._due = ends
         return match.information[0], share
+
+    def orders(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
+        """Shares (3,) of a scan's ends (K, 2) that agree with the map where the last `step` found it.
+
+        If they were measured at once, at `times_s` (K,), and at the reverse of these.
+        """
+        moved = self._moved(ends, times_s)
+        scores = [float(self._match(_FINE, self.pose[None], ends + by * moved).score[0]) for by in (0, 1, -1)]
+        return np.array(scores) / len(ends)
+
+    @property
+    def turn_rate(self) -> float:
+        """How fast the laser turns, rad/s."""
+        return float(self._twist[2])
+
+    def _moved(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
+        """What the motion adds to ends (K, 2) that are measured at `times_s` (K,)."""
+        vx, vy, omega = self._twist.tolist()
+        return times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
 
     def _passed(self, stamp_ns: int) -> float:
         """Seconds since the last scan; the usual ones where stamps jitter so much that they go backward."""

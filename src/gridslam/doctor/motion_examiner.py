@@ -9,12 +9,11 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.beams import field_of_view_rad, is_clockwise
 from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion, LaserWitness
 from gridslam.doctor.motion_findings import motion_findings
-from gridslam.doctor.sweep import measured_sweep, turn_rates
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, ScanGeometry
 
@@ -23,27 +22,26 @@ __all__ = ["MotionExaminer"]
 _OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
 _SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
-_LIKELY = 1.5, 3.0  # deviations by which left and right turns differ, where scans look early; late: no driver should
-_HALF = 0.25  # of half the sweep: how near to it the scans must look late, or early, for the stamps to agree
-_HIDDEN = 0.3  # share of the sweep that matching shows at least
+_HALF, _HALF_SIGMAS = 0.25, 4.0  # of half the sweep, and deviations: how near to it a skew is that the sweep makes
 
 
 @final
 @dataclass(slots=True)
 class _Laser:
-    """One laser: what its motion tells, and how long it takes for a scan as told."""
+    """One laser: what its motion tells, and how long it takes for a scan, as told or as presumed."""
 
     witness: LaserWitness = field(default_factory=LaserWitness)
     geometry: ScanGeometry | None = None
-    told_s: float = math.nan
+    told: bool = False
+    sweep_s: float = math.nan
 
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
-        if scan.geometry is not self.geometry:
-            self.geometry = scan.geometry
-            times = scan.beam_times_s
-            self.told_s = math.nan if times is None or len(times) == 0 else float(np.ptp(times))
         self.witness.add(measurement)
+        if scan.geometry is not self.geometry or math.isnan(self.sweep_s):
+            self.geometry, times = scan.geometry, scan.beam_times_s
+            self.told = times is not None and len(times) > 0
+            self.sweep_s = self.witness.times.sweep_s(scan) if times is None else float(np.ptp(times))
 
 
 @final
@@ -80,59 +78,40 @@ def _told(laser: _Laser) -> list[Finding] | None:
     if laser.geometry is None or len(motion) < 2:
         return None
     calibration = calibrate(motion)
-    skewed = _skewed(motion, calibration, laser.geometry, laser.told_s)
+    skewed = _skewed(motion, laser)
     found = [] if skewed is None else [skewed]
     for finding in motion_findings(motion, calibration):
-        if not (skewed is not None and skewed.is_fault and finding.code == "clock_skew"):
-            found.append(finding)  # a sweep whose stamp is its first beam's looks late by half of it: told once
+        if not (skewed is not None and finding.code == "clock_skew" and _half_of_the_sweep(calibration, laser)):
+            found.append(finding)
     return found if found or calibration.scale.determined else None
 
 
-def _skewed(
-    motion: LaserMotion, calibration: MotionCalibration, geometry: ScanGeometry, told_s: float
-) -> Finding | None:
+def _half_of_the_sweep(calibration: MotionCalibration, laser: _Laser) -> bool:
+    """Whether scans look late or early because they are stamped by their last beam, or by their first."""
+    skew, half_s = calibration.skew_s, 0.5 * laser.sweep_s
+    return not laser.told and abs(abs(skew.value) - half_s) < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
+
+
+def _skewed(motion: LaserMotion, laser: _Laser) -> Finding | None:
     """Tell where scans are smeared by turning, and whether the log lets that be undone."""
     rates = np.abs(turn_rates(motion))
     fast = float(np.quantile(rates, _FASTEST))
-    if not math.isnan(told_s):
-        if fast * told_s < _SMEAR_RAD:
-            return None
-        return Finding(
-            "skewed_while_turning", Severity.INFO,
-            f"A scan takes {1e3 * told_s:.0f} ms, in which the robot turns by up to {fast * told_s:.2f} rad "
-            f"({fast:.1f} rad/s); each beam has its time, and the scans are straightened.",
-            fast * told_s, "rad", "", motion.sensor,
-        )  # fmt: skip
-    seconds = np.diff(motion.stamps_ns) * 1e-9
-    span = field_of_view_rad(geometry.bearings)
-    sweep_s = float(np.median(seconds)) * span / math.tau
-    if fast * sweep_s < _SMEAR_RAD:
+    size, swept = fast * laser.sweep_s, laser.witness.times.order.swept
+    if not size >= _SMEAR_RAD or not (laser.told or swept):
         return None
-    if not _sweeps(motion, calibration, geometry, sweep_s):
-        return None
+    about = "" if laser.told else "about "
+    says = f"A scan takes {about}{1e3 * laser.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
+    says += f"({fast:.1f} rad/s)"
+    if laser.told:
+        says += "; each beam has its time, and the scans are straightened"
+        wrong = ", but by their reverse, which fits better: the driver tells them in the wrong order" * (swept < 0)
+        return Finding("skewed_while_turning", Severity.INFO, f"{says}{wrong}.", size, "rad", "", motion.sensor)
     return Finding(
         "skewed_while_turning", Severity.DOUBTFUL,
-        f"A scan takes about {1e3 * sweep_s:.0f} ms, in which the robot turns by up to {fast * sweep_s:.2f} rad "
-        f"({fast:.1f} rad/s), and the log does not tell when each beam was measured: walls come out bent.",
-        fast * sweep_s, "rad",
+        f"{says}, and the log does not tell when each beam was measured: walls come out bent.", size, "rad",
         "Let the driver state time_increment, so that scans can be straightened; until then turn more slowly.",
-        motion.sensor, _figure(motion, rates, sweep_s),
+        motion.sensor, _figure(motion, rates, laser.sweep_s),
     )  # fmt: skip
-
-
-def _sweeps(motion: LaserMotion, calibration: MotionCalibration, geometry: ScanGeometry, sweep_s: float) -> bool:
-    """Whether turns show that the beams are measured one after the other, as by a mirror that turns once a scan.
-
-    A scan stamped by its first beam, as messages define it, then looks half of the sweep early, by its last beam so
-    much late, which the turns tell to some ms. Left and right turns alone tell too little: few of them lie far apart
-    by chance.
-    """
-    span = field_of_view_rad(geometry.bearings)
-    seen = measured_sweep(motion, span, reflected=calibration.reflected)
-    seen_s = -seen.value if is_clockwise(geometry.bearings) else seen.value
-    skew = calibration.skew_s
-    agree = skew.determined and abs(abs(skew.value) - 0.5 * sweep_s) < _HALF * 0.5 * sweep_s
-    return agree and seen.determined and seen_s > max(_LIKELY[skew.value > 0] * seen.sigma, _HIDDEN * sweep_s)
 
 
 def _figure(motion: LaserMotion, rates: FloatArray, sweep_s: float) -> Figure:

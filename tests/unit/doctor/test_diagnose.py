@@ -86,11 +86,15 @@ def test_a_laser_that_tilts_is_no_witness_of_the_motion(rooms):
 SPINNING = {"beams": 120, "field_of_view_rad": math.tau, "rate_hz": 10.0, "range_max_m": 12.0, "scan_time_s": 0.1}
 
 
-def skewed(**lidar):
+def skewed(backward=False, **lidar):
     rng = np.random.default_rng(4)
     robot, laser = RobotConfig(omega_max_rad_s=2.5), LidarConfig(**(SPINNING | lidar))
     log = simulate_stream(make_world("demo", rng), robot, OdometryNoise(), laser, rng)
-    return {finding.code: finding for finding in diagnose(Memory(islice(log.measurements, 900))).findings}
+    measurements = [
+        m._replace(scan=replace(m.scan, beam_times_s=m.scan.beam_times_s[::-1])) if backward else m
+        for m in islice(log.measurements, 900)
+    ]
+    return {finding.code: finding for finding in diagnose(Memory(measurements)).findings}
 
 
 def test_scans_that_take_time_and_do_not_tell_it_are_named():
@@ -104,6 +108,13 @@ def test_scans_that_take_time_and_do_not_tell_it_are_named():
 
 def test_clockwise_scans_too():
     assert skewed(tells_beam_times=False, clockwise=True)["skewed_while_turning"].severity is Severity.DOUBTFUL
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_times_that_are_told_are_gone_by_unless_they_are_told_backward(backward):
+    found = skewed(backward)["skewed_while_turning"]
+    assert found.severity is Severity.INFO
+    assert ("wrong order" in found.says) == backward
 
 
 def test_scans_taken_in_an_instant_are_not():

@@ -29,7 +29,7 @@ def test_a_clean_log_has_no_fault():
 
 
 @pytest.mark.parametrize(
-    "name", ["yaw_offset", "clock_skew", "odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"]
+    "name", ["yaw_offset", "odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"]
 )
 def test_a_fault_is_named_with_its_size(name):
     found = faults(laser_motion(with_fault(log()[0], name, np.random.default_rng(0))))
@@ -38,6 +38,25 @@ def test_a_fault_is_named_with_its_size(name):
     assert abs(wrap(apart) if name == "yaw_offset" else apart) < 0.2 * FAULTS[name].size
     assert found[name].sensor == "laser"
     assert found[name].remedy
+
+
+@pytest.mark.parametrize(
+    ("skew_s", "severity"), [(0.03, Severity.INFO), (-0.2, Severity.INFO), (0.5, Severity.DOUBTFUL)]
+)
+def test_a_skew_is_told_with_its_size_and_is_a_fault_where_matching_does_not_make_up_for_it(skew_s, severity):
+    motion = laser_motion(with_fault(log()[0], "clock_skew", np.random.default_rng(0), skew_s))
+    (found,) = (finding for finding in motion_findings(motion) if finding.code == "clock_skew")
+    assert found.severity is severity
+    assert found.size == pytest.approx(skew_s, rel=0.2)
+    assert bool(found.remedy) == (severity is Severity.DOUBTFUL)
+
+
+def test_the_same_skew_is_a_fault_in_fast_turns():
+    slow, fast = perfect(60.0, skew_s=0.2), perfect(240.0, skew_s=0.8)
+    fast = replace(fast, stamps_ns=fast.stamps_ns // 4, odometry_stamps_ns=fast.odometry_stamps_ns // 4)
+    (told,), (quick,) = ([f for f in motion_findings(m) if f.code == "clock_skew"] for m in (slow, fast))
+    assert (told.severity, quick.severity) == (Severity.INFO, Severity.DOUBTFUL)
+    assert [told.size, quick.size] == pytest.approx([0.2, 0.2], rel=0.1)
 
 
 def test_a_reflected_laser_is_named():
