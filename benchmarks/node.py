@@ -21,7 +21,7 @@ import numpy as np
 from gridslam import preset
 from gridslam.pipeline import Stopwatch
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
@@ -65,6 +65,9 @@ class Told:
         self.latency_s[message.stamp_ns] = time.perf_counter() - self.came_s[message.stamp_ns]
 
     def entropy(self, nats: float) -> None:
+        pass
+
+    def particles(self, message: CloudMessage) -> None:
         pass
 
     def diagnostics(self, message: Diagnostics) -> None:

@@ -13,10 +13,13 @@ import pytest
 cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
 from dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
+from localization_world import drive as flat_drive  # noqa: E402
+from localization_world import flat_map  # noqa: E402
 from onlookers import Onlooker  # noqa: E402
 from ros_node import scan_message  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
+from gridslam.io.map_server import write_map  # noqa: E402
 from gridslam.io.ros_messages import StampedTransform  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
 
@@ -160,3 +163,34 @@ def test_a_node_that_was_killed_is_started_again(drive, tmp_path):
     finally:
         for node in filter(None, (first, second)):
             node.kill()
+
+
+def test_a_robot_is_localized_in_a_known_map(tmp_path):
+    write_map(tmp_path / "flat.yaml", flat_map())
+    log = flat_drive(3)
+    domain = free_domain()
+    robot = Robot(Peer(domain))
+    peer = robot.peer
+    poses = peer.writer("rt/initialpose", "geometry_msgs/PoseWithCovarianceStamped")
+    clouds = peer.reader("rt/particlecloud", "geometry_msgs/PoseArray")
+    heard = peer.reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped")
+    node = Node(domain, tmp_path / "node.log", "--map", str(tmp_path / "flat.yaml"), "--ros-args", *PATIENT[2:])
+    try:
+        assert robot.meets(), node.log.read_text()
+        assert until(lambda: bool(poses.get_matched_subscriptions()))
+        assert got(peer.reader("rt/map", "nav_msgs/OccupancyGrid", latched=True, depth=1)).header.frame_id == "map"
+        x, y, theta = log.truth.poses[0].tolist()
+        turn = 0.0, 0.0, float(np.sin(theta / 2)), float(np.cos(theta / 2))
+        for frame in ("odom", "map"):
+            covariance = np.diag([0.04, 0.04, 0.0, 0.0, 0.0, 0.03]).ravel().tolist()
+            header = ((0, 0), frame), (((x, y, 0.0), turn), covariance)
+            poses.write(peer.make("geometry_msgs/PoseWithCovarianceStamped", *header))
+            assert frame == "map" or node.says("expected a pose in the frame map, got 'odom'")
+        assert robot.drive(log.measurements[:45]) >= 40, node.log.read_text()
+        told = got(heard).pose.pose.position
+        assert np.hypot(told.x - log.truth.poses[44, 0], told.y - log.truth.poses[44, 1]) < 0.5
+        assert len(got(clouds).poses) >= 100
+        asked(peer, "reinitialize_global_localization", "std_srvs/Empty", 0)
+        assert node.end() == 0, node.log.read_text()
+    finally:
+        node.kill()

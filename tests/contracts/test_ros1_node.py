@@ -15,10 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from localization_world import drive as flat_drive
+from localization_world import flat_map
 
 from gridslam.api import convert_log, map_log
 from gridslam.config import Configuration
+from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.log import LogOptions
+from gridslam.io.map_server import write_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
@@ -224,6 +228,29 @@ def test_a_node_that_was_killed_is_started_again(ros, data_dir, tmp_path):
     assert again["map"] == again["dynamic_map"]
     second.send_signal(signal.SIGINT)
     assert second.wait(60) == 0, ros.log("second")
+
+
+def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
+    """As with map_server and AMCL: the map is there at once, and the robot is placed by parameters of AMCL's names."""
+    log = flat_drive(3)
+    write_map(tmp_path / "flat.yaml", flat_map())
+    write_carmen(tmp_path / "flat.clf", log.measurements[:60])
+    convert_log(tmp_path / "flat.clf", tmp_path / "flat.bag")
+    start = [f"_initial_pose_{name}:={value}" for name, value in zip("xya", log.truth.poses[0].tolist(), strict=True)]
+    node = ros.node("scan:=scan", "--map", str(tmp_path / "flat.yaml"), *start, "_do_beamskip:=true", *PATIENT)
+    assert "do_beamskip (nothing here corresponds to it)" in ros.log("node")
+    ros.start(["rostopic", "echo", "/particlecloud/header/frame_id"], "cloud")
+    seen = ros.play(tmp_path / "flat.bag", 3)
+    told, truth = pose(seen["map:base_link"]), log.truth.poses[59]
+    assert np.hypot(*(told - truth)[:2]) < 0.4, (told, truth, ros.log("node"))
+    assert seen["map"]["resolution"] == pytest.approx(0.05)
+    assert ros.until(lambda: '"map"' in ros.log("cloud"))
+    kind = "geometry_msgs/PoseWithCovarianceStamped"
+    ros.start(["rostopic", "pub", "-1", "/initialpose", kind, "{header: {frame_id: odom}}"], "publisher")
+    assert ros.until(lambda: "initialpose: expected a pose in the frame map, got 'odom'" in ros.log("node"))
+    ros.run("rosservice", "call", "/global_localization")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(60) == 0, ros.log("node")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from typing import Any
 
 TYPES = {
     "sensor_msgs.msg": ["LaserScan"], "tf2_msgs.msg": ["TFMessage"], "nav_msgs.msg": ["OccupancyGrid", "MapMetaData"],
-    "geometry_msgs.msg": ["PoseWithCovarianceStamped"], "std_msgs.msg": ["Float64"], "nav_msgs.srv": ["GetMap"],
+    "geometry_msgs.msg": ["PoseWithCovarianceStamped", "PoseArray"], "std_msgs.msg": ["Float64"],
+    "nav_msgs.srv": ["GetMap"],
     "diagnostic_msgs.msg": ["DiagnosticArray"], "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
 }  # fmt: skip
 

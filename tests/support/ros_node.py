@@ -10,7 +10,15 @@ import numpy as np
 
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
-from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, ScanMessage, StampedTransform
+from gridslam.ros.messages import (
+    CloudMessage,
+    Diagnostics,
+    GridMessage,
+    Level,
+    PoseMessage,
+    ScanMessage,
+    StampedTransform,
+)  # fmt: skip
 from gridslam.types import BeamStatus
 
 BASE, ODOM, LASER = "base_link", "odom", "laser"
@@ -25,6 +33,7 @@ class Heard:
         self.transforms: list[StampedTransform] = []
         self.poses: list[PoseMessage] = []
         self.entropies: list[float] = []
+        self.clouds: list[CloudMessage] = []
         self.said: list[tuple[Level, str]] = []
         self.told: list[Diagnostics] = []
         self.hold: threading.Event | None = None  # the map's publisher waits for it
@@ -45,6 +54,9 @@ class Heard:
 
     def entropy(self, nats: float) -> None:
         self.entropies.append(nats)
+
+    def particles(self, message: CloudMessage) -> None:
+        self.clouds.append(message)
 
     def diagnostics(self, message: Diagnostics) -> None:
         self.told.append(message)

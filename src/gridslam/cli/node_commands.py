@@ -21,6 +21,7 @@ _NODE = (
     click.option("--threads", type=click.IntRange(1, 256), help="Never changes a result."),
     click.option("--config", type=PATH, help="TOML file with parameters, over the preset's."),
     click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see map)."),
+    click.option("--map", "map_file", type=PATH, help="Localize the robot in this map, instead of making one."),
     click.option("-o", "--out", type=PATH, help="Folder that the node saves its results in."),
     click.option("--record", type=PATH, metavar="FILE", help="Keep the accepted scans, to be mapped again."),
 )

@@ -22,12 +22,14 @@ __all__ = ["given_parameters", "ros1", "ros2"]
 def given_parameters(
     preset: str | None = None, particles: int | None = None, seed: int | None = None, threads: int | None = None,
     config: Path | None = None, assignments: Sequence[str] = (), record: Path | None = None, out: Path | None = None,
+    map_file: Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Options of the command line under the names of the node's parameters; what is not given is left out."""
     options = {
         "preset": preset, "particles": particles, "seed": seed, "threads": threads,
         "config": None if config is None else str(config), "set": ";".join(assignments) or None,
         "record": None if record is None else str(record), "out": None if out is None else str(out),
+        "mode": None if map_file is None else "localization", "map_file": None if map_file is None else str(map_file),
     }  # fmt: skip
     return {name: value for name, value in options.items() if value is not None}
 
@@ -74,6 +76,8 @@ def _watch(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:
 
     @contextmanager
     def watched(core: NodeCore) -> Iterator[None]:
+        if core.localizes and (live is not None or rerun is not None):
+            raise ConfigurationError("--live and --rerun show a node that maps, not yet one that localizes")
         with ExitStack() as stack:
             recording = stack.enter_context(rerun_recording(rerun, title, core.configuration.range_max_m))
             if recording is not None:

@@ -33,6 +33,7 @@ FIELDS: Final[Mapping[str, str]] = {
     "geometry_msgs/Pose": "geometry_msgs/Point position, geometry_msgs/Quaternion orientation",
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose, float64[36] covariance",
     "geometry_msgs/PoseWithCovarianceStamped": f"{_HEADER}, geometry_msgs/PoseWithCovariance pose",
+    "geometry_msgs/PoseArray": f"{_HEADER}, geometry_msgs/Pose[] poses",
     "geometry_msgs/Transform": "geometry_msgs/Vector3 translation, geometry_msgs/Quaternion rotation",
     "geometry_msgs/TransformStamped": f"{_HEADER}, string child_frame_id, geometry_msgs/Transform transform",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",

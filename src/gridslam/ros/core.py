@@ -5,18 +5,21 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
 import numpy as np
 
-from gridslam.config import Configuration, build
+from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, ConfigurationError, OutputError
 from gridslam.io.measurement import Measurement
-from gridslam.pipeline import Observer, run
+from gridslam.particles import spread
+from gridslam.pipeline import Observer
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.complaints import Complaints
 from gridslam.ros.intake import Intake, Turn
+from gridslam.ros.localization import KnownMapTeller, Localization, LocalizationSession, Place
 from gridslam.ros.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
 from gridslam.ros.rendering import MapRenderer
 from gridslam.ros.session import Session, TakenSession
@@ -42,8 +45,8 @@ class NodeCore:
     ----------
     settings : NodeSettings
         Frames, rates and bounds.
-    configuration : Configuration
-        Of the filter.
+    configuration : Configuration or Localization
+        Of the filter; the second where the map is known.
     outputs : Outputs
         The transport.
     record : str or Path, optional
@@ -70,14 +73,15 @@ class NodeCore:
     def __init__(
         self,
         settings: NodeSettings,
-        configuration: Configuration,
+        configuration: Configuration | Localization,
         outputs: Outputs,
         *,
         record: str | Path | None = None,
         observers: Sequence[Observer] = (),
     ) -> None:
-        if settings.odometry != "needed" and isinstance(configuration.tracker, OdometryTracker):
-            expected = "expected needed, as this tracker goes by nothing else"
+        by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
+        if settings.odometry != "needed" and by_odometry:
+            expected = "expected needed, as this filter goes by nothing else"
             raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
         self.settings, self.configuration = settings, configuration
         self.failure: BaseException | None = None
@@ -88,7 +92,7 @@ class NodeCore:
         self._record = None if record is None else Path(record)
         self._complain = Complaints(outputs.say)
         self._intake = Intake(settings, self._complain)
-        self._renderer = MapRenderer(configuration.mapper, settings.map_values, settings.map_frame, outputs.map)
+        self._renderer = _renderer(configuration, settings, outputs)
         self._speaker = Speaker(settings, outputs, self._renderer, self._intake.counts, self._complain)
         self._session = self._new_session()
         self._turns: list[Turn] = []
@@ -116,6 +120,7 @@ class NodeCore:
 
     def start(self) -> None:
         """Begin to take messages."""
+        self._renderer.begin(self._outputs.now_ns())
         for thread in self._threads:
             thread.start()
 
@@ -126,8 +131,9 @@ class NodeCore:
             if thread.ident is not None:
                 thread.join()
         self._renderer.close()
-        taken = None if self._session.state is None else self._session.taken()
-        self._session.close()
+        session = self._session
+        taken = session.taken() if isinstance(session, Session) and session.state is not None else None
+        session.close()
         return taken
 
     def on_scan(self, message: ScanMessage, sensor: str = "scan") -> None:
@@ -151,12 +157,36 @@ class NodeCore:
         return self._speaker.diagnostics()
 
     def reset(self) -> None:
-        """Forget everything, and begin anew with the next scan."""
-        self._intake.turn(Turn.RESET)
+        """Forget everything, and begin anew with the next scan: with an empty map, or anywhere in the known one."""
+        if self.localizes:
+            self.place(None)
+        else:
+            self._intake.turn(Turn.RESET)
+
+    def place(self, place: Place) -> None:
+        """Let the robot be at a pose (3,) with a covariance (3, 3) in the known map; nowhere known, if None.
+
+        Raises ArgumentError where no map is known, and for what is no pose and covariance.
+        """
+        if not self.localizes:
+            raise ArgumentError("place", "a node that localizes", "one that maps")
+        if place is not None:
+            spread(1, *place, np.random.default_rng(0))  # what is wrong with it is said here
+
+        def put() -> None:
+            assert isinstance(self._session, LocalizationSession)
+            self._session.place(place)
+
+        self._intake.post(put)
 
     def pause(self, paused: bool) -> None:
         """Leave out the scans that come from now on, or take them again."""
         self._intake.is_paused = paused
+
+    @property
+    def localizes(self) -> bool:
+        """Whether the map is known."""
+        return isinstance(self.configuration, Localization)
 
     @property
     def is_paused(self) -> bool:
@@ -169,7 +199,7 @@ class NodeCore:
         Returns what run.json says. Raises ArgumentError where nothing is mapped yet, OutputError where the folder
         cannot be written or the filter does not answer.
         """
-        answer: list[TakenSession | ArgumentError | OutputError] = []
+        answer: list[TakenSession | ArgumentError | OutputError | None] = []
         done = threading.Event()
 
         def take() -> None:
@@ -184,7 +214,7 @@ class NodeCore:
             raise OutputError(f"{folder}: the filter did not answer within {timeout_s:g} s")
         (taken,) = answer
         if not isinstance(taken, TakenSession):
-            raise taken
+            raise taken or OutputError(f"{folder}: there is nothing to be saved")
         return taken.save(folder)
 
     def _filter(self) -> None:
@@ -210,17 +240,12 @@ class NodeCore:
             source = gate(source)
         first = next(source, None)
         if first is not None:
-            config, settings = self.configuration, self.settings
-            run(
-                _chained(first, source), build(config, settings.threads), particles=config.particles,
-                rng=np.random.default_rng(settings.seed),
-                observers=[self._speaker, *session.observers, *self._observers], stopwatch=session.stopwatch,
-            )  # fmt: skip
+            session.run(chain([first], source), [self._speaker, *self._observers])
         if why[-1] is not Turn.CLOSED:
-            self._outputs.say(Level.WARN, f"a new map is begun: {why[-1].value}")
+            self._outputs.say(Level.WARN, f"{session.begins}: {why[-1].value}")
         return why[-1] is not Turn.CLOSED
 
-    def _measurements(self, session: Session) -> Iterator[Measurement]:
+    def _measurements(self, session: Session | LocalizationSession) -> Iterator[Measurement]:
         """Yield measurements as they come; what was posted is done between two of them."""
         while True:
             taken = self._intake.take()
@@ -251,18 +276,24 @@ class NodeCore:
         for hear in self._hearers:
             hear(told)
 
-    def _new_session(self) -> Session:
+    def _new_session(self) -> Session | LocalizationSession:
         self._speaker.begin()
         number, record = self._speaker.sessions, self._record
         if record is not None and number > 1:
             record = record.with_name(f"{record.stem}-{number}{record.suffix}")
-        return Session(self.configuration, self.settings.seed, self.settings.threads, record)
+        config, settings = self.configuration, self.settings
+        if isinstance(config, Localization):
+            return LocalizationSession(config, settings.seed, record)
+        return Session(config, settings.seed, settings.threads, record)
 
     def _every(self, period_s: float, tell: Callable[[], None]) -> None:
         while not self.ended.wait(period_s):
             tell()
 
 
-def _chained(first: Measurement, others: Iterator[Measurement]) -> Iterator[Measurement]:
-    yield first
-    yield from others
+def _renderer(
+    configuration: Configuration | Localization, settings: NodeSettings, outputs: Outputs
+) -> MapRenderer | KnownMapTeller:
+    if isinstance(configuration, Localization):
+        return KnownMapTeller(configuration, settings.map_values, settings.map_frame, outputs.map)
+    return MapRenderer(configuration.mapper, settings.map_values, settings.map_frame, outputs.map)

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from gridslam.io.ros_messages import ScanMessage, StampedTransform
 from gridslam.types import FloatArray
 
-__all__ = ["Diagnostics", "GridMessage", "Level", "Outputs", "PoseMessage", "ScanMessage", "StampedTransform"]
+__all__ = [
+    "CloudMessage", "Diagnostics", "GridMessage", "Level", "Outputs", "PoseMessage", "ScanMessage", "StampedTransform",
+]  # fmt: skip
 
 
 class Level(IntEnum):
@@ -52,6 +54,21 @@ class PoseMessage(NamedTuple):
         sent.covariance = full.ravel().tolist()
 
 
+class CloudMessage(NamedTuple):
+    """Poses (N, 3) of the particles in `frame`."""
+
+    stamp_ns: int
+    frame: str
+    poses: FloatArray
+
+    def data(self) -> bytes:
+        """The poses as geometry_msgs/Pose lie in bytes, little-endian: x, y, z in m, and the quaternion x, y, z, w."""
+        rows = np.zeros((len(self.poses), 7), "<f8")
+        rows[:, :2], half = self.poses[:, :2], 0.5 * self.poses[:, 2]
+        rows[:, 5], rows[:, 6] = np.sin(half), np.cos(half)
+        return rows.tobytes()
+
+
 class Diagnostics(NamedTuple):
     """How the node does: one sentence, and values by name."""
 
@@ -80,6 +97,9 @@ class Outputs(Protocol):
 
     def entropy(self, nats: float) -> None:
         """Publish the entropy of the particles' weights."""
+
+    def particles(self, message: CloudMessage) -> None:
+        """Publish where the particles are."""
 
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish how the node does."""

@@ -12,9 +12,12 @@ from typing import Any, Final, final
 
 from pydantic import ValidationError
 
+from gridslam.api.amcl import AMCL_NAMES
 from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import changed, meant, names
 from gridslam.errors import ConfigurationError
+from gridslam.ros.localization import Localization
+from gridslam.ros.localization_parameters import NODE_NAMES, localization_of
 from gridslam.ros.settings import NodeSettings
 
 __all__ = ["GMAPPING", "OWN", "NodeParameters", "node_parameters"]
@@ -32,7 +35,7 @@ GMAPPING: Final[Mapping[str, float | int | str]] = {
 
 OWN: Final[Mapping[str, float | int | str | bool]] = {
     "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
-    "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "",
+    "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "", "mode": "mapping", "map_file": "",
 }  # fmt: skip
 """The node's own parameters: see docs/ros.md."""
 
@@ -94,8 +97,8 @@ class NodeParameters:
     ----------
     settings : NodeSettings
         Of the node.
-    configuration : Configuration
-        Of the filter.
+    configuration : Configuration or Localization
+        Of the filter; the second where the map is known.
     warning : str
         What was given and is ignored, with the reasons, in one sentence; empty where nothing is.
     record, out : Path or None
@@ -103,7 +106,7 @@ class NodeParameters:
     """
 
     settings: NodeSettings
-    configuration: Configuration
+    configuration: Configuration | Localization
     warning: str
     record: Path | None
     out: Path | None
@@ -128,6 +131,12 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
         A value is of a wrong type or out of range, or there is no such preset.
     """
     own = {**OWN, **{name: value for name, value in given.items() if name in OWN}}
+    if own["mode"] not in ("mapping", "localization"):
+        raise ConfigurationError(f"mode: expected mapping or localization, got {own['mode']!r}")
+    if own["mode"] == "localization":
+        return _localizing(given, own)
+    if own["map_file"]:
+        raise ConfigurationError("map_file: needs the mode localization; in mapping a map is made")
     name = str(own["preset"]) or preset_name
     base = preset(name)
     held = {**GMAPPING, **given} if name == "gmapping" else dict(given)
@@ -140,9 +149,27 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
         settings=_settings(given),
         configuration=config,
         warning=_warning(base, name, given),
-        record=Path(str(own["record"])) if own["record"] else None,
-        out=Path(str(own["out"])) if own["out"] else None,
+        record=_path(own["record"]),
+        out=_path(own["out"]),
     )
+
+
+def _localizing(given: Mapping[str, Any], own: Mapping[str, Any]) -> NodeParameters:
+    """In a known map: AMCL's parameters in the place of slam_gmapping's."""
+    localization, ignored = localization_of(given)
+    ours = {NODE_NAMES.get(name, name): value for name, value in given.items()}
+    elsewhere = {*_FILTER, *_DERIVED, *_NEVER, "preset", "config", "out"}
+    reasons = dict.fromkeys(ignored, "nothing here corresponds to it")
+    for name in given:
+        if name in elsewhere:
+            reasons[name] = "the node localizes, and makes no map"
+        elif name not in (*_NODE, *OWN, *AMCL_NAMES):
+            reasons[name] = f"there is no such parameter{meant(name, [*AMCL_NAMES, *_NODE, *OWN])}"
+    return NodeParameters(_settings(ours), localization, _ignored(reasons), _path(own["record"]), None)
+
+
+def _path(text: object) -> Path | None:
+    return Path(str(text)) if text else None
 
 
 def _direct(base: Configuration, held: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,6 +237,11 @@ def _warning(base: Configuration, preset_name: str, given: Mapping[str, Any]) ->
                 reasons[name] = f"the preset {preset_name} has no such part"
         elif name not in _NODE and name not in OWN:
             reasons[name] = f"there is no such parameter{meant(name, [*GMAPPING, *OWN])}"
+    return _ignored(reasons)
+
+
+def _ignored(reasons: Mapping[str, str]) -> str:
+    """One sentence of what is ignored, by reason."""
     by_reason: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         by_reason.setdefault(reason, []).append(name)

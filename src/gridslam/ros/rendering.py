@@ -77,6 +77,9 @@ class MapRenderer:
         self._taken: tuple[int, Taken] | None = None
         self._busy = self._closed = False
         self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
+
+    def begin(self, stamp_ns: int) -> None:
+        """Begin to draw; there is no map yet."""
         self._thread.start()
 
     @property
@@ -84,12 +87,13 @@ class MapRenderer:
         """Whether the last map is drawn."""
         return not self._busy
 
-    def take(self, state: GridFastSlamState, stamp_ns: int) -> None:
-        """Copy the best particle's map, and have it drawn."""
+    def take(self, state: GridFastSlamState, stamp_ns: int) -> int:
+        """Copy the best particle's map, and have it drawn; returns the memory that all maps take, bytes."""
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
         with self._changed:
             self._taken, self._busy = (stamp_ns, arrays), True
             self._changed.notify_all()
+        return state.maps.nbytes
 
     def forget(self) -> None:
         """Have no map any more, as a new session begins."""
@@ -102,7 +106,8 @@ class MapRenderer:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._thread.join(timeout=10)
+        if self._thread.ident is not None:
+            self._thread.join(timeout=10)
 
     def _run(self) -> None:
         while True:

@@ -9,8 +9,6 @@ Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 from __future__ import annotations
 
 import importlib
-import io
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -19,8 +17,10 @@ from typing import Any, final
 from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
 from gridslam.ros.core import NodeCore
-from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.initial_pose import place_by_message
+from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.parameters import NodeParameters, node_parameters
+from gridslam.ros.ros1_messages import cloud_class, grid_class, response_class
 from gridslam.ros.services import Watch, closed, saved
 
 __all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
@@ -56,13 +56,15 @@ class Ros1Node:
     def __init__(self, parameters: NodeParameters) -> None:
         self._ros = _modules()
         rospy, nav, std = self._ros["rospy"], self._ros["nav_msgs.msg"], self._ros["std_msgs.msg"]
-        self._grid_class = _grid_class(nav.OccupancyGrid)
+        self._grid_class = grid_class(nav.OccupancyGrid)
         self._map = rospy.Publisher("map", nav.OccupancyGrid, queue_size=1, latch=True)
         self._metadata = rospy.Publisher("map_metadata", nav.MapMetaData, queue_size=1, latch=True)
         self._entropy = rospy.Publisher("~entropy", std.Float64, queue_size=1)
         self._tf = rospy.Publisher("/tf", self._ros["tf2_msgs.msg"].TFMessage, queue_size=100)
         geometry = self._ros["geometry_msgs.msg"]
         self._pose = rospy.Publisher("~pose", geometry.PoseWithCovarianceStamped, queue_size=10)
+        self._cloud_class = cloud_class(geometry.PoseArray)
+        self._cloud = rospy.Publisher("particlecloud", geometry.PoseArray, queue_size=1)
         diagnostic = self._ros["diagnostic_msgs.msg"]
         self._diagnostics = rospy.Publisher("/diagnostics", diagnostic.DiagnosticArray, queue_size=10)
         self.core = NodeCore(parameters.settings, parameters.configuration, self, record=parameters.record)
@@ -108,6 +110,13 @@ class Ros1Node:
         """Publish on ~entropy."""
         self._publish(self._entropy, self._ros["std_msgs.msg"].Float64(nats))
 
+    def particles(self, message: CloudMessage) -> None:
+        """Publish on particlecloud."""
+        cloud = self._cloud_class()
+        cloud.header.stamp, cloud.header.frame_id = self._stamp(message.stamp_ns), message.frame
+        cloud.count, cloud.data = len(message.poses), message.data()
+        self._publish(self._cloud, cloud)
+
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish on /diagnostics."""
         rospy, diagnostic = self._ros["rospy"], self._ros["diagnostic_msgs.msg"]
@@ -139,6 +148,14 @@ class Ros1Node:
 
             return take
 
+        def on_pose(message: Any) -> None:  # noqa: ANN401
+            expected, got = "geometry_msgs/PoseWithCovarianceStamped", message._connection_header["type"]
+            if got != expected:
+                raise MessageError(f"expected {expected}, got {got}")
+            place_by_message(self.core, message._buff, wire_of_ros1(message._buff))
+
+        if self.core.localizes:
+            rospy.Subscriber("initialpose", rospy.AnyMsg, self._heard("initialpose", on_pose), queue_size=1)
         for topic, take in (("/tf_static", on_transforms(True)), ("/tf", on_transforms(False)), ("scan", on_scan)):
             rospy.Subscriber(topic, rospy.AnyMsg, self._heard(topic, take), queue_size=None, **large)
 
@@ -165,13 +182,13 @@ class Ros1Node:
     def _serve(self) -> None:
         rospy, services = self._ros["rospy"], self._ros["std_srvs.srv"]
         get_map = self._ros["nav_msgs.srv"].GetMap
-        response_class = _response_class(get_map._response_class)
+        answer_class = response_class(get_map._response_class)
 
         def dynamic_map(request: Any) -> Any:  # noqa: ANN401
             latest = self.core.dynamic_map()
             if latest is None:
                 raise rospy.ServiceException("there is no map yet")
-            return response_class(map=self._grid(latest))
+            return answer_class(map=self._grid(latest))
 
         def reset(request: Any) -> Any:  # noqa: ANN401
             self.core.reset()
@@ -186,6 +203,8 @@ class Ros1Node:
 
         rospy.Service("dynamic_map", get_map, dynamic_map)
         rospy.Service("~reset", services.Empty, reset)
+        if self.core.localizes:
+            rospy.Service("global_localization", services.Empty, reset)
         rospy.Service("~pause", services.SetBool, pause)
         rospy.Service("~save", services.Trigger, save)
 
@@ -210,30 +229,6 @@ class Ros1Node:
                 publisher.publish(message)
         except rospy.ROSException:  # shut down in this very moment
             return
-
-
-def _grid_class(base: Any) -> Any:  # noqa: ANN401
-    """OccupancyGrid whose `cells` are sent as they are: as a list, a million of them would cost 50 ms."""
-
-    class Grid(base):  # type: ignore[misc]
-        cells = b""
-
-        def serialize(self, buff: io.BytesIO) -> None:
-            head = io.BytesIO()
-            super().serialize(head)  # with no data: its last four bytes are the length 0
-            buff.write(head.getvalue()[:-4])
-            buff.write(struct.pack("<I", len(self.cells)))
-            buff.write(self.cells)
-
-    return Grid
-
-
-def _response_class(base: Any) -> Any:  # noqa: ANN401
-    class Response(base):  # type: ignore[misc]
-        def serialize(self, buff: io.BytesIO) -> None:
-            self.map.serialize(buff)
-
-    return Response
 
 
 def run_ros1(

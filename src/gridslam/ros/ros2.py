@@ -17,6 +17,7 @@ from typing import Any, final
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
 from gridslam.ros.core import NodeCore
+from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs
@@ -104,6 +105,12 @@ class Ros2Node:
         def on_transforms(static: bool) -> Callable[[bytes], None]:
             return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
 
+        def on_pose(data: bytes) -> None:
+            place_by_message(self.core, data, wire_of_cdr(data))
+
+        if self.core.localizes:
+            kind, heard = _type("geometry_msgs/PoseWithCovarianceStamped"), self._heard("initialpose", on_pose)
+            node.create_subscription(kind, "initialpose", heard, self._profile(depth=1), raw=True)
         for topic, kind, take, profile in (
             ("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), self._profile(latched=True, depth=100)),
             ("/tf", "tf2_msgs/TFMessage", on_transforms(False), self._profile(depth=100)),
@@ -155,7 +162,8 @@ class Ros2Node:
         # A service that takes its time must not hold up the scans.
         apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         node.create_service(_type("nav_msgs/GetMap", "srv"), "dynamic_map", dynamic_map)
-        node.create_service(_type("std_srvs/Empty", "srv"), "~/reset", reset)
+        for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
+            node.create_service(_type("std_srvs/Empty", "srv"), name, reset)
         node.create_service(_type("std_srvs/SetBool", "srv"), "~/pause", pause)
         node.create_service(_type("std_srvs/Trigger", "srv"), "~/save", save, callback_group=apart)
 

@@ -16,6 +16,7 @@ from gridslam.io.ros_messages import MessageError, decode_scan, decode_transform
 from gridslam.ros.cdr import decoded, encoded
 from gridslam.ros.core import NodeCore
 from gridslam.ros.dds import DdsParticipant
+from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_arguments import RosArguments, parse_ros_arguments
@@ -104,6 +105,11 @@ class DdsNode:
             seconds, nanoseconds = decoded("rosgraph_msgs/Clock", data)
             self._clock_ns = seconds * 1_000_000_000 + nanoseconds
 
+        def on_pose(data: bytes) -> None:
+            place_by_message(self.core, data, wire_of_cdr(data))
+
+        if self.core.localizes:
+            self._read("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
         self._read("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), latched=True, depth=100)
         self._read("/tf", "tf2_msgs/TFMessage", on_transforms(False), depth=100)
         self._read("scan", "sensor_msgs/LaserScan", on_scan, reliable=False, depth=10)
@@ -137,7 +143,8 @@ class DdsNode:
             return True, "paused" if paused else "mapping"
 
         self._answer("dynamic_map", "nav_msgs/GetMap", lambda unused: dynamic_map())
-        self._answer("~/reset", "std_srvs/Empty", lambda unused: reset())
+        for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
+            self._answer(name, "std_srvs/Empty", lambda unused: reset())
         self._answer("~/pause", "std_srvs/SetBool", pause)
         self._answer("~/save", "std_srvs/Trigger", lambda unused: saved(core, self._out), slow=True)
 

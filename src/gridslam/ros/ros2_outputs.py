@@ -9,7 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from gridslam.ros.cdr import encoded
-from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 
 __all__ = ["LATCHED", "TOPICS", "Ros2Outputs", "grid_values"]
 
@@ -19,6 +19,7 @@ TOPICS: Final = {
     "/tf": "tf2_msgs/TFMessage",
     "~/pose": "geometry_msgs/PoseWithCovarianceStamped",
     "~/entropy": "std_msgs/Float64",
+    "particlecloud": "geometry_msgs/PoseArray",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
 """What is published, and its type."""
@@ -85,6 +86,12 @@ class Ros2Outputs:
     def entropy(self, nats: float) -> None:
         """Publish on ~/entropy."""
         self._send("~/entropy", (nats,))
+
+    def particles(self, message: CloudMessage) -> None:
+        """Publish on particlecloud; thousands of poses as they lie in memory."""
+        head = encoded(TOPICS["particlecloud"], (_header(message.stamp_ns, message.frame), []))[:-4]
+        head += len(message.poses).to_bytes(4, "little")
+        self._publish("particlecloud", head + bytes((4 - len(head)) % 8) + message.data())
 
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish on /diagnostics."""

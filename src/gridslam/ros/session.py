@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.api.result import MapResult
-from gridslam.config import Configuration
+from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.log_statistics import LogStatistics, Mounting
+from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
-from gridslam.pipeline import Observer, Stopwatch
+from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.recording import ScanRecorder
 from gridslam.slam.full_slam import full_slam
@@ -43,6 +44,8 @@ class Session:
         Where its accepted scans are recorded.
     """
 
+    begins = "a new map is begun"
+
     def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
         self.configuration, self.seed, self.threads = configuration, seed, threads
         self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
@@ -55,6 +58,15 @@ class Session:
     def observers(self) -> list[Observer]:
         """What watches the filter for this session's sake."""
         return [self.trajectory, self.statistics, self._note]
+
+    def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
+        """Map all measurements of a source, one after the other."""
+        config, rng = self.configuration, np.random.default_rng(self.seed)
+        first, *others = observers
+        run(
+            source, build(config, self.threads), particles=config.particles, rng=rng,
+            observers=[first, *self.observers, *others], stopwatch=self.stopwatch,
+        )  # fmt: skip
 
     def add(self, accepted: Accepted) -> None:
         """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""

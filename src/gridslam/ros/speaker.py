@@ -6,22 +6,26 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from gridslam.geometry.se2 import compose, inverse
+from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.observers import Latency
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.complaints import Complaints
 from gridslam.ros.intake import Counts
-from gridslam.ros.messages import Diagnostics, Level, Outputs, PoseMessage, StampedTransform
+from gridslam.ros.localization import KnownMapTeller
+from gridslam.ros.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
 from gridslam.ros.rendering import MapRenderer
 from gridslam.ros.settings import NodeSettings
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
 __all__ = ["Speaker"]
+
+Report: TypeAlias = StepReport | LocalizationReport
 
 _STALE_NS = 5_000_000_000
 _LATENCIES = 2000  # the last ones, of which the diagnostics tell
@@ -40,7 +44,7 @@ class Speaker:
         Frames and rates.
     outputs : Outputs
         The transport.
-    renderer : MapRenderer
+    renderer : MapRenderer or KnownMapTeller
         Draws the map.
     counts : Counts
         Of the scans, for the diagnostics.
@@ -49,18 +53,23 @@ class Speaker:
     """
 
     def __init__(
-        self, settings: NodeSettings, outputs: Outputs, renderer: MapRenderer, counts: Counts, complain: Complaints
+        self,
+        settings: NodeSettings,
+        outputs: Outputs,
+        renderer: MapRenderer | KnownMapTeller,
+        counts: Counts,
+        complain: Complaints,
     ) -> None:
         self._settings, self._outputs, self._renderer = settings, outputs, renderer
         self._counts, self._complain = counts, complain
         self._lock = threading.Lock()  # of what is published by the filter's thread and by the clock's
         self._accepted: Accepted | None = None
-        self._report: StepReport | None = None
-        self._key: StepReport | None = None
-        self._drawn: StepReport | None = None
+        self._report: Report | None = None
+        self._key: Report | None = None
+        self._drawn: Report | None = None
         self._map_from_odom: FloatArray = np.zeros(3)
         self._child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
-        self._told: tuple[int, StepReport | None] = -1, None
+        self._told: tuple[int, Report | None] = -1, None
         self._ours: dict[StampedTransform, None] = {}  # in order
         self._repeat_s = 0.0
         self._memory_bytes = 0
@@ -83,7 +92,7 @@ class Speaker:
                 " and use_sim_time where a log is played?",
             )  # fmt: skip
 
-    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+    def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
         """Tell of one scan."""
         accepted, outputs, frame = self._accepted, self._outputs, self._settings.map_frame
         assert accepted is not None
@@ -101,15 +110,16 @@ class Speaker:
             self._key = report
             weights = np.exp(report.log_weights)
             outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
+            outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses))
         self._latencies.append(time.perf_counter() - accepted.arrived_s)
         if self._drawn is None:
             self.draw(state)
 
-    def draw(self, state: GridFastSlamState) -> None:
+    def draw(self, state: Any) -> None:  # noqa: ANN401
         """Have the map drawn and published, in the filter's thread; not one that was, nor while another one is."""
         if self._report is not None and self._report is not self._drawn and self._renderer.is_idle:
-            self._drawn, self._memory_bytes = self._report, state.maps.nbytes
-            self._renderer.take(state, self._report.stamp_ns)
+            self._drawn = self._report
+            self._memory_bytes = self._renderer.take(state, self._report.stamp_ns)
 
     def tell_transform(self) -> None:
         """Publish where the odometry frame lies in the map, stamped `tf_delay_s` ahead; nothing before a first scan."""
@@ -165,6 +175,8 @@ class Speaker:
             return Diagnostics(Level.WARN, problem, values)
         if report is None:
             return Diagnostics(Level.WARN, "waiting for a scan", values)
+        maps = isinstance(report, StepReport)
         if report.lost:
-            return Diagnostics(Level.WARN, "lost: the scan agrees with the map too little", values)
-        return Diagnostics(Level.OK, "mapping", values)
+            why = "the scan agrees with the map too little" if maps else "it may be elsewhere, or the map is another"
+            return Diagnostics(Level.WARN, f"lost: {why}", values)
+        return Diagnostics(Level.OK, "mapping" if maps else "localizing", values)

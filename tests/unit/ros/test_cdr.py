@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gridslam.io.ros_messages import decode_transforms, wire_of_cdr
 from gridslam.ros.cdr import FIELDS, PRIMITIVES, decoded, encoded, fields_of
-from gridslam.ros.messages import Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.ros2_outputs import TOPICS, Ros2Outputs
 
 STAMP = 1_700_000_000_123_456_789
@@ -106,6 +106,7 @@ def test_what_the_node_says_is_what_is_heard(store):
     outputs.transform(StampedTransform(STAMP, "map", "odom", (1.0, 2.0, 0.0, 0.0, 0.0, 0.6, 0.8)))
     outputs.pose(PoseMessage(STAMP, "map", np.array([1.0, 2.0, np.pi / 2]), np.arange(9.0).reshape(3, 3)))
     outputs.entropy(1.25)
+    outputs.particles(CloudMessage(STAMP, "map", np.array([[1.0, 2.0, np.pi / 2], [3.0, 4.0, 0.0]])))
     outputs.diagnostics(Diagnostics(Level.WARN, "behind", {"dropped": "3"}))
     heard = {}
     for topic, kind in TOPICS.items():
@@ -125,6 +126,8 @@ def test_what_the_node_says_is_what_is_heard(store):
     assert pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))].ravel().tolist() == list(range(9))
     assert pose.pose.orientation.z == pytest.approx(np.sqrt(0.5))
     assert heard["~/entropy"].data == 1.25
+    assert [(one.position.x, one.position.y) for one in heard["particlecloud"].poses] == [(1, 2), (3, 4)]
+    assert heard["particlecloud"].poses[0].orientation.z == pytest.approx(np.sqrt(0.5))
     (status,) = heard["/diagnostics"].status
     assert (status.level, status.message, status.values[0].key, status.values[0].value) == (1, "behind", "dropped", "3")
 

@@ -24,7 +24,7 @@ def test_every_documented_parameter_is_known():
 def test_every_parameter_does_something_or_says_why_not():
     for name in GMAPPING:
         assert sum(name in table for table in (_FILTER, _DERIVED, _NODE, _NEVER)) == 1, name
-    assert {*_NODE, "preset", "config", "set", "record", "out"} >= set(OWN)
+    assert {*_NODE, "preset", "config", "set", "record", "out", "mode", "map_file"} >= set(OWN)
 
 
 def test_the_defaults_are_those_of_the_preset_gmapping():

@@ -1,0 +1,48 @@
+"""Parameters of a node that localizes: AMCL's by their own names, and the node's own beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from gridslam.api.amcl import AMCL_NAMES, from_amcl
+from gridslam.api.localization import known_map
+from gridslam.api.localization_parameters import override_parts
+from gridslam.errors import ConfigurationError
+from gridslam.ros.localization import Localization
+
+__all__ = ["NODE_NAMES", "localization_of"]
+
+NODE_NAMES: Final[Mapping[str, str]] = {
+    "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
+    "transform_tolerance": "tf_delay",
+}  # fmt: skip
+"""AMCL's names of what the node calls otherwise."""
+
+
+def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
+    """How the robot is localized, and which of AMCL's parameters mean nothing here.
+
+    Parameters
+    ----------
+    given : mapping
+        What the user has set by ROS names: ``map_file``, ``set``, ``threads`` and AMCL's; others are left alone.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no ``map_file``, or a parameter is unknown, of a wrong type or out of range.
+    InputError
+        The file is no map in which a robot could be.
+    """
+    path = given.get("map_file")
+    if not path:
+        raise ConfigurationError("map_file: expected the YAML file of the map to be localized in, got none")
+    amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
+    changed = override_parts(amcl.parts, [part for part in str(given.get("set", "")).split(";") if part.strip()])
+    placed = changed if changed.pose is not None else amcl
+    parts = changed.parts
+    known = known_map(str(path), parts, int(given.get("threads", 1)))[2]
+    place = None if placed.pose is None else (placed.pose, placed.covariance)
+    ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in NODE_NAMES]
+    return Localization(known, parts, place), ignored
