@@ -26,6 +26,7 @@ from gridslam.io.map_server import write_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
+EXAMPLES = SUPPORT.parents[1] / "examples" / "ros1"
 PATIENT = "_transform_wait:=10.0", "_queue:=60.0"  # on a busy machine nothing is dropped
 LINKS = ("map:odom", "odom:base_link", "map:base_link")
 NODE = f"""
@@ -251,6 +252,20 @@ def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):
     ros.run("rosservice", "call", "/global_localization")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")
+
+
+def test_roslaunch_starts_the_node_of_the_examples(ros, tmp_path):
+    program = tmp_path / "gridslam"
+    script = NODE.replace('"ros1", *', "*")  # the script of the example says ros1
+    program.write_text(f"#!{sys.executable}\n{script}")
+    program.chmod(0o755)
+    ros.environment |= {"ROS_PACKAGE_PATH": str(EXAMPLES), "GRIDSLAM": str(program)}
+    arguments = ["scan:=base_scan", "particles:=4", f"out:={tmp_path / 'out'}"]
+    launch = ros.start(["roslaunch", "gridslam_ros", "gridslam.launch", *arguments], "node")
+    assert ros.until(lambda: "/base_scan" in str(ros.master.getSystemState("/test")[2][1])), ros.log("node")
+    assert ros.master.getParam("/test", "/slam_gmapping/particles")[2] == 4
+    launch.send_signal(signal.SIGINT)
+    assert launch.wait(60) == 0, ros.log("node")
 
 
 @pytest.mark.parametrize(
