@@ -1,0 +1,134 @@
+"""Monte Carlo localization: cost, and how soon and how surely a robot is found on real logs."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.map_server import read_map
+from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization.kld_sampling import KldSampling
+from gridslam.particles import Always, MovedAtLeast
+from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, ScanGeometry
+from report import Report, Target, table
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+from real_localization import Mapped, follow, found_after_m, metres, way
+
+__all__ = ["localization"]
+
+_KIDNAPPED_AFTER, _SCANS = 600, 2500
+_MEETING_FROM_TRUTH = np.array([15.0, 15.0, 0.0])
+
+
+def localization(report: Report, data: Path, seeds: Sequence[int], folder: Path, updates: int = 100) -> None:
+    """Cost in a simulated hall, then real logs where the data is there."""
+    _cost(report, updates)
+    bags = data / "bags"
+    if (bags / "p3dx_sim_truth.bag").exists():
+        _meeting(report, bags / "p3dx_sim_truth.bag", data / "maps" / "meeting.yaml", seeds)
+    if (data / "intel.clf.bz2").exists():
+        _intel(report, Mapped.of(data / "intel.clf.bz2", folder), seeds)
+
+
+def _hall() -> OccupancyGrid:
+    """40 m x 40 m with 600 pillars."""
+    rng, cells = np.random.default_rng(0), np.full((800, 800), -4.0, np.float32)
+    cells[[0, -1]] = cells[:, [0, -1]] = 4.0
+    for row, column in rng.integers(2, 796, (600, 2)):
+        cells[row : row + 3, column : column + 3] = 4.0
+    return OccupancyGrid(cells, np.ones(cells.shape, bool), 0.05, (0.0, 0.0))
+
+
+def _cost(report: Report, updates: int) -> None:
+    """Updates a second of so many particles, all parts of a step included, resampling at each."""
+    rows = []
+    for particles, beams, threads in ((500, 120, 1), (10_000, 180, 1), (10_000, 180, 2)):
+        rows.append([particles, beams, threads, *_rates(particles, beams, threads, updates)])
+    report.add(
+        "Monte Carlo localization: updates a second",
+        table(["particles", "beams", "threads", "updates/s", "updates/CPU s"], rows),
+    )
+    # A target is a greatest value: so the time of an update, not the rate.
+    report.targets.append(
+        Target("MCL, 10,000 particles x 180 beams, two cores: an update", 1 / rows[-1][3], 0.01, unit="s")
+    )
+
+
+def _rates(particles: int, beams: int, threads: int, updates: int) -> tuple[float, float]:
+    known = KnownMap(_hall(), threads=threads)
+    kld = KldSampling(particles_min=particles, particles_max=particles)
+    parts = MonteCarloParts(kld=kld, max_beams=beams, when_to_update=MovedAtLeast(1e-9, 1.0), when_to_resample=Always())
+    mcl, rng = MonteCarloLocalization(known, parts), np.random.default_rng(0)
+    truth, bearings = np.array([20.0, 20.0, 0.0]), np.linspace(-math.pi / 2, math.pi / 2, beams)
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    state, scans = mcl.around(truth, np.diag([0.01, 0.01, 0.01]), rng), []
+    for k in range(updates):
+        pose = truth + np.array([0.01 * k, 0.0, 0.0])
+        ranges = known.cast_rays(np.zeros(1), pose[None], np.zeros(2), directions, 30.0)[0]
+        scans.append((Odometry.at(k, pose), LaserScan.from_ranges(k, ranges, ScanGeometry(bearings), range_max_m=30.0)))
+    wall, cpu = time.perf_counter(), time.process_time()
+    for odometry, scan in scans:
+        state, _ = mcl.step(state, odometry, scan, rng)
+    return updates / (time.perf_counter() - wall), updates / (time.process_time() - cpu)
+
+
+def _meeting(report: Report, bag: Path, yaml: Path, seeds: Sequence[int]) -> None:
+    """Found from nothing; errors are after the best affine map, as the floor plan is not to the simulator's scale."""
+    known, measurements = KnownMap(read_map(yaml)), list(open_log(bag))
+    truth = np.array([m.odometry.pose for m in open_log(bag, LogOptions(odometry_topic="/base_pose_ground_truth"))])
+    driven, rows = way(measurements), []
+    for seed in seeds:
+        reports = follow(known, measurements, seed)
+        told = next((float(driven[k]) for k, one in enumerate(reports) if not one.lost), math.inf)
+        near = found_after_m(metres(reports, truth + _MEETING_FROM_TRUTH), driven, 0.8)
+        after = driven > 10
+        poses = np.array([one.pose for one in reports])
+        rows.append([seed, near, told, _affine_rmse(poses[after], truth[after])])
+    report.add("MCL, simulated P3DX in the meeting rooms, from nothing",
+               table(["seed", "found after m", "said so after m", "RMSE m after 10 m"], rows))  # fmt: skip
+    worst = max(row[1] for row in rows)
+    report.targets.append(Target("MCL, meeting rooms, from nothing, worst seed", worst, 10, unit="m"))
+
+
+def _affine_rmse(poses: FloatArray, truth: FloatArray) -> float:
+    design = np.column_stack([truth[:, :2], np.ones(len(truth))])
+    fitted = design @ np.linalg.lstsq(design, poses[:, :2], rcond=None)[0]
+    return float(np.sqrt(np.mean(np.sum((fitted - poses[:, :2]) ** 2, axis=1))))
+
+
+def _intel(report: Report, intel: Mapped, seeds: Sequence[int]) -> None:
+    middle, rows = len(intel.poses) // 2, []
+    part = slice(middle, middle + _SCANS)
+    for seed in seeds:
+        reports = follow(intel.known, intel.measurements[part], seed)
+        errors, driven = metres(reports, intel.poses[part]), way(intel.measurements[part])
+        found = found_after_m(errors, driven, 0.5)
+        mean = float(errors[driven - driven[0] > found].mean()) if found < math.inf else math.inf
+        rows.append([seed, found, mean, *_kidnapping(intel, middle, seed)])
+    head = ["seed", "found after m", "mean error m", "kidnapped: back after m", "said found, but was not: m"]
+    report.add("MCL, Intel's second half in the map of all of it", table(head, rows))
+    worst, back = max(row[2] for row in rows), sorted(row[3] for row in rows)
+    report.targets.append(Target("MCL, Intel, from nothing, mean error, worst seed", worst, 0.1, unit="m"))
+    report.targets.append(
+        Target("MCL, Intel, kidnapped, back, 9th of 10 seeds", back[math.ceil(0.9 * len(back)) - 1], 15, unit="m")
+    )
+
+
+def _kidnapping(intel: Mapped, middle: int, seed: int) -> tuple[float, float]:
+    """Way until the robot is found again, and the way on which it was said to be found where it was not."""
+    rng = np.random.default_rng(seed)
+    first, second = middle + int(rng.integers(1500)), middle + 3000 + int(rng.integers(2000))
+    measurements, poses = intel.kidnapped(
+        slice(first, first + _KIDNAPPED_AFTER), slice(second, second + 1500)
+    )  # fmt: skip
+    reports = follow(intel.known, measurements, seed, poses[0])
+    errors, driven = metres(reports, poses)[_KIDNAPPED_AFTER:], way(measurements)[_KIDNAPPED_AFTER:]
+    false = [not one.lost and error > 1 for one, error in zip(reports[_KIDNAPPED_AFTER:], errors, strict=True)]
+    return found_after_m(errors, driven, 0.5), float(np.diff(driven, prepend=driven[0])[false].sum())
