@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from gridslam import __version__
 from gridslam.config.tables import to_table
@@ -16,6 +19,7 @@ from gridslam.observers import RunStatistics
 from gridslam.slam.full_slam import Loops
 from gridslam.slam.memory import Rejection
 from gridslam.slam.ties import Source
+from gridslam.slam.tracker import Tracker, TrackerState
 from gridslam.types import IntArray
 
 if TYPE_CHECKING:
@@ -25,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["RUN_SCHEMA", "run_document"]
 
 RUN_SCHEMA = "gridslam.run/2"
+_ORDERS = {1: "as told", 0: "none", -1: "backward"}
 
 
 def run_document(result: MapResult) -> dict[str, Any]:
@@ -40,6 +45,7 @@ def run_document(result: MapResult) -> dict[str, Any]:
         "kernels": "compiled" if compiled else "reference",
         "input": _input(result.source, result.digest, result.log, result.repair),
         "scans": _scans(statistics, result.log),
+        "tracker": _tracker(result),
         "filter": _filter(result),
         "loop_closure": result.loops is not None
         and _loop_closure(result.loops, result.key_stamps_ns, statistics.corrections),
@@ -86,6 +92,38 @@ def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:
         "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
         "lost": statistics.lost,
         "undetermined": statistics.undetermined,
+    }
+
+
+def _tracker(result: MapResult) -> dict[str, Any] | None:
+    """What the tracker learned; None where it takes the odometry as it is."""
+    tracker, state = result.configuration.tracker, result.state.tracker
+    if not isinstance(tracker, Tracker):
+        return None
+    deskew = tracker.deskew
+    timed = {sensor: seen for sensor, seen in state.sensors.items() if seen.orders[0]} if deskew else {}
+    return {
+        "odometry": _learned(state) if result.log.without_odometry < result.log.scan_count else None,
+        "odometry_overruled": state.overruled,
+        "stamps_believed": not state.even,
+        "beam_order": {sensor: _ORDERS[deskew.order(seen)] for sensor, seen in timed.items()} if deskew else {},
+    }
+
+
+def _learned(state: TrackerState) -> dict[str, Any]:
+    """The odometry's errors: true increments for those that it tells, and what is left of a stretch."""
+    learned = state.learned
+    a, c, _, _, turn_scale, turn_rad_per_m = learned.factors.tolist()
+    sigma_m, sigma_rad = np.sqrt(learned.variances).tolist()
+    return {
+        "trusted": learned.trusted,
+        "stretches": learned.stretches,
+        "scale": math.hypot(a, c),
+        "direction_rad": math.atan2(c, a),
+        "turn_scale": turn_scale,
+        "turn_rad_per_m": turn_rad_per_m,
+        "sigma_m": sigma_m,
+        "sigma_rad": sigma_rad,
     }
 
 

@@ -1,0 +1,52 @@
+"""What run.json says of the tracker: what it learned of the odometry and of the beams' times."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridslam.api import map_log
+from gridslam.api.document import run_document
+from gridslam.io.csv_writer import write_csv_log
+from gridslam.io.measurement import Measurement
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.sim.faults import with_fault
+
+EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SPINNING = LidarConfig(beams=120, field_of_view_rad=math.tau, rate_hz=10.0, range_max_m=12.0, scan_time_s=0.1)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    rng = np.random.default_rng(4)
+    return simulate(make_world("demo", rng), RobotConfig(), EXACT, SPINNING, rng).measurements[:400]
+
+
+def told(path, measurements, **how):
+    write_csv_log(path / "log.csv", measurements)
+    return run_document(map_log(path / "log.csv", loop_closure=False, repair="none", **how))["tracker"]
+
+
+def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
+    tracker = told(tmp_path, list(with_fault(drive, "odometry_scale", np.random.default_rng(0), 0.1)), particles=2)
+    learned = tracker["odometry"]
+    assert learned["trusted"]
+    assert learned["stretches"] > 15
+    assert learned["scale"] == pytest.approx(1 / 1.1, abs=0.03)
+    assert learned["turn_scale"] == pytest.approx(1.0, abs=0.03)
+    assert (tracker["stamps_believed"], tracker["odometry_overruled"]) == (True, 0)
+    assert tracker["beam_order"] == {"laser": "as told"}
+
+
+def test_nothing_is_told_of_odometry_that_is_not_there_and_times_of_beams_may_be_backward(tmp_path, drive):
+    backward = [Measurement(None, replace(scan, beam_times_s=-scan.beam_times_s)) for _, scan in drive]
+    tracker = told(tmp_path, backward, particles=2)
+    assert tracker["odometry"] is None
+    assert tracker["beam_order"] == {"laser": "backward"}
+
+
+def test_a_tracker_that_takes_the_odometry_as_it_is_learns_nothing(tmp_path, drive):
+    assert told(tmp_path, drive[:20], preset="gmapping") is None
