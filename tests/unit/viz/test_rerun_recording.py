@@ -113,3 +113,23 @@ def test_the_command_records_and_its_results_stay_the_same(rerun, read, tmp_path
         assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes(), name
     rows = read(tmp_path / "run.rrd")
     assert {"map/grid", "map/path", "map/scan", "map/robot", "filter/latency_ms"} <= rows.keys()
+
+
+def test_a_node_is_recorded(read, tmp_path):
+    from ros_node import Heard, mounting, play, until
+
+    from gridslam.config import Configuration
+    from gridslam.ros import NodeCore, NodeSettings
+
+    heard = Heard()
+    core = NodeCore(NodeSettings(), Configuration(particles=3), heard)
+    with RerunRecording(str(tmp_path / "node.rrd"), "node") as recording:
+        core.watch(recording, recording.followed)
+        core.on_transforms([mounting()], static=True)
+        core.start()
+        sent = play(core, heard, loop_drive().measurements[:30], shift_ns=10**18, ahead=5)
+        assert until(lambda: len(heard.poses) == sent)
+        core.close()
+    rows = read(tmp_path / "node.rrd")
+    assert len(rows["map/particles"]["stamp"]) == len(heard.entropies)
+    assert rows["map/scan"]
