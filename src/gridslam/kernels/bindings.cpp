@@ -136,11 +136,11 @@ auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix 
   return out;
 }
 
-auto py_sum_at_ends(Array<const float, 2> field, Vector corner, double resolution, Matrix poses, Matrix ends, int threads) {
+auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double resolution, Matrix poses, Matrix ends, int threads) {
   auto out = fresh<double, 1>({poses.shape(0)});
   {
     nb::gil_scoped_release release;
-    sum_at_ends(field.data(), static_cast<int>(field.shape(0)), static_cast<int>(field.shape(1)), corner.data(), resolution, poses.data(),
+    sum_at_ends(patches.data(), static_cast<int>(patches.shape(0)), static_cast<int>(patches.shape(1)), corner.data(), resolution, poses.data(),
                 static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), threads, out.data());
   }
   return out;
@@ -192,7 +192,7 @@ NB_MODULE(_compiled, m) {
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
         "threads"_a);
-  m.def("sum_at_ends", &py_sum_at_ends, "field"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
+  m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a, "distance"_a,
         "places"_a, "floor"_a, "rival"_a, "apart_cells"_a, "apart_rad"_a);

@@ -146,7 +146,7 @@ void distances(const Maps& m, const int32_t* rows, const double* poses, int k, c
                double reach_cells, int threads, float* out);
 void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin, const double* directions, int b,
                double resolution, double max_m, int threads, float* out);
-void sum_at_ends(const float* field, int rows, int cols, const double* corner, double resolution, const double* poses, int k,
+void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution, const double* poses, int k,
                  const double* ends, int b, int threads, double* out);
 
 }  // namespace gridslam

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, backend
 from gridslam.localization.distance_transform import distance_transform
+from gridslam.localization.field_table import FieldTable
 from gridslam.models.endpoint import CauchyAgreement
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
@@ -64,7 +65,7 @@ class KnownMap:
         self._corner = np.array(grid.origin) - rim * grid.resolution_m
         cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
-        self._tabulated: dict[LikelihoodField | CauchyAgreement, NDArray[np.float32]] = {}
+        self._tabulated: dict[LikelihoodField | CauchyAgreement, FieldTable] = {}
         self._occupied = occupied
         self._tiles: tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]] | None = None
 
@@ -97,15 +98,8 @@ class KnownMap:
         cells once and each scan only adds it up; any other model looks at the map for itself.
         """
         if isinstance(sensor, LikelihoodField | CauchyAgreement):
-            field, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
-
-            def add_up(poses: FloatArray) -> FloatArray:
-                summed: FloatArray = backend.sum_at_ends(
-                    field, self._corner, self.resolution_m, poses, ends, self.threads
-                )
-                return summed
-
-            return add_up
+            table, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
+            return lambda poses: table.sums(poses, ends, self.threads)
         weigh = sensor(beams)
         return lambda poses: weigh(self, np.zeros(len(poses), np.int32), poses)
 
@@ -115,8 +109,8 @@ class KnownMap:
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
         """
         world = np.stack([*_placed(poses, points), np.zeros((len(poses), len(points)))], axis=-1).reshape(-1, 3)
-        found: FloatArray = backend.sum_at_ends(
-            self._distances, self._corner, self.resolution_m, world, np.zeros((1, 2)), self.threads
+        found = FieldTable.of(self._distances, self._corner, self.resolution_m).sums(
+            world, np.zeros((1, 2)), self.threads
         )
         return found.reshape(len(poses), len(points)).astype(np.float32)
 
@@ -138,13 +132,14 @@ class KnownMap:
         )  # fmt: skip
         return ranges
 
-    def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> NDArray[np.float32]:
+    def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> FieldTable:
         """What the sensor says of an end in each cell; the map's rounding to cells adds to the noise of a beam."""
         if sensor not in self._tabulated:
             blurred = sensor
             if isinstance(sensor, LikelihoodField):
                 blurred = replace(sensor, sigma_hit_m=math.hypot(sensor.sigma_hit_m, self.resolution_m / math.sqrt(12)))
-            self._tabulated[sensor] = sensor.tempering * blurred.log_likelihoods(self._distances)
+            field = sensor.tempering * blurred.log_likelihoods(self._distances)
+            self._tabulated[sensor] = FieldTable.of(field, self._corner, self.resolution_m)
         return self._tabulated[sensor]
 
 

@@ -63,7 +63,8 @@ def test_distances_are_those_to_the_nearest_occupied_centre():
         # Between centres the field is interpolated: its bends, at obstacles and at the reach, are cut by half a cell's
         # diagonal at most.
         np.testing.assert_allclose(found[k], exact, atol=CELL / math.sqrt(2))
-    assert (known.distances(np.zeros(1), np.array([[90.0, -90, 0]]), points) == np.float32(0.75)).all()
+    far = known.distances(np.zeros(1), np.array([[90.0, -90, 0]]), points)
+    np.testing.assert_allclose(far, 0.75, rtol=1e-6)
 
 
 def test_rays_meet_the_walls():
@@ -94,7 +95,8 @@ def test_at_centres_of_cells_both_agree_exactly():
     beams = scan_of(np.array([[0.3, 0.2], [-0.5, 0.1], [1.0, -0.7]])).beams(0.01, 29.0)
     poses = np.array([[1.05, 3.05, 0.0], [2.35, 4.75, 0.0]])
     exact = sensor(beams)(known, np.zeros(2, np.int32), poses)
-    np.testing.assert_allclose(known.weigher(sensor, beams)(poses), exact, rtol=1e-5)
+    # Both are kept in 255 steps: distances of 1 m, by which agreement changes 6.5 times as fast at most, and agreement.
+    np.testing.assert_allclose(known.weigher(sensor, beams)(poses), exact, atol=3 * 0.5 * (6.5 + 1) / 255)
 
 
 def test_the_beam_model_prefers_the_true_pose():
