@@ -17,7 +17,7 @@ _FEWEST, _ENOUGH = 20, 300  # scans that tell: for a word at all, and to be look
 _SWEEPS = 0.18
 """Share of the presumed time from which on scans are swept. Maps drawn from bent scans hide up to three fourths of it:
 0.25 to 1 was measured of lasers that sweep so long, up to 0.11 of those that sweep faster, and 0.06 of others."""
-_SIGMAS = 5.0
+_SIGMAS = 4.0
 _SMEAR_RAD = 0.02  # turned while a scan is taken: ends 5 m away are moved by two cells
 
 
