@@ -23,7 +23,9 @@ from gridslam.api import map_log
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.relations import read_relations
+from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
+from gridslam.sim import LidarConfig
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.palette import CLOSURE, TRUTH
@@ -159,6 +161,26 @@ def first_map() -> None:
     small_copy("first_map", "map.png", "demo")
 
 
+def localization() -> None:
+    """A robot that is found from nothing: the particles after some updates, in a map of the same building."""
+    grid = mapped(drive("demo", 1), range(0, 700, 2)).occupancy(0)
+    log = drive("demo", 2, lidar=LidarConfig(rate_hz=4.0, beams=90, range_max_m=3.0))
+    slam, rng, state = MonteCarloLocalization(KnownMap(grid)), np.random.default_rng(1), None
+    true, start, panels, updates = between(drive("demo", 1).truth.poses[0], log.truth.poses), 200, [], 0
+    for k in range(start, len(log)):
+        state, report = slam.step(state or slam.init(), *log.measurements[k], rng)
+        updates += report.skipped is None
+        if report.skipped is None and updates in (1, 5, 15, 40):
+            off = np.hypot(*(report.pose - true[k])[:2])
+            panel = Panel(f"update {updates}: {report.particles} particles, {off:.2f} m off", extent(grid))
+            panel.grid(grid)
+            panel.dots(report.poses[:4000, :2], CLOSURE, 3.0)
+            panel.robot(true[k], TRUTH, 1.2)
+            panel.robot(report.pose, ORANGE, 1.2)
+            panels.append(panel)
+    save("localization", panels, 2, [("particles", CLOSURE), ("truth", TRUTH), ("what is told", ORANGE)])
+
+
 def landmarks() -> None:
     """What `gridslam landmarks` draws of MRCLAM and of Victoria Park; needs these logs."""
     mrclam = DATA / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz"
@@ -190,6 +212,7 @@ PICTURES = (
     scan_matching,
     loop_closure,
     graph_slam,
+    localization,
     landmarks,
 )
 
