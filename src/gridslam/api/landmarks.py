@@ -9,13 +9,13 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.api.landmark_result import Estimate, LandmarkResult
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
-from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
-from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import LandmarkStep, SightingKind
+from gridslam.models.landmark import LandmarkModel
+from gridslam.models.sightings import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.association import AMBIGUOUS, Association, MaximumLikelihood, Told
 from gridslam.slam.ekf_slam import EkfSlam
@@ -38,16 +38,8 @@ METHODS = "ekf", "fastslam1", "fastslam2", "graph"
 PARTICLES = {"fastslam1": 100, "fastslam2": 20}
 """How many particles each method has that has any, if nothing is said."""
 
-_SENSORS: dict[SightingKind, LandmarkModel] = {
-    SightingKind.RANGE_BEARING: RangeBearing(),
-    SightingKind.DEPTH_BEARING: DepthBearing(),
-    SightingKind.POSITION: RelativePosition(),
-}
-_MOTION = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.08)
-"""What MRCLAM's commands are off by after a metre or a radian; logs that tell their own noise do not need it."""
-
-
 _COUNTS_LITTLE = 0.1  # a sighting of a smaller weight is held for misread
+_WHATEVER = 1e6  # a squared Mahalanobis distance that no sighting reaches, not even where a loop of kilometres closes
 
 
 def map_landmarks(
@@ -58,7 +50,7 @@ def map_landmarks(
     seed: int = 0,
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
-    motion: MotionModel = _MOTION,
+    motion: MotionModel = MOTION,
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkResult:
@@ -95,14 +87,14 @@ def map_landmarks(
     _check(method, particles, seed, unknown)
     watch = stopwatch or Stopwatch()
     source = open_landmark_log(log) if isinstance(log, str | Path) else log
-    model = sensor or _SENSORS[source.kind]
+    model = sensor or SENSORS[source.kind]
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
     if method == "graph":
         estimate = _by_graph(steps, model, motion)
     else:
-        association: Association = MaximumLikelihood() if unknown else Told()
+        association: Association = MaximumLikelihood() if unknown else _told(steps)
         shown = [replace(step, sightings=step.sightings.anonymous()) for step in steps] if unknown else steps
         if method == "ekf":
             estimate = _by_ekf(shown, EkfSlam(model, association), motion, tick)
@@ -148,9 +140,7 @@ def _by_particles(
 
 
 def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> Estimate:
-    told = all(step.covariance is not None for step in steps)
-    # Where a log tells its own noise it is believed; elsewhere a sighting may be misread.
-    robust = None if told else Cauchy()
+    robust = None if _noise_is_told(steps) else Cauchy()
     found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
     figures = {
         "chi2": found.solution.chi2_after,
@@ -159,6 +149,15 @@ def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: Moti
     }
     strange = int((found.solution.weights < _COUNTS_LITTLE).sum())
     return Estimate(found.poses, None, found.covariances, found.landmarks, strange, figures)
+
+
+def _noise_is_told(steps: Sequence[LandmarkStep]) -> bool:
+    """Whether a log tells its own noise; then its landmarks are believed, too, and elsewhere one may be misread."""
+    return all(step.covariance is not None for step in steps)
+
+
+def _told(steps: Sequence[LandmarkStep]) -> Told:
+    return Told(believed=_WHATEVER) if _noise_is_told(steps) else Told()
 
 
 def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:

@@ -49,6 +49,9 @@ class MrclamLog:
     delay_ns : int
         How much later than it is stamped a command takes effect. The files tell what was commanded, and wheels take
         time; 0.2 s make what the robots see fit best.
+    depth_scale : float, > 0
+        By which factor the cameras take depths for greater than they are: 1.03 for both robots of set 6. It cannot be
+        found without the truth, for it scales the map, and makes 0.09 m of error in a room of 8 m.
 
     Raises
     ------
@@ -61,10 +64,13 @@ class MrclamLog:
     kind = SightingKind.DEPTH_BEARING
     stamped = True
 
-    def __init__(self, path: str | Path, longest_ns: int = 250_000_000, delay_ns: int = 200_000_000) -> None:
+    def __init__(
+        self, path: str | Path, longest_ns: int = 250_000_000, delay_ns: int = 200_000_000,
+        depth_scale: float = 1.03,
+    ) -> None:  # fmt: skip
         """Find the files and read the small ones."""
         self.path, self.statistics, self._longest_ns = Path(path), LandmarkLogStatistics(), longest_ns
-        self._delay_ns = delay_ns
+        self._delay_ns, self._depth_scale = delay_ns, depth_scale
         names = _NAME.match(self.path.name)
         if names is None:
             raise InputError(path, "expected a file named ..RobotN_Odometry.dat or ..RobotN_Measurement.dat")
@@ -115,7 +121,7 @@ class MrclamLog:
                 if subject in subjects:
                     raise InputError(self._measurement, f"subject {subject} is seen twice at one time", row.line)
                 subjects.append(subject)
-                values.append(row.values[1:])
+                values.append([row.values[1] / self._depth_scale, row.values[2]])
             if subjects:
                 yield stamp, Sightings.of(values, subjects)
 

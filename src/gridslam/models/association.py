@@ -104,12 +104,14 @@ class MaximumLikelihood:
         self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray
     ) -> IntArray:
         """Places (K,), as for `Told`, whatever the sightings tell."""
-        chosen = np.where(distances.min(axis=1, initial=math.inf) > self.other, NEW, AMBIGUOUS)
         costs = np.where(distances <= self.same, distances + log_dets, math.inf)
+        chosen, free = np.full(len(costs), NEW), np.ones(len(names), np.bool_)
         while np.isfinite(costs).any():  # the surest pair first
             sighting, landmark = np.unravel_index(costs.argmin(), costs.shape)
-            chosen[sighting] = landmark
+            chosen[sighting], free[landmark] = landmark, False
             costs[sighting], costs[:, landmark] = math.inf, math.inf
+        near = (distances[:, free] <= self.other).any(axis=1)
+        chosen[(chosen == NEW) & near] = AMBIGUOUS
         return chosen
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
+from gridslam.slam.association import NEW
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
@@ -72,11 +73,12 @@ class FastSlam1:
         """
         state = state.take()
         poses = motion(state.poses, rng)  # x_t ~ p(x_t | x_t-1, u_t)
-        log_weights, columns = np.zeros(len(state)), np.empty((len(state), len(sightings)), np.int64)
-        for k in range(len(sightings)):
-            columns[:, k], seen = self.landmarks.correspond(state, sightings, k, poses, None, columns[:, :k])
-            log_weights += self.landmarks.log_likelihood(seen, len(state), sightings, k)  # w = p(z | x_t, m)
+        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
+        for k in self.landmarks.order(state, sightings, poses).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, poses, None, columns, rng)
+            log_weights += log_p  # w = p(z | x_t, m)
             self.landmarks.correct(state, seen)
+        for k in range(len(sightings)):
             self.landmarks.add(state, columns[:, k], poses, sightings, k)
         state.advance(poses, log_weights)
         self.landmarks.count(state, columns)

@@ -16,6 +16,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
+from gridslam.slam.association import NEW
 from gridslam.slam.landmark_filters import Innovation, LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
@@ -62,10 +63,10 @@ class FastSlam2:
         if not len(sightings):
             state.wait(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))
-        log_weights, columns = np.zeros(len(state)), np.empty((len(state), len(sightings)), np.int64)
-        for k in range(len(sightings)):
-            columns[:, k], seen = self.landmarks.correspond(state, sightings, k, mean, spread, columns[:, :k])
-            log_weights += self.landmarks.log_likelihood(seen, len(state), sightings, k)  # w = p(z | x_t-1, u_t)
+        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
+        for k in self.landmarks.order(state, sightings, mean).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, mean, spread, columns, rng)
+            log_weights += log_p  # w = p(z | x_t-1, u_t)
             _correct(mean, spread, seen)
         poses = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
         for k in range(len(sightings)):

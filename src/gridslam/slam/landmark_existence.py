@@ -28,14 +28,13 @@ class Existence:
     Parameters
     ----------
     detection : float, (0, 1)
-        Probability that a landmark in view is seen; MRCLAM's cameras see a third of the barcodes in view, and of some
-        an eighth.
+        Probability that a landmark in view is seen; MRCLAM's cameras see a third of the barcodes in view.
     false_alarm : float, (0, detection)
         Probability that, where there is none, something is seen and taken for it.
     confirmed : float, nats, > 0
-        What five sightings give, with the defaults.
+        What three sightings give, with the defaults.
     most : float, nats, >= confirmed
-        Where the log odds saturate.
+        Where the log odds saturate: so far above `confirmed` that what is hidden for some seconds stays.
     range_min_m, range_max_m : float, m
         Between which distances landmarks are in view; well within what the sensor reaches.
     half_angle_rad : float, rad, (0, pi]
@@ -44,9 +43,9 @@ class Existence:
     Source: Montemerlo et al., FastSLAM 2.0 (IJCAI 2003), section 4; Probabilistic Robotics, 13.6 and Table 13.2.
     """
 
-    detection: float = Field(default=0.2, gt=0, lt=1)
-    false_alarm: float = Field(default=0.02, gt=0, lt=1)
-    confirmed: float = Field(default=11.0, gt=0)
+    detection: float = Field(default=0.3, gt=0, lt=1)
+    false_alarm: float = Field(default=0.03, gt=0, lt=1)
+    confirmed: float = Field(default=6.0, gt=0)
     most: float = Field(default=12.0, gt=0)
     range_min_m: float = Field(default=1.0, ge=0)
     range_max_m: float = Field(default=5.0, gt=0)

@@ -72,28 +72,56 @@ class LandmarkFilters:
     association: Association = field(default_factory=Told)
     existence: Existence = field(default_factory=Existence)
 
+    def order(self, state: LandmarkParticles, sightings: Sightings, poses: FloatArray) -> IntArray:
+        """Order (K,) in which sightings find their landmarks: the surest first, as the best particle sees them.
+
+        So one of two landmarks side by side is not taken for the other if that is seen, too.
+        """
+        if self.association.told or len(sightings) < 2:
+            return np.arange(len(sightings))
+        best = state.best
+        known = state.exists[best]
+        predicted, _, H_m = self.sensor.linearize(poses[best], state.positions[best, known])
+        L = projected(H_m, state.covariances[best, known]) + self.sensor.noise(sightings)[:, None]
+        squared, log_dets = mahalanobis(self.sensor.residual(sightings.values[:, None], predicted), L)
+        return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
+
     def correspond(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
-        taken: IntArray,
-    ) -> tuple[IntArray, Innovation]:  # fmt: skip
-        """Columns (N,) of the landmark of sighting k in each particle, or `NEW`, or `AMBIGUOUS`, and what they predict.
+        taken: IntArray, rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        """Find the landmark of sighting k in each particle.
 
         Parameters
         ----------
         poses, spread : (N, 3), (N, 3, 3) float64
             From where it is seen, and that pose's covariance; None where the pose is given.
-        taken : (N, k) int64
-            Columns of the sightings before: a landmark is seen once at a time.
+        taken : (N, K) int64
+            Columns of the sightings before, below 0 where there is none: a landmark is seen once at a time.
+        rng : numpy.random.Generator
+            Correspondences that are not told are drawn.
+
+        Returns
+        -------
+        columns : (N,) int64
+            Of the landmark, or `NEW`, or `AMBIGUOUS`.
+        log_likelihoods : (N,) float64, nats
+            log p(z); for particles that know no landmark for it, that of the threshold.
+        seen : Innovation
+            What the particles predict that know a landmark.
         """
+        strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
         if isinstance(self.association, MaximumLikelihood):
-            return self._likeliest(state, sightings, k, poses, spread, taken, self.association)
+            return self._drawn(state, sightings, k, poses, spread, taken, self.association, float(strange), rng)
         column = state.column(int(signatures(sightings)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
         seen = self.innovation(state, rows, np.full(len(rows), column), poses, spread, sightings, k)
-        squared, _ = mahalanobis(seen.residuals, seen.covariances)
+        squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.believed
-        columns = np.where(believed, column, AMBIGUOUS) if len(rows) else np.full(len(state), NEW)
-        return columns, seen.of(believed)
+        columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(strange))
+        columns[rows] = np.where(believed, column, AMBIGUOUS)
+        likelihood[rows] = log_density(np.minimum(squared, self.association.believed), log_dets)
+        return columns, likelihood, seen.of(believed)
 
     def innovation(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
@@ -105,13 +133,6 @@ class LandmarkFilters:
         if spread is not None:
             L += projected(H_x, spread[rows])
         return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
-
-    def log_likelihood(self, seen: Innovation, particles: int, sightings: Sightings, k: int) -> FloatArray:
-        """log p(z) (N,) of sighting k; for the particles that know no landmark for it, that of the threshold."""
-        strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
-        likelihood = np.full(particles, float(strange))
-        likelihood[seen.rows] = log_density(*mahalanobis(seen.residuals, seen.covariances))
-        return likelihood
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Let a sighting correct the landmarks that it is of, seen from poses that are given.
@@ -158,23 +179,27 @@ class LandmarkFilters:
             evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
 
-    def _likeliest(
+    def _drawn(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
-        taken: IntArray, within: MaximumLikelihood,
-    ) -> tuple[IntArray, Innovation]:  # fmt: skip
-        """Table 13.2, the maximum likelihood correspondence of each particle."""
+        taken: IntArray, within: MaximumLikelihood, strange: float, rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
         rows, columns = np.nonzero(self._near(state, sightings, k, poses, spread, within.other))
         seen = self.innovation(state, rows, columns, poses, spread, sightings, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
-        distance, cost = (np.full((len(state), max(1, len(state.names))), math.inf) for _ in range(2))
-        distance[rows, columns] = squared
-        cost[rows, columns] = np.where(squared <= within.same, squared + log_dets, math.inf)
-        of, j = np.nonzero(taken >= 0)
-        cost[of, taken[of, j]] = math.inf
-        likeliest = cost.argmin(axis=1)
-        strange = np.where(distance.min(axis=1) > within.other, NEW, AMBIGUOUS)
-        found = np.where(np.isfinite(cost[np.arange(len(state)), likeliest]), likeliest, strange)
-        return found, seen.of(found[rows] == columns)
+        free = (taken[rows] != columns[:, None]).all(axis=1)
+        near = np.zeros(len(state), np.bool_)
+        near[rows[free & (squared <= within.other)]] = True
+        log_p = np.full((len(state), 1 + len(state.names)), -math.inf)
+        log_p[:, 0] = strange
+        log_p[rows[free], 1 + columns[free]] = log_density(squared[free], log_dets[free])
+        likelihood, possible = np.logaddexp.reduce(log_p, axis=1), log_p > -math.inf
+        log_p[possible] += rng.gumbel(size=int(possible.sum()))  # the greatest is then a draw
+        drawn = log_p.argmax(axis=1) - 1  # NEW is -1
+        drawn[(drawn == NEW) & near] = AMBIGUOUS
+        chosen = drawn[rows] == columns
+        drawn[rows[chosen & (squared > within.same)]] = AMBIGUOUS
+        return drawn, likelihood, seen.of(chosen & (squared <= within.same))
 
     def _near(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,

@@ -193,3 +193,15 @@ def test_what_is_refused():
         MaximumLikelihood(same=9, other=8)
     with pytest.raises(ValueError, match="false_alarm < detection"):
         Existence(detection=0.1, false_alarm=0.2)
+
+
+def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():
+    """0.18 m apart and 4 standard deviations: alone it may be an outlier, but not while the landmark is seen, too."""
+    slam = EkfSlam(RelativePosition(sigma_x_m=0.03, sigma_y_m=0.03), MaximumLikelihood(), ALL_AROUND)
+    state, _ = slam.step(slam.init(), EXACT, Sightings.of([[3.0, 0.0]]))
+    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    _, report = slam.step(state.snapshot(), still, Sightings.of([[3.0, 0.18]]))
+    assert report.landmarks.tolist() == [AMBIGUOUS]
+    for seen, names in (([[3.0, 0.0], [3.0, 0.18]], [0, 1]), ([[3.0, 0.18], [3.0, 0.0]], [1, 0])):
+        _, report = slam.step(state.snapshot(), still, Sightings.of(seen))
+        assert report.landmarks.tolist() == names
