@@ -7,6 +7,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
+import ros_bags
 
 from gridslam.api.conversion import convert_log
 from gridslam.cli.main import main
@@ -196,3 +197,11 @@ def test_in_python(log, tmp_path):
         convert_log(CarmenLog(log), tmp_path / "b.csv", options=LogOptions())
     with pytest.raises(ArgumentError, match="to: expected carmen, csv"):
         convert_log(log, tmp_path / "b.csv", "rosbag")
+
+
+@pytest.mark.parametrize("name", ["log.csv", "log.clf"])
+def test_scans_without_beams_are_left_out_and_told(tmp_path, name):
+    said = [ros_bags.scan("/scan", 0.1 * k, [1.0, 2.0] if k % 3 else [], angles=(0.0, 0.1)) for k in range(9)]
+    done = convert_log(ros_bags.write(tmp_path, "ros1", said), tmp_path / name)
+    assert (done.scans, done.lost["scans without beams"]) == (6, 3)
+    assert len(list(open_log(tmp_path / name))) == 6

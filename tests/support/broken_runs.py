@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 
 import numpy as np
 from broken_logs import broken_logs, whole_logs
 
-from gridslam.api import map_log
+from gridslam.api import convert_log, map_log
 from gridslam.cli.main import main
 from gridslam.config import override, preset
-from gridslam.doctor import CheckedLog
+from gridslam.doctor import CheckedLog, diagnose
+from gridslam.doctor.report import document
 from gridslam.errors import InputError
 from gridslam.io.log import LogOptions, open_log
+from gridslam.viz.chart import draw_chart
 
 _LIMIT_S = 20.0
 """For a log that takes a tenth of a second, on a machine however busy."""
+_FORMS = ("log.csv", "log.clf", "log.mcap", "log.tum")
 _FILES = {"map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory.csv", "run.json", "record.npz"}
 
 
@@ -30,6 +35,17 @@ def run_broken_logs(folder: Path, count: int, seed: int, whole_command_every: in
 
     A log is cut off as often read as far as it goes as not; every so many-th is given to the command itself.
     """
+    return _came(
+        folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library
+    )
+
+
+def read_broken_logs(folder: Path, count: int, seed: int) -> Counter[str]:
+    """Diagnose `count` damaged logs and convert them; counts of diagnoses and errors, and of what is neither."""
+    return _came(folder, count, seed, lambda number: _diagnosed)
+
+
+def _came(folder: Path, count: int, seed: int, taker: Callable[[int], Callable[[Path, bool], str]]) -> Counter[str]:
     (folder / "whole").mkdir()
     whole, came = whole_logs(folder / "whole"), Counter[str]()
     for number, (done, name, content) in enumerate(broken_logs(whole, count, seed)):
@@ -37,7 +53,7 @@ def run_broken_logs(folder: Path, count: int, seed: int, whole_command_every: in
         path.write_bytes(content)
         try:
             with _time_limit():
-                what = (_by_command if number % whole_command_every == 0 else _by_library)(path, keep)
+                what = taker(number)(path, keep)
         except BaseException as error:  # whatever it is, the other cases are to be seen too
             if isinstance(error, KeyboardInterrupt):
                 raise
@@ -80,6 +96,24 @@ def _by_library(path: Path, keep: bool) -> str:
     assert len(result.trajectory.poses) == log.statistics.scan_count > 0
     assert np.isfinite(result.trajectory.poses).all()
     return "map"
+
+
+def _diagnosed(path: Path, keep: bool) -> str:
+    options = LogOptions(keep_truncated=keep)
+    try:
+        diagnosis = diagnose(open_log(path, options))
+    except InputError as error:
+        return "error" if "\n" not in str(error) else f"{path.name}: more than one line: {error}"
+    json.dumps(document(diagnosis), allow_nan=False)
+    for finding in diagnosis.findings:
+        if finding.figure is not None:
+            draw_chart(finding.figure, caption=[finding.says])
+    with TemporaryDirectory(dir=path.parent) as out:
+        for form in _FORMS:
+            with suppress(InputError):
+                convert_log(path, Path(out) / form, options=options)
+                assert form == "log.tum" or list(open_log(Path(out) / form))
+    return "diagnosis"
 
 
 def _by_command(path: Path, keep: bool) -> str:

@@ -150,15 +150,24 @@ def _write(
     counted: Callable[[Iterable[Measurement]], Iterator[Measurement]],
 ) -> None:  # fmt: skip
     if form is OutFormat.CARMEN:
-        write_carmen(target, counted(carmen_form(log, lost)))
+        write_carmen(target, counted(carmen_form(_with_beams(log, lost), lost)))
     elif form is OutFormat.CSV:
-        write_csv_log(target, counted(log))
+        write_csv_log(target, counted(_with_beams(log, lost)))
     elif form is OutFormat.TUM:
         _write_odometry(target, log.path, counted(_with_odometry(log, lost)))
     else:
         from gridslam.io.bag_writer import write_bag  # only bags pay for the import of rosbags
 
         write_bag(target, counted(_single_precision(log, lost)))
+
+
+def _with_beams(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
+    """The measurements whose scans have any beam."""
+    for measurement in measurements:
+        if len(measurement.scan):
+            yield measurement
+        else:
+            lost["scans without beams"] += 1
 
 
 def _with_odometry(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:

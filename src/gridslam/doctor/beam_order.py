@@ -13,7 +13,7 @@ from gridslam.types import FloatArray, IntArray, LaserScan
 
 __all__ = ["BeamOrder", "BeamTimes"]
 
-_FEWEST, _ENOUGH = 20, 300  # scans that tell: for a word at all, and to be looked at
+_FEWEST, _ENOUGH = 12, 300  # scans that tell: for a word at all, and to be looked at
 _SWEEPS = 0.18
 """Share of the presumed time from which on scans are swept. Maps drawn from bent scans hide up to three fourths of it:
 0.25 to 1 was measured of lasers that sweep so long, up to 0.11 of those that sweep faster, and 0.06 of others."""

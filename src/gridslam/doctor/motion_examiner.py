@@ -38,9 +38,9 @@ class _Laser:
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
         self.witness.add(measurement)
-        if scan.geometry is not self.geometry or math.isnan(self.sweep_s):
+        if len(scan) and (scan.geometry is not self.geometry or math.isnan(self.sweep_s)):
             self.geometry, times = scan.geometry, scan.beam_times_s
-            self.told = times is not None and len(times) > 0
+            self.told = times is not None
             self.sweep_s = self.witness.times.sweep_s(scan) if times is None else float(np.ptp(times))
 
 

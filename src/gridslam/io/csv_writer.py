@@ -81,6 +81,8 @@ def _geometry(geometry: ScanGeometry) -> str:
 
 def _even(name: str, values: FloatArray) -> tuple[float, float]:
     """First value and step of evenly spread ones."""
+    if not len(values):
+        raise ArgumentError(name, "at least one beam", "none")
     steps = max(len(values) - 1, 1)
     step = float(values[-1] - values[0]) / steps
     if not (abs(values - values[0] - step * np.arange(len(values))) <= 1e-9).all():

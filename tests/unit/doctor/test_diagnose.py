@@ -215,15 +215,16 @@ def test_whatever_a_reader_gives_is_diagnosed(data):
     """Any number of beams, stamps in any order, ranges of any kind, odometry that comes and goes, lasers anywhere."""
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     counts = data.draw(st.lists(st.integers(0, 60), min_size=1, max_size=3))
-    clumsy = data.draw(st.sampled_from([1.0, 1e3, 1e9]))
+    clumsy, timed = data.draw(st.sampled_from([1.0, 1e3, 1e9])), data.draw(st.booleans())
     geometries = [ScanGeometry.planar(np.sort(rng.uniform(-3, 3, n)), rng.uniform(-1, 1, 3)) for n in counts]
 
     def one(k):
         geometry = geometries[rng.integers(len(geometries))]
         ranges = rng.choice([np.nan, np.inf, 0.0, -1.0, 1e-3, 3.0, 5.0, 1e6], len(geometry.bearings))
         pose = None if rng.random() < 0.2 else tuple(clumsy * rng.standard_normal(3))
-        sensor = "ab"[rng.integers(2)]
-        return seen(clumsy * rng.choice([0.0, 0.1 * k, rng.normal()]), ranges, pose, geometry, sensor=sensor)
+        sensor, times = "ab"[rng.integers(2)], rng.normal() * np.arange(len(ranges)) if timed else None
+        stamp_s = clumsy * rng.choice([0.0, 0.1 * k, rng.normal()])
+        return seen(stamp_s, ranges, pose, geometry, sensor=sensor, beam_times_s=times)
 
     diagnosis = diagnose(Memory(one(k) for k in range(data.draw(st.sampled_from([1, 2, 40])))))
     json.dumps(document(diagnosis), allow_nan=False)

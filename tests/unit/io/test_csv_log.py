@@ -196,6 +196,7 @@ def test_cut_off_is_read_on_request(tmp_path):
         LaserScan.from_ranges(0, [1, 2, 3], ScanGeometry([0, 0.1, 0.2]), beam_times_s=[1, 1.1, 1.2]),
         LaserScan(0, np.array([5.0]), np.array([HIT], np.uint8), ScanGeometry([0.0]), 0.0, 5.0),
         LaserScan.from_ranges(0, [1], ScanGeometry([0]), sensor="a\nb"),
+        LaserScan.from_ranges(0, [], ScanGeometry([])),
     ],
 )
 def test_what_the_columns_cannot_say_is_refused(tmp_path, scan):
