@@ -137,7 +137,8 @@ class RerunRecording:
 
     def _log_map(self, grid: OccupancyGrid) -> None:
         rerun = self._rerun
-        cells: NDArray[np.uint8] = np.full(grid.known.shape, 255, np.uint8)  # as of nav_msgs/OccupancyGrid: -1, and 0 to 100
+        # as of nav_msgs/OccupancyGrid: -1, and 0 to 100
+        cells: NDArray[np.uint8] = np.full(grid.known.shape, 255, np.uint8)
         cells[grid.known] = np.rint(100 * grid.probability[grid.known]).astype(np.uint8)
         height, width = cells.shape
         form = rerun.components.ImageFormat(width=width, height=height, color_model="L", channel_datatype="U8")
