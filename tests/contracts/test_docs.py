@@ -21,7 +21,10 @@ from gridslam.config.tables import value_of
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
-ALGORITHMS = "grid_fastslam", "loop_closure", "graph_slam", "mapping", "models", "resampling", "scan_matching"
+ALGORITHMS = (
+    "grid_fastslam", "loop_closure", "graph_slam", "mapping", "localization", "ekf_localization", "models", "resampling",
+    "scan_matching",
+)  # fmt: skip
 
 BLOCK = re.compile(
     r"^<!-- setup\n(?P<setup>.*?)^-->$"  # Python that makes what the examples below it need, not shown
