@@ -37,6 +37,7 @@ struct Ends {
 struct Block {
   float rx[kLanes], ry[kLanes];                     // from the pose to the end, world axes, cells
   float value[kLanes], du[kLanes], dv[kLanes];      // field in [0, 255] and its derivatives per cell
+  int x[kLanes], y[kLanes];                         // the cell that holds the end
 };
 
 struct CellPose {
@@ -62,6 +63,7 @@ GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellP
   }
   Corners f;
   gather(m, root, x, y, f);
+  for (int l = 0; l < kLanes; ++l) out.x[l] = x[l] + (a[l] >= 0.5f), out.y[l] = y[l] + (b[l] >= 0.5f);
   for (int l = 0; l < kLanes; ++l) {
     const float dx0 = f.f01[l] - f.f00[l], dx1 = f.f11[l] - f.f10[l];
     const float low = f.f00[l] + a[l] * dx0, high = f.f10[l] + a[l] * dx1;

@@ -59,6 +59,9 @@ struct Maps {
   int32_t tile(const int32_t* root, int tile_y, int tile_x) const { return tile_at(*this, root, tile_y, tile_x); }
 
   static int inside(int cell_y, int cell_x) { return ((cell_y & kTileMask) << kTileBits) + (cell_x & kTileMask); }
+  bool is_unknown(const int32_t* root, int cell_y, int cell_x) const {
+    return log_odds[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells + inside(cell_y, cell_x)] == kUnknown;
+  }
   uint8_t field_at(const int32_t* root, int cell_y, int cell_x) const {
     return field[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells + inside(cell_y, cell_x)];
   }

@@ -54,24 +54,28 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
   constexpr float kBeyond = 3.0f;  // the gradient leans 55 degrees from the wall's normal
   float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: the same bytes whatever the instruction set
+  float ju[kLanes], jv[kLanes], beyond[kLanes];
   Block f;
   for (int block = 0; block < ends.blocks; ++block) {
     interpolate(m, root, pose, ends, block, f);
-    const int filled = ends.n - block * kLanes;
     for (int l = 0; l < kLanes; ++l) {
-      const float d = reach - to_cells * f.value[l];
-      const float w = (l < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
       const float gu = -to_cells * f.du[l], gv = -to_cells * f.dv[l];
       const int j = block * kLanes + l;
       const float nx = pose.c * walls.x[j] - pose.s * walls.y[j], ny = pose.s * walls.x[j] + pose.c * walls.y[j];
       const float across = gu * nx + gv * ny, beside = gu - across * nx, aside = gv - across * ny;
-      // A wall goes on where it is not mapped yet; the mapped part's end, which is nearest there, would draw the scan back.
-      const float on_map = (nx * nx + ny * ny) * (gu * gu + gv * gv) > kBeyond * across * across ? 0.0f : 1.0f;
-      const float ju = on_map * (across * nx + walls.along[j] * beside), jv = on_map * (across * ny + walls.along[j] * aside);
-      const float jt = jv * f.rx[l] - ju * f.ry[l];
-      const float wu = w * ju, wv = w * jv, wt = w * jt;
-      sums[kH00][l] += wu * ju, sums[kH01][l] += wu * jv, sums[kH02][l] += wu * jt;
-      sums[kH11][l] += wv * jv, sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
+      beyond[l] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
+      ju[l] = across * nx + walls.along[j] * beside, jv[l] = across * ny + walls.along[j] * aside;
+    }
+    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest there, tells nothing
+      if (beyond[l] > 0 && m.is_unknown(root, f.y[l], f.x[l])) ju[l] = jv[l] = 0.0f;
+    const int filled = ends.n - block * kLanes;
+    for (int l = 0; l < kLanes; ++l) {
+      const float d = reach - to_cells * f.value[l];
+      const float w = (l < filled ? 1.0f : 0.0f) / (1.0f + d * d * inverse_square);
+      const float jt = jv[l] * f.rx[l] - ju[l] * f.ry[l];
+      const float wu = w * ju[l], wv = w * jv[l], wt = w * jt;
+      sums[kH00][l] += wu * ju[l], sums[kH01][l] += wu * jv[l], sums[kH02][l] += wu * jt;
+      sums[kH11][l] += wv * jv[l], sums[kH12][l] += wv * jt, sums[kH22][l] += wt * jt;
       sums[kG0][l] += wu * d, sums[kG1][l] += wv * d, sums[kG2][l] += wt * d;
       sums[kScore][l] += w;
     }

@@ -7,6 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.kernels import UNKNOWN
 from gridslam.kernels.reference_update import FloatArray, Int32Array, IntArray, addresses, placed
 
 __all__ = ["cast_rays", "distances", "match"]
@@ -30,9 +31,13 @@ class _Field(NamedTuple):
     values: NDArray[np.uint8]
     rows: Int32Array
 
+    def places(self, y: IntArray, x: IntArray) -> IntArray:
+        """Positions (K, B) of cells y, x (K, B) in the flattened tiles."""
+        return addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)
+
     def at(self, y: IntArray, x: IntArray) -> NDArray[np.uint8]:
         """Values (K, B) at cells y, x (K, B)."""
-        return self.values.reshape(-1)[addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)]
+        return self.values.reshape(-1)[self.places(y, x)]
 
     def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
         """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
@@ -107,8 +112,8 @@ def match(
     way from the guess and P its information, in m and rad. A step is clipped to `max_step_cells` and `max_step_rad`;
     one below both `stop_cells` and `stop_rad` is the last. Along a direction with less information than
     `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells` or more apart say
-    nothing along it, and those whose nearest obstacle lies along their wall rather than across say nothing at all
-    (0: all say what the field says).
+    nothing along it, and those in unknown cells whose nearest obstacle lies along their wall rather than across say
+    nothing at all (0: all say what the field says).
 
     Returns
     -------
@@ -127,7 +132,7 @@ def match(
     settings = ends / resolution, _walls(ends * (1 / resolution), sparse_cells), cauchy_cells, reach_cells
     for _ in range(max_passes):
         lookup = _Field(roots, first, pages, field, rows[going])
-        h, g, score = _linearize(lookup, pose[going], *settings)
+        h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
         held = prior[going] + _hold(h, min_information * score)
         step, solved = _solve(h + held, g + np.einsum("kij,kj->ki", held, pose[going] - guess[going]))
         step, going = step[solved], going[solved]
@@ -138,14 +143,14 @@ def match(
         going = going[(length >= stop_cells) | (np.abs(step[:, 2]) >= stop_rad)]
         if not len(going):
             break
-    h, _, score = _linearize(_Field(roots, first, pages, field, rows), pose, *settings)
+    h, _, score = _linearize(_Field(roots, first, pages, field, rows), log_odds, pose, *settings)
     pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
     return pose * unit, h * resolution**2 / (unit[:, None] * unit), score
 
 
 def _linearize(
-    lookup: _Field, poses: FloatArray, ends: FloatArray, walls: tuple[FloatMap, FloatMap], cauchy_cells: float,
-    reach_cells: float,
+    lookup: _Field, log_odds: NDArray[np.int16], poses: FloatArray, ends: FloatArray, walls: tuple[FloatMap, FloatMap],
+    cauchy_cells: float, reach_cells: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
     u, v = placed(poses, ends)
@@ -158,6 +163,7 @@ def _linearize(
     normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
+    beyond &= log_odds.reshape(-1)[lookup.places(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
     across = slope * normals
     said = across + along[:, None] * (gradient - across)
     ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, said), -1, 0)

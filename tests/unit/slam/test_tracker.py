@@ -251,7 +251,7 @@ def test_without_odometry_a_robot_stands_still(perfect):
     ]
     told, _, state = track(Tracker(), perfect, log)
     assert np.abs(told).max() < 0.015
-    assert (told[1:] == told[:-1]).all(axis=1).mean() > 0.8
+    assert (told[1:] == told[:-1]).all(axis=1).mean() > 0.7
     assert state.scans == (1, 0)
 
 
