@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import html
+import re
+from xml.etree import ElementTree
+
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -11,11 +15,29 @@ from sphinx.util.typing import ExtensionMetadata
 from sphinx.writers.html5 import HTML5Translator
 
 _LOGGER = logging.getLogger(__name__)
+_MATHML = "http://www.w3.org/1998/Math/MathML"
+_ACCENTS = set("ˆˉ˜˙¨→")
+_OF_HTML = re.compile(r"&(?!(?:lt|gt|amp|quot|apos);)\w+;")
+"""Entities that docutils writes, and XML does not know."""
+
+ElementTree.register_namespace("", _MATHML)
+
+
+def _with_accents_above(text: str) -> str:
+    """Put subscripts of accented letters beside them: docutils puts those of \\hat{z}_t and \\bar{x}_t below."""
+    tree = ElementTree.fromstring(_OF_HTML.sub(lambda entity: html.unescape(entity[0]), text))
+    for element in tree.iter(f"{{{_MATHML}}}munderover"):
+        base, below, above = element
+        if above.text in _ACCENTS:
+            accented = ElementTree.Element(f"{{{_MATHML}}}mover", accent="true")
+            accented.extend([base, above])
+            element.tag, element[:] = f"{{{_MATHML}}}msub", [accented, below]
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _converted(node: nodes.math | nodes.math_block, as_block: bool) -> str:
     try:
-        return tex2mathml(node.astext(), as_block=as_block)
+        return _with_accents_above(tex2mathml(node.astext(), as_block=as_block))
     except MathError as error:
         _LOGGER.warning("%s in the formula %s", error, node.astext(), location=node)
         return ""
