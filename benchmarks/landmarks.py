@@ -8,7 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gridslam.api.landmarks import map_landmarks
+from gridslam.api.landmark_result import LandmarkResult
+from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, map_landmarks
+from gridslam.evaluation.landmarks import pair_by_name
+from gridslam.evaluation.trajectory import align
+from gridslam.geometry.se2 import transform_points
 from gridslam.models.landmark import RangeBearing
 from gridslam.models.motion import DiffusionMotion
 from gridslam.models.sightings import Sightings
@@ -51,7 +55,9 @@ def landmarks(report: Report, data: Path, seeds: Sequence[int], steps: int = 100
     for robot in (1, 3):
         log = data / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz"
         if log.exists():
-            report.add(f"MRCLAM 6, robot {robot}, known correspondences", _accuracy(log, seeds))
+            _mrclam(report, log, robot, seeds)
+    if (park := data / "landmarks" / "victoria_park.txt.gz").exists():
+        _victoria_park(report, park)
 
 
 def _field(count: int) -> FloatArray:
@@ -103,18 +109,55 @@ def _ekf_ms(count: int, steps: int) -> float:
     return 1e3 * (time.perf_counter() - begin) / steps
 
 
-def _accuracy(log: Path, seeds: Sequence[int]) -> str:
-    rows = []
-    for method in ("ekf", "fastslam1", "fastslam2", "graph"):
-        runs = [map_landmarks(log, method, seed=seed) for seed in (seeds if method.startswith("fast") else [0])]
-        errors = [run.errors() for run in runs]
-        position = [poses.trans_rmse_m for poses, _ in errors if poses is not None]
-        found = [marks.rmse_m for _, marks in errors if marks is not None]
+def _mrclam(report: Report, log: Path, robot: int, seeds: Sequence[int]) -> None:
+    """Errors with known correspondences, and landmarks found with unknown ones."""
+    name, rows, by = f"MRCLAM 6, robot {robot}", [], dict[str, tuple[float, float]]()
+    for method in METHODS:
+        runs = _runs(log, method, seeds, unknown=False)
+        poses = [errors.trans_rmse_m for errors, _ in (run.errors() for run in runs) if errors is not None]
+        found = [errors.rmse_m for _, errors in (run.errors() for run in runs) if errors is not None]
+        by[method] = float(np.mean(poses)), float(np.mean(found))
         cost = float(np.mean([run.stopwatch.stages["solve"][1] for run in runs]))
-        rows.append([method, runs[0].particles or "", *(float(f) for f in (np.mean(position), np.max(position))),
-                     *(float(f) for f in (np.mean(found), np.max(found))), cost])  # fmt: skip
+        rows.append([method, runs[0].particles or "", by[method][0], max(poses), by[method][1], max(found), cost])
+        report.targets.append(Target(f"{name}, {method}: landmark RMSE", by[method][1], 0.15, unit="m"))
+    for k, what in enumerate(("position", "landmark")):
+        title = f"{name}: {what} RMSE of FastSLAM 2.0 (20), limit 1.0 (100)"
+        report.targets.append(Target(title, by["fastslam2"][k], by["fastslam1"][k], unit="m"))
     head = ["method", "particles", "position RMSE m", "worst", "landmark RMSE m", "worst", "CPU s"]
-    return table(head, rows)
+    report.add(f"{name}, known correspondences", table(head, rows))
+    rows = []
+    for method in METHODS[:3]:
+        errors = [run.errors()[1] for run in _runs(log, method, seeds, unknown=True)]
+        found_all = [e is not None and (e.missing, e.surplus) == (0, 0) for e in errors]
+        told = ["none" if e is None else f"{e.found}+{e.surplus}" for e in errors]
+        rows.append([method, f"{sum(found_all)} of {len(told)}", ", ".join(told)])
+        missed = 1 - sum(found_all) / len(told)
+        report.targets.append(Target(f"{name}, {method}, unknown: share of runs not 15+0", missed, 0.4))
+    report.add(f"{name}, unknown correspondences", table(["method", "15 found, none doubled", "found + surplus"], rows))
+
+
+def _runs(log: Path, method: LandmarkMethod, seeds: Sequence[int], unknown: bool) -> list[LandmarkResult]:
+    return [map_landmarks(log, method, seed=seed, unknown=unknown) for seed in (seeds if method in PARTICLES else [0])]
+
+
+def _victoria_park(report: Report, log: Path) -> None:
+    """How far the methods are from the graph."""
+    graph, rows = map_landmarks(log, "graph"), []
+    for method in METHODS[:3]:
+        run = map_landmarks(log, method)
+        ours, theirs = pair_by_name(run.landmarks.names, graph.landmarks.names)
+        apart = [
+            _median_apart(run.landmarks.positions[ours], graph.landmarks.positions[theirs]),
+            _median_apart(run.estimate.poses[:, :2], graph.estimate.poses[:, :2]),
+        ]
+        rows.append([method, *apart])
+        for what, value, limit in zip(("landmarks", "trajectory"), apart, (2.0, 3.0), strict=True):
+            report.targets.append(Target(f"Victoria Park, {method}: {what} from the graph's", value, limit, unit="m"))
+    report.add("Victoria Park: medians", table(["method", "landmarks from the graph's m", "trajectory m"], rows))
+
+
+def _median_apart(points: FloatArray, others: FloatArray) -> float:
+    return float(np.median(np.hypot(*(transform_points(align(points, others), points) - others).T)))
 
 
 def _best_ms(work: Callable[[], object], repeats: int) -> float:

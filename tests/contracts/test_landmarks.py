@@ -13,6 +13,7 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.api.landmarks import METHODS, map_landmarks
 from gridslam.cli.landmarks import landmarks_to_folder
+from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_files import read_landmarks
 from gridslam.io.text_source import sha256_of
@@ -106,4 +107,26 @@ def test_what_is_refused(park, tmp_path):
     bad.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1\n")
     with pytest.raises(InputError, match=r"bad.txt, line 1: ODOMETRY: expected 11 numbers"):
         landmarks_to_folder(bad, tmp_path / "out", "ekf", None, 0, False, False)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("ODOMETRY 0 1 1 0 0 1 0 0 1\n", [], "bad.txt, line 1: ODOMETRY: expected 11 numbers"),
+        ("ODOMETRY 0 1 1 0 x 1 0 0 1 0 1\n", [], "bad.txt, line 1: ODOMETRY: expected numbers"),
+        ("nothing of the kind\n", [], "got a line that begins with 'nothing'"),
+        (None, [], "bad.txt"),
+        ("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n", ["--method", "magic"], "'magic' is not one of"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(tmp_path, capsys, text, options, said):
+    log = tmp_path / "bad.txt"
+    if text is not None:
+        log.write_text(text)
+    status = main(["landmarks", str(log), "-o", str(tmp_path / "out"), *options])
+    stdout, stderr = capsys.readouterr()
+    assert (status, stdout) == (2, "")
+    assert said in stderr.splitlines()[-1]
+    assert "Traceback" not in stderr
     assert not (tmp_path / "out").exists()

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from gridslam.api.landmark_models import MOTION, SENSORS
+from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
 from gridslam.api.landmark_result import Estimate, LandmarkResult
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
@@ -32,7 +32,7 @@ __all__ = ["METHODS", "PARTICLES", "LandmarkMethod", "map_landmarks"]
 
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
-METHODS = "ekf", "fastslam1", "fastslam2", "graph"
+METHODS: tuple[LandmarkMethod, ...] = "ekf", "fastslam1", "fastslam2", "graph"
 """The algorithms there are."""
 
 PARTICLES = {"fastslam1": 100, "fastslam2": 20}
@@ -50,7 +50,7 @@ def map_landmarks(
     seed: int = 0,
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
-    motion: MotionModel = MOTION,
+    motion: MotionModel | None = None,
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkResult:
@@ -70,8 +70,8 @@ def map_landmarks(
         Take no notice of what the log tells of which landmark is seen: find the correspondences. Not with "graph".
     sensor : LandmarkModel, optional
         Measurement model; that of the log's kind of sightings if not given.
-    motion : MotionModel
-        For a log that does not tell how noisy its odometry is.
+    motion : MotionModel, optional
+        For a log that does not tell how noisy its odometry is; if not given, one for MRCLAM's commands.
     tick : callable
         Called after each step.
     stopwatch : Stopwatch, optional
@@ -87,7 +87,7 @@ def map_landmarks(
     _check(method, particles, seed, unknown)
     watch = stopwatch or Stopwatch()
     source = open_landmark_log(log) if isinstance(log, str | Path) else log
-    model = sensor or SENSORS[source.kind]
+    model, motion = sensor or SENSORS[source.kind], motion or (WIDE_MOTION if unknown else MOTION)
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
