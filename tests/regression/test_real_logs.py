@@ -22,5 +22,10 @@ def test_relations_of_the_filter_alone(data_dir, tmp_path, band):
     check_seed(errors_of(data_dir, band, 0, tmp_path, loop_closure=False), band)
 
 
+def test_intel_without_its_odometry(data_dir, tmp_path):
+    """Its long corridor has door frames, and nothing else that tells how far along it the robot is."""
+    check_seed(errors_of(data_dir, INTEL, 0, tmp_path, odometry=False), INTEL)
+
+
 def test_csail(data_dir):
     check_csail(*csail_end_error(data_dir, seed=0))
