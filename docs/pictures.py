@@ -112,7 +112,7 @@ def loop_closure() -> None:
         return
     panels, relations = [], read_relations(DATA / "aces.relations")
     for closes, head in ((False, "the filter alone"), (True, "with loop closure")):
-        result = map_log(DATA / "aces.clf.bz2", 1, 0, loop_closure=closes)
+        result = map_log(DATA / "aces.clf.bz2", 1, 1, loop_closure=closes)
         error = relation_errors(result.trajectory, relations)
         panel = Panel(f"{head}: {error.trans_mean_m:.3f} m", [-34, -58, 36, 12])
         panel.grid(result.map)
