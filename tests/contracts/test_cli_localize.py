@@ -52,7 +52,7 @@ def test_files_and_figures(place, tmp_path, capsys):
     assert (document["schema"], document["seed"]) == ("gridslam.localization/1", 3)
     assert document["initial_pose"] == "global"
     assert document["input"]["sha256"] == digest_of(place / "flat.clf")
-    assert document["configuration"]["kld"]["particles_min"] == 500
+    assert document["configuration"]["kld"]["particles_min"] == 2000
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
     truth = drive(1).truth.poses
     assert len(read_tum(out / "trajectory.tum")) == len(trajectory) == len(truth) == document["scans"]["read"]

@@ -23,33 +23,33 @@ def test_nees_with_the_simulators_true_noise(known):
     """Mean NEES of 100 runs between 0.5 and 2 times its expectation of 3.
 
     The noise of odometry and of a range is the simulator's own (1 cm); the map is of 5 cm cells, whose rounding the
-    filter adds, and the beams are tempered, since they share it.
+    filter adds, and the beams are tempered, since they share it: less than by default, as this map has no other errors.
     """
-    parts = MonteCarloParts(sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.05))
+    parts = MonteCarloParts(sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.1))
     mcl, found = MonteCarloLocalization(known, parts, motion=RandomWalk()), []
     for seed in range(1, RUNS + 1):
         log, rng = drive(seed), np.random.default_rng(seed)
-        truth = log.truth.poses[:60]
+        truth = log.truth.poses[:45]
         state, reports = mcl.around(rng.multivariate_normal(truth[0], FIRST), FIRST, rng), []
-        for odometry, scan in log.measurements[:60]:
+        for odometry, scan in log.measurements[:45]:
             state, report = mcl.step(state, odometry, scan, rng)
             reports.append(report)
         poses, covariances = (np.array([getattr(r, name) for r in reports]) for name in ("pose", "covariance"))
         found.append(nees(poses, truth, covariances))
     mean = np.mean(found)
     assert 0.5 * 3 < mean < 2 * 3
-    # No step of the way is far from it, either: 100 runs, of heavier tails than chi-square's.
-    by_step = np.mean(found, axis=0)
-    assert by_step.max() < 9
-    assert by_step.min() > 0.5
+    # The median of chi-square with 3 degrees of freedom is 2.37: no step of the way is far above or below it.
+    by_step = np.median(found, axis=0)
+    assert by_step.max() < 2 * 2.37
+    assert by_step.min() > 0.1 * 2.37
 
 
 def test_who_is_told_to_be_found_is_there(known):
-    """From nothing, 25 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
+    """From nothing, 20 seeds: of all scans at which the robot is said to be found, and of all at which it is lost."""
     mcl, doubt, wrong, lost = MonteCarloLocalization(known), [], [], []
-    for seed in range(25):
+    for seed in range(20):
         log, rng, state = drive(seed % 5 + 1), np.random.default_rng(seed), mcl.init()
-        for (odometry, scan), truth in zip(log.measurements[:60], log.truth.poses, strict=False):
+        for (odometry, scan), truth in zip(log.measurements[:45], log.truth.poses, strict=False):
             state, report = mcl.step(state, odometry, scan, rng)
             doubt.append(report.lost_probability)
             wrong.append(np.hypot(*(report.pose - truth)[:2]) > 1.0)

@@ -107,6 +107,8 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None
         raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{meant(unknown[0], AMCL_NAMES)}")
     given = {_NAV2.get(name, name): value for name, value in parameters.items()}
     parts = base or MonteCarloParts()
+    if isinstance(most := given.get("max_particles"), int) and 0 < most < parts.kld.particles_min:
+        given.setdefault("min_particles", most)
     parts = changed(parts, _changes(given, parts))
     ignored = [name for name in parameters if _NAV2.get(name, name) in _IGNORED]
     if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(parts.sensor):

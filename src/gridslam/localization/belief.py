@@ -16,7 +16,7 @@ __all__ = ["NEAR_M", "NEAR_RAD", "Estimate", "estimate", "moved_covariance"]
 NEAR_M, NEAR_RAD = 1.0, 0.5
 """Who is as near as that to the pose that is told is where it says; farther off, the robot is lost."""
 
-_LEAST_FREEDOM = 0.1  # 1 - 1 / N_eff; below, the spread of the weighted particles is that of one or two
+_FEW = 10.0  # effective particles, below which their spread is that of chance
 _SHIFTS = 3  # towards the mean of what is near; the first centre is off by less than half a bin
 
 
@@ -66,15 +66,18 @@ def _heaviest_bin(x: FloatArray, y: FloatArray, theta: FloatArray, weights: Floa
 
 
 def _second_moment(away: FloatArray, weights: FloatArray) -> FloatArray:
-    """Mean of away away' over (3, N), freed from the bias of few particles: N_eff of them lie nearer to their own mean.
+    """Mean of away away' over (3, N), widened so that its inverse, which judges errors, has no bias of few particles.
 
-    Where one particle holds nearly all weight, it tells nothing of the spread, and all count alike.
+    The inverse of the covariance of n samples of a Gaussian in three dimensions is n / (n - 5) times too large on
+    average. Too few effective particles tell nothing of the spread: then all count alike.
+
+    Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
     """
     shares = weights / weights.sum()
-    freedom = 1 - float(shares @ shares)
-    if freedom < _LEAST_FREEDOM:
-        shares, freedom = np.full(len(weights), 1 / len(weights)), 1.0
-    return np.asarray((shares * away) @ away.T / freedom)
+    effective = 1 / float(shares @ shares)
+    if effective < _FEW:
+        shares, effective = np.full(len(weights), 1 / len(weights)), max(float(len(weights)), _FEW)
+    return np.asarray((shares * away) @ away.T * (effective / (effective - 5)))
 
 
 def _away(x: FloatArray, y: FloatArray, theta: FloatArray, centre: FloatArray) -> FloatArray:

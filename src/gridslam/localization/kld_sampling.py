@@ -27,8 +27,8 @@ class KldSampling:
     Parameters
     ----------
     particles_min, particles_max : int, >= 1
-        Bounds that hold whatever the belief. A few hundred follow a robot; 20000 take 10 ms to weigh, and put one on
-        every second square decimetre and 10 degrees of five places that look alike.
+        Bounds that hold whatever the belief. A few hundred follow a robot; with 2000 chance seldom decides between two
+        places that look alike before the scans do. 20000 take 10 ms an update.
     error : float, > 0
         Greatest divergence; the book's epsilon.
     z : float
@@ -40,7 +40,7 @@ class KldSampling:
     KLD-sampling, IJRR 22 (2003).
     """
 
-    particles_min: int = Field(default=500, ge=1)
+    particles_min: int = Field(default=2000, ge=1)
     particles_max: int = Field(default=20_000, ge=1)
     error: float = Field(default=0.05, gt=0)
     z: float = Field(default=2.33)

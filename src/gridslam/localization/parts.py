@@ -19,7 +19,7 @@ __all__ = ["MonteCarloParts"]
 
 
 def _sensor() -> LikelihoodField:
-    """Of 120 beams six are taken as independent: a wall that the map has in a wrong place misleads many at once."""
+    """Of 120 beams few count: they share the map's errors, by which places that look alike would be told apart."""
     return LikelihoodField(tempering=0.05)
 
 

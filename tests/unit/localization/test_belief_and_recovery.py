@@ -56,15 +56,25 @@ def test_where_no_cluster_has_half_of_all_the_covariance_is_that_of_all():
     assert min(told.covariance[0, 0], told.covariance[1, 1]) > 30  # half of all are 9 m away: 40.5 m^2
 
 
-def test_the_covariance_of_few_particles_is_unbiased():
-    """Of samples of ten the weighted covariance is too small by 1 - sum w^2, which is made good."""
+def test_the_information_of_few_particles_is_unbiased():
+    """What judges an error is the inverse of the covariance; that of 40 particles is right on average."""
     rng, found = np.random.default_rng(3), []
-    weights = np.linspace(1, 3, 10)
-    weights /= weights.sum()
-    for _ in range(4000):
-        found.append(estimate(rng.multivariate_normal([0, 0, 0], 0.1 * TRUE, 10), weights).covariance)
-    # A variance from ten has a deviation of half itself; its mean over 4000 of 0.8 %.
-    np.testing.assert_allclose(np.diag(np.mean(found, axis=0)), np.diag(0.1 * TRUE), rtol=5 * 0.008)
+    for _ in range(1500):
+        poses = rng.multivariate_normal([0, 0, 0], 0.1 * TRUE, 40)
+        found.append(np.linalg.inv(estimate(poses, np.full(40, 1 / 40)).covariance))
+    # A diagonal entry from 40 has a deviation of about sqrt(2 / 35) of itself; its mean over 1500 of 0.6 %.
+    np.testing.assert_allclose(
+        np.diag(np.mean(found, axis=0)), np.diag(np.linalg.inv(0.1 * TRUE)), rtol=5 * 0.006
+    )  # fmt: skip
+
+
+def test_where_one_particle_has_all_weight_the_spread_is_that_of_all():
+    poses = cloud(np.random.default_rng(4), np.zeros(3))
+    weights = np.full(4000, 1e-12)
+    weights[7] = 1 - weights.sum() + 1e-12
+    told = estimate(poses, weights)
+    np.testing.assert_allclose(told.pose, poses[7], atol=1e-6)
+    assert np.linalg.eigvalsh(told.covariance)[0] > 0.5 * np.linalg.eigvalsh(TRUE)[0]
 
 
 def test_moved_covariance_by_finite_differences():
