@@ -41,15 +41,7 @@ napoleon_use_ivar = True
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!gridslam\.).*")]  # names of ours must lead somewhere; others' need not
 
-COMING = {"localization", "ekf_localization", "ekf_slam", "fastslam", "landmark_graph", "maps", "grid"}
 LONGEST_SIGNATURE = 260
-
-
-def _without_what_is_coming(app: Sphinx, page: str, source: list[str]) -> None:
-    """Leave pages that are yet to be written out of the table of contents."""
-    if page == "index":
-        lines = source[0].splitlines(keepends=True)
-        source[0] = "".join(line for line in lines if line.strip() not in COMING - set(app.env.found_docs))
 
 
 def _one_name_a_line(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
@@ -75,6 +67,5 @@ def _short(
 
 def setup(app: Sphinx) -> None:
     """Listen to Sphinx."""
-    app.connect("source-read", _without_what_is_coming)
     app.connect("autodoc-process-docstring", _one_name_a_line, priority=400)  # before napoleon
     app.connect("autodoc-process-signature", _short)

@@ -22,8 +22,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 ALGORITHMS = (
-    "grid_fastslam", "loop_closure", "graph_slam", "mapping", "localization", "ekf_localization", "models", "resampling",
-    "scan_matching",
+    "grid_fastslam", "loop_closure", "graph_slam", "mapping", "localization", "ekf_localization", "ekf_slam",
+    "fastslam", "landmark_graph", "models", "resampling", "scan_matching",
 )  # fmt: skip
 
 BLOCK = re.compile(
