@@ -106,11 +106,12 @@ def test_where_nothing_ever_returns_the_odometry_is_all_there_is(said):
     assert mapped(log.measurements, log.truth).trans_rmse_m == pytest.approx(odometry, rel=1e-6)
 
 
-@pytest.mark.parametrize("beams", [1, 2, 3])
-def test_a_handful_of_beams_is_taken_as_any_other_scan(beams):
-    """They do not say where the robot is; but nothing breaks, and there is a pose for each scan."""
+@pytest.mark.parametrize("beams", [1, 3, 9])
+def test_a_handful_of_beams_does_not_say_where_the_robot_is(beams):
+    """They fit almost anywhere; the odometry is all there is."""
     log = recorded(lidar(beams=beams))
-    assert np.isfinite(mapped(log.measurements, log.truth).trans_rmse_m)
+    odometry = absolute_errors(log.odometry, log.truth).trans_rmse_m
+    assert mapped(log.measurements, log.truth).trans_rmse_m < 1.05 * odometry
 
 
 def test_two_lasers_with_their_own_mountings_rates_and_counts():

@@ -40,6 +40,9 @@ class GaussNewton:
     min_information : float
         Least eigenvalue of the position's information, per agreeing beam, that counts as determined; along a
         direction with less (the axis of a bare corridor) the guess is kept.
+    least_beams : int
+        With fewer the guess is kept: a few beams fit almost anywhere. Of a full circle in a simulated office ten are
+        better than poor odometry, and eight are worse.
     sparse_m : float, m
         Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
         and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. Ends on
@@ -57,15 +60,16 @@ class GaussNewton:
     stop_m: float = Field(default=0.001, gt=0)
     stop_rad: float = Field(default=2e-4, gt=0)
     min_information: float = Field(default=LEAST_INFORMATION, ge=0)
+    least_beams: int = Field(default=10, ge=0)
     sparse_m: float = Field(default=0.06, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        cell = maps.resolution_m
+        cell, passes = maps.resolution_m, self.max_passes if len(beams) >= self.least_beams else 0
         found = maps.match(
-            rows, guesses, priors, beams.ends, self.max_passes, self.cauchy_m / cell, self.max_step_m / cell,
+            rows, guesses, priors, beams.ends, passes, self.cauchy_m / cell, self.max_step_m / cell,
             self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
             self.sparse_m / cell,
         )  # fmt: skip

@@ -174,6 +174,8 @@ class JointMatching:
             maps = drawn(mapper, memory.scans, keys_of(block), between(poses[anchor], poses[keys_of(block)]))
             for key in members:
                 beams = memory.scans.key(key)
+                if len(beams) < self.matcher.least_beams:
+                    continue
                 guess = between(poses[anchor], poses[key])
                 match = surveyed(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
                 moved = between(guess, match.poses[0])
@@ -205,7 +207,7 @@ class JointMatching:
         prior = self.scan_prior * np.eye(3)[None]
         for scan in range(len(poses)):
             beams = memory.scans[scan]
-            if not len(beams):
+            if len(beams) < self.matcher.least_beams:
                 continue
             if scan % 256 == 0:
                 tick()

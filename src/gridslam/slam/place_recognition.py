@@ -108,7 +108,7 @@ class PlaceRecognition:
         """Look at the newest key scan; returns the ties of a place just recognized, which are in the graph, too."""
         graph = memory.graph
         newest = len(graph) - 1
-        if newest // BLOCK < self.gap or not len(memory.scans.key(newest)):
+        if newest // BLOCK < self.gap or len(memory.scans.key(newest)) < self.matcher.least_beams:
             return []
         if self._tie_known(memory, mapper):
             memory.hypotheses.clear()

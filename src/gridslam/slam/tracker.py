@@ -161,9 +161,9 @@ class Tracker:
         seen = state.sensors.get(beams.scan.sensor)
         if seen is None:  # the other lasers may look elsewhere
             return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
-        if not len(beams):
-            return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
         joint = self._joined(state, predicted.pose, predicted, beams)
+        if not len(beams) or len(joint) < self.matcher.least_beams:
+            return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
         if not predicted.by_odometry:
             return self._searched(state, predicted, joint)
         if self._still(state, seen, predicted, joint):
