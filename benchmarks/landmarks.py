@@ -13,10 +13,10 @@ from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, map_landm
 from gridslam.evaluation.landmarks import pair_by_name
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
+from gridslam.models.association import MaximumLikelihood, Told
 from gridslam.models.landmark import RangeBearing
 from gridslam.models.motion import DiffusionMotion
 from gridslam.models.sightings import Sightings
-from gridslam.slam.association import MaximumLikelihood, Told
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2

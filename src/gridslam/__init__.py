@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from gridslam.io.carmen import CarmenLog
     from gridslam.io.log import LogOptions, open_log
     from gridslam.io.map_server import load_map, read_map, write_map
+    from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
     from gridslam.pipeline import run
     from gridslam.slam.graph_slam import GraphSlam
     from gridslam.slam.grid_fastslam import GridFastSlam
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArgumentError", "CarmenLog", "Configuration", "ConfigurationError", "GraphSlam", "GridFastSlam",
-    "GridFastSlamState", "GridslamError", "InputError", "LaserScan", "LogOptions", "LoopClosure", "MapResult",
-    "OccupancyGrid", "Odometry", "OutputError", "PoseGraph", "ScanGeometry", "StepReport", "Trajectory",
+    "GridFastSlamState", "GridslamError", "InputError", "KnownMap", "LaserScan", "LogOptions", "LoopClosure",
+    "MapResult", "MonteCarloLocalization", "MonteCarloParts", "OccupancyGrid", "Odometry", "OutputError", "PoseGraph",
+    "ScanGeometry", "StepReport", "Trajectory",
     "__version__", "build", "convert_log", "diagnose", "load_map", "localize", "localize_by_landmarks",
     "map_landmarks", "map_log", "map_with_poses", "open_log", "preset", "read_map", "run", "write_map",
 ]  # fmt: skip
@@ -50,6 +52,7 @@ _HOMES = {
     "io.carmen": ("CarmenLog",),
     "io.log": ("LogOptions", "open_log"),
     "io.map_server": ("load_map", "read_map", "write_map"),
+    "localization": ("KnownMap", "MonteCarloLocalization", "MonteCarloParts"),
     "pipeline": ("run",),
     "slam.graph_slam": ("GraphSlam",),
     "slam.grid_fastslam": ("GridFastSlam",),

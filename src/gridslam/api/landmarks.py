@@ -14,10 +14,10 @@ from gridslam.api.landmark_result import Estimate, LandmarkResult
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
+from gridslam.models.association import AMBIGUOUS, Association, MaximumLikelihood, Told
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.sightings import LandmarkStep
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.association import AMBIGUOUS, Association, MaximumLikelihood, Told
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2

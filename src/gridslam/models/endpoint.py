@@ -46,8 +46,7 @@ class CauchyAgreement:
 
     def log_likelihoods(self, distances: NDArray[np.float32]) -> NDArray[np.float32]:
         """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
-        agreement: NDArray[np.float32] = 1 / (1 + np.square(distances) * np.float32(1 / self.scale_m**2))
-        return agreement
+        return np.asarray(1 / (1 + np.square(distances) * np.float32(1 / self.scale_m**2)), np.float32)
 
     def __call__(self, beams: Beams) -> Weigher:
         """Condition on the beams of one scan."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.geometry.angles import wrap
+from gridslam.models.association import NEW, Association, Told
 from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.sightings import Sightings
-from gridslam.slam.association import NEW, Association, Told
 from gridslam.slam.ekf_slam_state import EkfSlamState
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.geometry.angles import wrap
+from gridslam.models.association import NEW
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.association import NEW
 from gridslam.slam.landmark_filters import Innovation, LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport

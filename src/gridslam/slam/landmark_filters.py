@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.models.association import AMBIGUOUS, NEW, Association, MaximumLikelihood, Told, signatures
 from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.sightings import Sightings
-from gridslam.slam.association import AMBIGUOUS, NEW, Association, MaximumLikelihood, Told, signatures
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, transposed

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import compose, compose_jacobians, inverse
+from gridslam.models.association import signatures
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.sightings import LandmarkStep
-from gridslam.slam.association import signatures
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.small_gaussians import inverse_2x2
 from gridslam.types import FloatArray, IntArray, MotionModel

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
 from gridslam.geometry.se2 import weighted_covariance
+from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import at_pose
 from gridslam.particles.weights import effective_sample_size, normalize
-from gridslam.slam.association import NEW
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
 from gridslam.types import FloatArray, IntArray
 

@@ -7,10 +7,10 @@ import pytest
 from landmark_world import INCREMENT, MOTION, drive, ring
 
 from gridslam.errors import ArgumentError, ConsumedStateError
+from gridslam.models.association import AMBIGUOUS, MaximumLikelihood, Told
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.models.sightings import NOTHING_SEEN, Sightings
-from gridslam.slam.association import AMBIGUOUS, MaximumLikelihood, Told
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.landmark_existence import Existence
 

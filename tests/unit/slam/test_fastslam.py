@@ -12,11 +12,11 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.evaluation import align
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, transform_points
+from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.particles.policies import Always, Never
-from gridslam.slam.association import NEW, MaximumLikelihood
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import Never
-from gridslam.slam.association import NEW, MaximumLikelihood
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_existence import Existence
