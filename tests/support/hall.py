@@ -92,7 +92,7 @@ def remember(
     told = []
     for k in range(len(memory.graph), len(poses) if until is None else until):
         x, y, turn = between(poses[k - 1], poses[k]) if k else np.zeros(3)
-        memory.scans.append(seen.beams[k], is_key=True)
+        memory.scans.append(seen.beams[k], poses[k], is_key=True)
         memory.graph.extend(poses[k], poses[k], drift.variances(math.hypot(x, y), abs(turn)))
         memory.said.append(poses[k])
         told += [(k, tie) for tie in recognition(memory, MAPPER)]

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
@@ -202,13 +202,15 @@ class JointMatching:
         return wanted
 
     def _matched(self, memory: Memory, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]) -> FloatArray:
-        """Match every scan to the map of all."""
-        matched = poses.copy()
+        """Match every scan to the map of all; one of which nothing was kept moves with the last one before it."""
+        matched, last = poses.copy(), 0
         prior = self.scan_prior * np.eye(3)[None]
         for scan in range(len(poses)):
             beams = memory.scans[scan]
             if len(beams) < self.matcher.least_beams:
+                matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
+            last = scan
             if scan % 256 == 0:
                 tick()
             match = self.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)

@@ -70,7 +70,7 @@ class LoopClosure:
     def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
         """Begin with the filter's first scan."""
         state.memory = memory = Memory()
-        memory.scans.append(beams, is_key=True)
+        memory.scans.append(beams, state.tracker.pose, is_key=True)
         memory.said.append(state.poses[state.best])
         memory.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
 
@@ -84,7 +84,7 @@ class LoopClosure:
         threads: int,
     ) -> StepReport:
         """Take note of a scan that the filter has taken; may correct `state`, and says so in the report."""
-        memory.scans.append(beams, is_key=report.skipped is None)
+        memory.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
         ties = [] if memory.weighing is None else self._weigh(memory, memory.weighing, mapper, threads)
         if report.skipped is not None:
             return replace(report, closures=_ends(ties)) if ties else report

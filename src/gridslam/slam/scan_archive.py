@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -13,10 +14,16 @@ from gridslam.types import BeamEnds, EndPoints, FloatArray
 
 __all__ = ["ScanArchive"]
 
+_NEAR_M, _NEAR_RAD = 0.02, 0.01
+_NOTHING = np.empty((0, 2), np.float32)
+
 
 @final
 class ScanArchive:
     """End points of the usable beams of each scan, 8 bytes a beam (float32: a hundredth of a millimetre at 100 m).
+
+    Of a scan that is no key scan, taken within 2 cm and 0.01 rad of the last one that was kept, nothing is kept: it saw
+    the same, and a robot that stands for hours would fill the memory.
 
     Attributes
     ----------
@@ -24,19 +31,25 @@ class ScanArchive:
         Which scans are key scans.
     """
 
-    __slots__ = ("_ends", "_origins", "keys")
+    __slots__ = ("_ends", "_kept", "_origins", "keys")
 
     def __init__(self) -> None:
         """Begin without any scan."""
         self._ends: list[NDArray[np.float32]] = []
         self._origins: list[FloatArray] = []
+        self._kept: FloatArray = np.full(3, np.nan)
         self.keys: list[int] = []
 
-    def append(self, beams: BeamEnds, *, is_key: bool) -> None:
-        """Keep one more scan."""
+    def append(self, beams: BeamEnds, pose: FloatArray, *, is_key: bool) -> None:
+        """Take note of one more scan, from `pose` (3,) in a frame that drifts slowly."""
         if is_key:
             self.keys.append(len(self))
-        self._ends.append(beams.ends.astype(np.float32))
+        dx, dy, turn = (pose - self._kept).tolist()
+        if not is_key and math.hypot(dx, dy) < _NEAR_M and abs(math.remainder(turn, math.tau)) < _NEAR_RAD:
+            self._ends.append(_NOTHING)
+        else:
+            self._ends.append(beams.ends.astype(np.float32))
+            self._kept = pose
         self._origins.append(beams.origin)
 
     def __len__(self) -> int:
@@ -60,15 +73,17 @@ class ScanArchive:
         """Keep a copy for later; the scans themselves, which never change, are shared."""
         twin = ScanArchive()
         twin._ends, twin._origins, twin.keys = self._ends.copy(), self._origins.copy(), self.keys.copy()
+        twin._kept = self._kept
         return twin
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `counts` (T,) int64 beams of each scan, `ends` (sum, 2) float32, `origins` (T, 2) float64."""
+        """Plain arrays: `counts` (T,) int64 beams of each scan, `ends` (sum, 2) float32, `origins` (T, 2) float64 ..."""
         return {
             "counts": np.array([len(ends) for ends in self._ends], np.int64),
             "ends": np.concatenate([np.empty((0, 2), np.float32), *self._ends]),
             "origins": np.array(self._origins, np.float64).reshape(-1, 2),
             "keys": np.array(self.keys, np.int64),
+            "kept": self._kept,
         }
 
     @classmethod
@@ -80,4 +95,5 @@ class ScanArchive:
         twin = cls()
         twin._ends = np.split(ends.astype(np.float32), np.cumsum(counts)[:-1]) if len(counts) else []
         twin._origins, twin.keys = list(origins.astype(np.float64)), arrays["keys"].tolist()
+        twin._kept = arrays["kept"]
         return twin

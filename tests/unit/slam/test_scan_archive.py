@@ -20,7 +20,7 @@ def scans(count=9):
 def archive():
     kept = ScanArchive()
     for k, scan in enumerate(scans()):
-        kept.append(scan, is_key=k in (0, 3, 5))
+        kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k in (0, 3, 5))
     return kept
 
 
@@ -43,9 +43,21 @@ def test_what_goes_in_comes_out(archive):
     assert archive.nbytes == 8 * sum(len(scan.ends) for scan in scans())
 
 
+def test_of_a_robot_that_stands_nothing_is_kept():
+    """But of every key scan, and of what was seen from 2 cm or 0.01 rad away from the last scan that was kept."""
+    scan, kept = scans()[1], ScanArchive()
+    poses = [0.0, 0.0, 0.01, 0.019, 0.021, 0.03, 0.041, 0.041]
+    for k, x in enumerate(poses):
+        kept.append(scan, np.array([x, 0.0, 0.0]), is_key=k == 1)
+    assert [len(kept[k]) > 0 for k in range(8)] == [True, True, False, False, True, False, True, False]
+    kept.append(scan, np.array([0.041, 0.0, 0.011 + 2 * np.pi]), is_key=False)
+    assert len(kept[8]) == len(scan)
+    assert kept.nbytes == 5 * 8 * len(scan)
+
+
 def test_what_was_given_may_be_changed_afterwards():
     scan, kept = scans()[1], ScanArchive()
-    kept.append(scan, is_key=True)
+    kept.append(scan, np.zeros(3), is_key=True)
     before = contents(kept)
     scan.ends[:] = 7.0
     kept[0].ends[:] = 8.0
@@ -54,10 +66,10 @@ def test_what_was_given_may_be_changed_afterwards():
 
 def test_a_snapshot_goes_its_own_way(archive):
     twin, before = archive.snapshot(), contents(archive)
-    twin.append(scans()[1], is_key=True)
+    twin.append(scans()[1], np.zeros(3), is_key=True)
     assert contents(archive) == before
     assert (len(twin), twin.keys) == (10, [0, 3, 5, 9])
-    archive.append(scans()[2], is_key=False)
+    archive.append(scans()[2], np.zeros(3), is_key=False)
     assert (len(twin), twin.keys) == (10, [0, 3, 5, 9])
 
 
@@ -65,7 +77,7 @@ def test_arrays_go_on_as_the_archive_does(archive):
     read = ScanArchive.from_arrays(archive.to_arrays())
     assert contents(read) == contents(archive)
     for one in (read, archive):
-        one.append(scans()[3], is_key=True)
+        one.append(scans()[3], np.zeros(3), is_key=False)
     assert contents(read) == contents(archive)
     assert contents(ScanArchive.from_arrays(ScanArchive().to_arrays())) == contents(ScanArchive())
 
