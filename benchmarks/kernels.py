@@ -17,6 +17,7 @@ import numpy as np
 
 from gridslam import StepReport, build, preset, run
 from gridslam.kernels import backend, compiled, reference
+from gridslam.localization.field_table import FieldTable
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Beams, FloatArray
@@ -25,6 +26,7 @@ from report import table
 __all__ = ["Call", "Situation", "kernel_times", "record"]
 
 _SEARCH = "gridslam.matching.branch_and_bound.backend"
+_TABLE = "gridslam.localization.field_table.backend"
 
 
 class Call(NamedTuple):
@@ -79,7 +81,7 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
     reports: list[StepReport] = []
     for measurement in log.measurements[scans:]:
         recorder = _Recorder()
-        with patch("gridslam.grid.tiles.backend", recorder), patch(_SEARCH, recorder):
+        with patch("gridslam.grid.tiles.backend", recorder), patch(_SEARCH, recorder), patch(_TABLE, recorder):
             observers = [lambda report, state, seconds: reports.append(report)]
             state = run([measurement], slam, rng=rng, state=state, observers=observers)
             if reports[-1].skipped is None:
@@ -90,6 +92,8 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
                 BranchAndBound(window_m=3.0, window_rad=0.3).search(
                     Pyramid.of(state.maps, 0), state.poses[0], None, beams.ends
                 )
+                field = rng.random((400, 400), np.float32)
+                FieldTable.of(field, np.full(2, -10.0), state.maps.resolution_m).sums(state.poses, beams.ends, 1)
                 work = _work(recorder.calls, state.poses, beams, state.maps.resolution_m)
                 return Situation(recorder.calls, work, particles, len(beams))
     raise ValueError(f"no key scan after scan {scans} of {len(log)}")
@@ -109,6 +113,7 @@ def _work(
     return {
         "match": (looked_up, "beam"),
         "distances": (looked_up, "beam"),
+        "sum_at_ends": (looked_up, "beam"),
         "cast_rays": (calls["cast_rays"].result.size, "beam"),
         "touch_rays": (touched, "tile"),
         "own": (len(calls["own"].arguments[-1]), "tile"),

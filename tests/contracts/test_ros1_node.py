@@ -21,7 +21,7 @@ from localization_world import flat_map
 from gridslam.api import convert_log, map_log
 from gridslam.config import Configuration
 from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.log import LogOptions
+from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import write_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
@@ -176,15 +176,18 @@ def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
     values = seen["diagnostics"]["values"]
     assert int(values["accepted"]) >= 190
     assert values["dropped"] == "0"
-    offline = map_log(bag, 8, options=LogOptions(duration_s=20.0), repair="none")
-    difference = pose(seen["map:base_link"]) - offline.online_trajectory.poses[-1]
-    assert np.abs(difference).max() < 0.15, (seen, offline.online_trajectory.poses[-1])
     assert "OccupancyGrid" in ros.run("rostopic", "type", "/map")
     assert "frame_id: \"map\"" in ros.run("rostopic", "echo", "-n", "1", "/map/header")
     assert "success: True" in ros.run("rosservice", "call", "/slam_gmapping/save")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")
-    map_log(record, configuration=Configuration(particles=8), repair="none").save(tmp_path / "replayed")
+    replayed = map_log(record, configuration=Configuration(particles=8), repair="none")
+    replayed.save(tmp_path / "replayed")
+    begun = replayed.trajectory.stamps_ns[0] - next(iter(open_log(bag))).scan.stamp_ns  # the first scans may be missed
+    part = LogOptions(start_s=max(begun * 1e-9 - 0.01, 0.0), duration_s=20.0 - begun * 1e-9)
+    offline = map_log(bag, 8, options=part, repair="none")
+    difference = pose(seen["map:base_link"]) - offline.online_trajectory.poses[-1]
+    assert np.abs(difference).max() < 0.2, (seen, offline.online_trajectory.poses[-1])
     for name in ("map.pgm", "trajectory.tum", "trajectory_online.tum", "graph.g2o"):
         assert (out / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
 

@@ -77,7 +77,10 @@ class ScanArchive:
         return twin
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `counts` (T,) int64 beams of each scan, `ends` (sum, 2) float32, `origins` (T, 2) float64 ..."""
+        """Plain arrays: `counts` (T,) int64 beams of each scan, `ends` (sum, 2) float32, `origins` (T, 2) float64.
+
+        `keys` (K,) int64 are the key scans, and `kept` (3,) float64 is the pose of the last scan that was kept.
+        """
         return {
             "counts": np.array([len(ends) for ends in self._ends], np.int64),
             "ends": np.concatenate([np.empty((0, 2), np.float32), *self._ends]),

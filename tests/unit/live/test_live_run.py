@@ -15,7 +15,7 @@ from gridslam.live.run import LiveRun
 from gridslam.pipeline import run
 from gridslam.scan import EndPoints
 
-RESAMPLING = override(PROVOKED, "when_to_resample.fraction=0.9")
+RESAMPLING = override(PROVOKED, "when_to_resample.fraction=0.999")
 
 
 @pytest.fixture(scope="module")
