@@ -96,6 +96,7 @@ class Intake:
         self._latest_ns: dict[str, int] = {}
         self._strays: dict[str, int] = {}
         self._odometry: FloatArray | None = None
+        self._owed_jump = False
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
         """Queue a scan, or refuse it; never waits."""
@@ -119,7 +120,8 @@ class Intake:
                 counts.jumps += 1
                 counts.dropped += len(self._queue)
                 self._queue.clear()
-            self._queue.append(_Waiting(message, sensor, arrived_s, jumped))
+            self._queue.append(_Waiting(message, sensor, arrived_s, jumped or self._owed_jump))
+            self._owed_jump = False
             self._drop(arrived_s)
             self._changed.notify()
 
@@ -162,7 +164,7 @@ class Intake:
         assert why is not None
         if why is not Turn.CLOSED:
             self._turn = None
-        self._odometry = None
+        self._odometry, self._owed_jump = None, False
         self._latest_ns.clear()
         return why
 
@@ -175,13 +177,13 @@ class Intake:
             try:
                 found = self._measured(waiting, last=late_s >= 0)
             except MissingTransform as missing:
-                if missing.coverage in _MAY_COME and late_s < 0:
+                if late_s < 0 and (missing.coverage in _MAY_COME or waiting.after_jump):  # theirs may jump after it
                     return None, -late_s
-                queue.popleft()
+                self._discard()
                 self._refuse("missing transform", str(missing))
                 continue
             except ArgumentError as error:
-                queue.popleft()
+                self._discard()
                 self._refuse("scan refused", f"{waiting.sensor}: {error}")
                 continue
             if waiting.after_jump and not self._goes_on(found.measurement.odometry):
@@ -247,10 +249,16 @@ class Intake:
         """Keep the newest scans."""
         queue, settings = self._queue, self._settings
         while len(queue) > settings.queue_scans or now_s - queue[0].arrived_s > settings.queue_s:
-            gone = queue.popleft()
-            if gone.after_jump and queue:
-                queue[0] = queue[0]._replace(after_jump=True)
+            self._discard()
             self.counts.dropped += 1
+
+    def _discard(self) -> None:
+        """Leave out the first scan; where time jumped before it, it jumped before the next one."""
+        if self._queue.popleft().after_jump:
+            if self._queue:
+                self._queue[0] = self._queue[0]._replace(after_jump=True)
+            else:
+                self._owed_jump = True
 
     def _refuse(self, kind: str, problem: str) -> None:
         self.counts.refused += 1

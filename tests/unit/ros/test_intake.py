@@ -203,6 +203,26 @@ def test_a_log_that_is_played_twice_begins_a_new_session(back_s):
     assert desk.intake.counts.jumps == 1
 
 
+@pytest.mark.parametrize("patience", [True, False])
+def test_a_log_that_is_played_twice_begins_a_new_session_though_its_transforms_come_late(patience):
+    """The jump is not forgotten with the scan that was refused for want of its transform."""
+    desk = Desk(transform_wait_s=1.0)
+    run_of(desk, 100.0, 7.0)
+    assert len(desk.taken()) == 5
+    for k in range(3):
+        desk.scan(40.0 + 0.1 * k)
+    assert desk.taken() == []
+    if not patience:
+        desk.now_s += 2.0
+        assert desk.taken() == []
+        assert len(desk.intake._queue) == 0
+    run_of(desk, 40.3, 0.0)
+    desk.now_s += 2.0
+    with desk.intake._changed:
+        assert desk.intake._head()[0] is Turn.JUMP
+    assert desk.taken() == pytest.approx([40.4, 40.5, 40.6, 40.7])
+
+
 def test_a_clock_that_was_set_back_is_no_new_session():
     desk = Desk()
     run_of(desk, 100.0, 7.0)
