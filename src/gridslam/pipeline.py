@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 
@@ -68,6 +68,12 @@ class Stopwatch:
         """Wall and CPU seconds of all stages."""
         times = self.stages.values()
         return sum(wall for wall, _ in times), sum(cpu for _, cpu in times)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What run.json says of time: `wall_s` and `cpu_s` of all stages, and of each under `stages`."""
+        wall, cpu = self.total()
+        stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stages.items()}
+        return {"wall_s": wall, "cpu_s": cpu, "stages": stages}
 
 
 def run(

@@ -8,12 +8,25 @@ import numpy as np
 import pytest
 from loops import loop_drive
 
+from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory
 
 SCANS = 120
+
+
+@pytest.fixture
+def call(capsys):
+    """Run the command line: exit status, standard output and standard error."""
+
+    def run(*arguments):
+        status = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
 
 
 @pytest.fixture(scope="session")

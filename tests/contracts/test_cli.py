@@ -41,16 +41,6 @@ FILES = {
 FEW = "--particles", "3"
 
 
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def mapped(log, tmp_path_factory):
     out = tmp_path_factory.mktemp("mapped") / "new" / "out"

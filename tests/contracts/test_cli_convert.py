@@ -10,7 +10,6 @@ import pytest
 import ros_bags
 
 from gridslam.api.conversion import convert_log
-from gridslam.cli.main import main
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.log import LogOptions, open_log
@@ -18,16 +17,6 @@ from gridslam.io.trajectory import read_tum
 from gridslam.types import BeamStatus
 
 PRECISE = "more than single precision of ranges"
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 def lines_of(path) -> list[str]:

@@ -12,7 +12,6 @@ from PIL import Image
 
 from gridslam import __version__
 from gridslam.cli.doctor import checked
-from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
@@ -23,16 +22,6 @@ LASER_KEYS = {
     "no_return_share", "mounting",
 }  # fmt: skip
 FINDING_KEYS = {"code", "severity", "size", "unit", "says", "remedy", "sensor", "picture"}
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.fixture(scope="module")

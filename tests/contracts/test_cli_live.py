@@ -22,16 +22,6 @@ SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_on
 FEW = "--particles", "4"
 
 
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def mapped(log, tmp_path_factory):
     out = tmp_path_factory.mktemp("mapped") / "out"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import gridslam
-from gridslam.cli.main import main
 from gridslam.errors import ArgumentError
 from gridslam.io.bag_writer import write_bag
 from gridslam.io.carmen import CarmenLog
@@ -17,16 +16,6 @@ from gridslam.io.log import LogOptions
 from gridslam.io.trajectory import read_tum
 
 QUICK = "--particles", "1", "--no-loop-closure", "--json"
-
-
-@pytest.fixture
-def call(capsys):
-    def run(*arguments):
-        status = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.fixture(scope="module")

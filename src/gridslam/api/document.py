@@ -34,8 +34,6 @@ _ORDERS = {1: "as told", 0: "none", -1: "backward"}
 
 def run_document(result: MapResult) -> dict[str, Any]:
     """What run.json says."""
-    wall, cpu = result.stopwatch.total()
-    stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in result.stopwatch.stages.items()}
     statistics = result.statistics
     return {
         "schema": RUN_SCHEMA,
@@ -49,7 +47,7 @@ def run_document(result: MapResult) -> dict[str, Any]:
         "filter": _filter(result),
         "loop_closure": result.loops is not None
         and _loop_closure(result.loops, result.key_stamps_ns, statistics.corrections),
-        "time": {"wall_s": wall, "cpu_s": cpu, "stages": stages},
+        "time": result.stopwatch.to_dict(),
         "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
         "peak_memory_bytes": _peak_memory_bytes(),
         "configuration": to_table(result.configuration),

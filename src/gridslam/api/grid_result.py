@@ -115,7 +115,6 @@ class GridResult:
 
     def _document(self) -> dict[str, Any]:
         """What run.json says."""
-        wall, cpu = self.stopwatch.total()
         grid, config = self.map, self.configuration
         height, width = (side * grid.resolution_m for side in grid.known.shape)
         return {
@@ -132,11 +131,7 @@ class GridResult:
                 "skipped": {reason.value: self.unplaced[reason] for reason in Unplaced},
             },
             "map": {"width_m": width, "height_m": height, "known_cells": int(grid.known.sum())},
-            "time": {
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
-            },
+            "time": self.stopwatch.to_dict(),
             "configuration": {
                 "range_min_m": config.range_min_m,
                 "range_max_m": config.range_max_m,

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 
 from gridslam import __version__
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, interpolate
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.landmark_log import LandmarkLog
 from gridslam.io.output import OutputFolder
@@ -81,9 +81,9 @@ class LandmarkLocalizationResult:
 
     def errors(self) -> PoseErrors | None:
         """Errors against the truth, after alignment unless the map is in its frame; None where it is not known."""
-        if (truth := self._truth()) is None:
+        if (compared := self._compared()) is None:
             return None
-        return absolute_errors(self._during(truth), truth, aligned=not self.in_true_frame, tolerance_ns=0)
+        return absolute_errors(*compared, aligned=not self.in_true_frame, tolerance_ns=0)
 
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write all results into a folder, all of them or none; returns what run.json says."""
@@ -115,7 +115,6 @@ class LandmarkLocalizationResult:
 
     def _document(self) -> dict[str, Any]:
         """What run.json says."""
-        wall, cpu = self.stopwatch.total()
         counts, errors = self.log.statistics, self.errors()
         statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
         return {
@@ -132,32 +131,22 @@ class LandmarkLocalizationResult:
             "log_likelihood": float(sum(report.log_likelihood for report in self.reports)),
             "errors": None if errors is None else {"aligned": not self.in_true_frame, **asdict(errors)},
             "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
-            "time": {
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
-            },
+            "time": self.stopwatch.to_dict(),
         }
 
-    def _truth(self) -> Trajectory | None:
-        """True poses at the steps that the truth covers."""
+    def _compared(self) -> tuple[Trajectory, Trajectory] | None:
+        """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        first, last = known.stamps_ns[[0, -1]]
-        stamps = self.stamps_ns[(self.stamps_ns >= first) & (self.stamps_ns <= last)]
-        return Trajectory(stamps, interpolate(known, stamps)[0]) if len(stamps) else None
-
-    def _during(self, truth: Trajectory) -> Trajectory:
-        """The steps that the truth covers."""
-        covered = (self.stamps_ns >= truth.stamps_ns[0]) & (self.stamps_ns <= truth.stamps_ns[-1])
-        return Trajectory(self.stamps_ns[covered], self.trajectory.poses[covered])
+        return covered(self.trajectory, known)
 
     def _draw(self, path: Path) -> None:
         from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
 
-        truth = self._truth()
-        if truth is not None and not self.in_true_frame:
-            map_from_true = inverse(align(self._during(truth).poses[:, :2], truth.poses[:, :2]))
+        compared = self._compared()
+        truth = None if compared is None else compared[1]
+        if compared is not None and truth is not None and not self.in_true_frame:
+            map_from_true = inverse(align(compared[0].poses[:, :2], truth.poses[:, :2]))
             truth = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
         exact = np.zeros((len(self.landmarks.names), 2, 2))
         picture = draw_landmarks(

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, final
 
 from gridslam import __version__
 from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_place
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, interpolate
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_files import write_landmarks
 from gridslam.io.landmark_log import LandmarkLog
@@ -97,9 +97,9 @@ class LandmarkResult:
 
     def errors(self) -> tuple[PoseErrors | None, LandmarkErrors | None]:
         """Errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
-        truth = self._truth()
-        poses = None if truth is None else absolute_errors(self._during(truth), truth, tolerance_ns=0)
-        if self.log.truth is None or (pairs := self._pairs(truth)) is None:
+        compared = self._compared()
+        poses = None if compared is None else absolute_errors(*compared, tolerance_ns=0)
+        if self.log.truth is None or (pairs := self._pairs(compared)) is None:
             return poses, None
         return poses, landmark_errors(self.landmarks.positions, self.log.truth.positions, pairs)
 
@@ -125,7 +125,6 @@ class LandmarkResult:
 
     def _document(self) -> dict[str, Any]:
         """What run.json says."""
-        wall, cpu = self.stopwatch.total()
         counts = self.log.statistics
         statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
         poses, landmarks = self.errors()
@@ -145,11 +144,7 @@ class LandmarkResult:
                 "landmarks": None if landmarks is None else asdict(landmarks),
             },
             "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
-            "time": {
-                "wall_s": wall,
-                "cpu_s": cpu,
-                "stages": {name: {"wall_s": w, "cpu_s": c} for name, (w, c) in self.stopwatch.stages.items()},
-            },
+            "time": self.stopwatch.to_dict(),
         }
 
     def caption(self) -> list[str]:
@@ -165,40 +160,30 @@ class LandmarkResult:
             lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")
         return [*lines, f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"]
 
-    def _truth(self) -> Trajectory | None:
-        """True poses at the steps that it covers."""
+    def _compared(self) -> tuple[Trajectory, Trajectory] | None:
+        """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        first, last = known.stamps_ns[[0, -1]]
-        stamps = self.stamps_ns[(self.stamps_ns >= first) & (self.stamps_ns <= last)]
-        return Trajectory(stamps, interpolate(known, stamps)[0]) if len(stamps) else None
+        return covered(self.trajectory, known)
 
-    def _during(self, truth: Trajectory) -> Trajectory:
-        """The steps that the truth covers."""
-        covered = (self.stamps_ns >= truth.stamps_ns[0]) & (self.stamps_ns <= truth.stamps_ns[-1])
-        return Trajectory(self.stamps_ns[covered], self.estimate.poses[covered])
-
-    def _true_from_map(self, truth: Trajectory) -> FloatArray:
-        return align(self._during(truth).poses[:, :2], truth.poses[:, :2])
-
-    def _pairs(self, truth: Trajectory | None) -> tuple[IntArray, IntArray] | None:
+    def _pairs(self, compared: tuple[Trajectory, Trajectory] | None) -> tuple[IntArray, IntArray] | None:
         """Partners among the landmarks and the true ones; None where there is none."""
         known = self.log.truth
         assert known is not None
         if not self.unknown:
             pairs = pair_by_name(self.landmarks.names, known.landmarks)
-        elif truth is None:
+        elif compared is None:
             return None
         else:
-            pairs = pair_by_place(self.landmarks.positions, known.positions, self._true_from_map(truth))
+            pairs = pair_by_place(self.landmarks.positions, known.positions, _true_from_map(*compared))
         return pairs if len(pairs[0]) else None
 
     def _draw(self, path: Path) -> None:
         from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
 
-        truth, known, way, points = self._truth(), self.log.truth, None, None
-        if truth is not None and known is not None:
-            map_from_true = inverse(self._true_from_map(truth))
+        compared, known, way, points = self._compared(), self.log.truth, None, None
+        if compared is not None and known is not None:
+            truth, map_from_true = compared[1], inverse(_true_from_map(*compared))
             way = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
             points = transform_points(map_from_true, known.positions)
         picture = draw_landmarks(
@@ -206,3 +191,7 @@ class LandmarkResult:
             caption=self.caption(), truth=way, true_positions=points,
         )  # fmt: skip
         picture.save(path, optimize=False)
+
+
+def _true_from_map(found: Trajectory, truth: Trajectory) -> FloatArray:
+    return align(found.poses[:, :2], truth.poses[:, :2])

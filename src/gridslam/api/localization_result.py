@@ -141,8 +141,6 @@ class LocalizationResult:
 
     def document(self) -> dict[str, Any]:
         """What run.json says."""
-        wall, cpu = self.stopwatch.total()
-        stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stopwatch.stages.items()}
         return {
             "schema": LOCALIZATION_SCHEMA,
             "version": __version__,
@@ -153,7 +151,7 @@ class LocalizationResult:
             "scans": self._scans(),
             "filter": self._filter(),
             "stretches": [self._told(stretch) for stretch in self.stretches()],
-            "time": {"wall_s": wall, "cpu_s": cpu, "stages": stages},
+            "time": self.stopwatch.to_dict(),
             "configuration": to_table(self.parts),
         }
 

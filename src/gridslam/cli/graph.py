@@ -122,9 +122,7 @@ def _write(
     )
     picture.save(folder.file(_PICTURE), optimize=False)
     watch.lap("draw")
-    wall, cpu = watch.total()
-    stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in watch.stages.items()}
-    document["time"] = {"wall_s": wall, "cpu_s": cpu, "stages": stages}
+    document["time"] = watch.to_dict()
     folder.write_json(_DOCUMENT, document)
 
 

@@ -14,8 +14,8 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
-    "PoseErrors", "absolute_errors", "align", "associate", "interpolate", "relative_errors_by_distance",
-    "relative_errors_by_step",
+    "PoseErrors", "absolute_errors", "align", "associate", "covered", "interpolate",
+    "relative_errors_by_distance", "relative_errors_by_step",
 ]  # fmt: skip
 
 
@@ -96,6 +96,19 @@ def interpolate(
     between_them = poses[low] + weight[:, None] * step
     between_them[:, 2] = wrap(between_them[:, 2])
     return between_them, np.minimum(np.abs(stamps[high] - times), np.abs(times - stamps[low])) <= tolerance_ns
+
+
+def covered(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory] | None:
+    """Poses of the estimate within the truth's span, and the truth at their stamps; None where there is none.
+
+    The truth has at least one pose, and ascending stamps.
+    """
+    stamps = estimate.stamps_ns
+    within = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
+    if not within.any():
+        return None
+    found = Trajectory(stamps[within], estimate.poses[within])
+    return found, Trajectory(found.stamps_ns, interpolate(truth, found.stamps_ns)[0])
 
 
 def associate(

@@ -13,7 +13,7 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["LEAST_INFORMATION", "GaussNewton", "undetermined"]
+__all__ = ["LEAST_INFORMATION", "LOOK", "GaussNewton", "undetermined"]
 
 LEAST_INFORMATION = 0.02
 """Least eigenvalue of the position's information, per agreeing beam, that counts as determined."""
@@ -74,6 +74,10 @@ class GaussNewton:
             self.sparse_m / cell,
         )  # fmt: skip
         return Match(*found)
+
+
+LOOK = GaussNewton(max_passes=0)
+"""Evaluates the guess, and leaves it."""
 
 
 def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:

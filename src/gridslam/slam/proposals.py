@@ -18,13 +18,11 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.angles import wrap
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import LOOK, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
 
 __all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
-
-_LOOK = GaussNewton(max_passes=0)
 
 
 class Matcher(Protocol):
@@ -103,7 +101,7 @@ class Prior:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = _LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
+        match = LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
         return Proposed(drawn, weigh(maps, rows, drawn), match)
 
 
@@ -143,7 +141,7 @@ class Peak:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        matcher = self.matcher if self._moved(motion, poses) else _LOOK
+        matcher = self.matcher if self._moved(motion, poses) else LOOK
         match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return Proposed(match.poses, weigh(maps, rows, match.poses), match)
 

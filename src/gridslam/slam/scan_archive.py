@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
+from gridslam.slam.tracker_state import is_within
 from gridslam.types import BeamEnds, EndPoints, FloatArray
 
 __all__ = ["ScanArchive"]
@@ -44,8 +44,7 @@ class ScanArchive:
         """Take note of one more scan, from `pose` (3,) in a frame that drifts slowly."""
         if is_key:
             self.keys.append(len(self))
-        dx, dy, turn = (pose - self._kept).tolist()
-        if not is_key and math.hypot(dx, dy) < _NEAR_M and abs(math.remainder(turn, math.tau)) < _NEAR_RAD:
+        if not is_key and is_within(pose, self._kept, _NEAR_M, _NEAR_RAD):
             self._ends.append(_NOTHING)
         else:
             self._ends.append(beams.ends.astype(np.float32))

@@ -18,7 +18,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
 from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import Deskew
 from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, is_within, pose_of
@@ -27,7 +27,6 @@ from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
 __all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
 
-_LOOK = GaussNewton(max_passes=0)
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
 
@@ -184,7 +183,7 @@ class Tracker:
         """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
         if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return False
-        share = _LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
         return bool(share > seen.share - self.slip_gain)
 
     def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
@@ -199,7 +198,7 @@ class Tracker:
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
-            before = _LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
+            before = LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
         determined = pose is best and self._determined(match)
         return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
