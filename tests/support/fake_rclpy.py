@@ -1,4 +1,7 @@
-"""A stand-in for rclpy with the part of its interface that the node uses. It is no ROS 2."""
+"""A stand-in for rclpy with the part of its interface that the node uses, and with its traps. It is no ROS 2.
+
+The interface is that of Humble to Jazzy, as their documentation has it.
+"""
 
 from __future__ import annotations
 
@@ -27,10 +30,38 @@ class World:
         self.subscriptions: dict[str, tuple[str, Any, Callable[[bytes], None]]] = {}
         self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.logged: list[tuple[str, str]] = []
+        self.severities: dict[Any, str] = {}
         self.nodes: list[Any] = []
         self.clock_ns = 0
+        self.signals = ""
         self.running = True
         self.spun: Callable[[], None] = lambda: None
+
+
+class RCLError(RuntimeError):
+    """What publishing raises once the context is shut down."""
+
+
+class Logger:
+    """Keeps what is said; as in rclpy, a place in the code cannot change its severity."""
+
+    def __init__(self, said: list[tuple[str, str]], severities: dict[Any, str]) -> None:
+        self.said, self.severities = said, severities
+
+    def info(self, text: str) -> None:
+        self.log("info", text)
+
+    def warning(self, text: str) -> None:
+        self.log("warning", text)
+
+    def error(self, text: str) -> None:
+        self.log("error", text)
+
+    def log(self, severity: str, text: str) -> None:
+        caller = sys._getframe(2)
+        if self.severities.setdefault((caller.f_code, caller.f_lasti), severity) != severity:
+            raise ValueError("Logger severity cannot be changed between calls.")
+        self.said.append((severity, text))
 
 
 class Node:
@@ -61,7 +92,13 @@ class Node:
 
     def create_publisher(self, kind: type, topic: str, profile: Any) -> Any:
         self.world.publishers[topic] = kind.__name__, profile
-        return SimpleNamespace(publish=lambda data: self.world.published.setdefault(topic, []).append(data))
+
+        def publish(data: bytes) -> None:
+            if not self.world.running:
+                raise RCLError("Failed to publish: publisher's context is invalid")
+            self.world.published.setdefault(topic, []).append(data)
+
+        return SimpleNamespace(publish=publish)
 
     def create_subscription(
         self, kind: type, topic: str, callback: Callable[[bytes], None], profile: Any, *, raw: bool
@@ -78,10 +115,7 @@ class Node:
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=self.world.clock_ns))
 
     def get_logger(self) -> Any:
-        said = self.world.logged
-        return SimpleNamespace(
-            **{level: lambda text, level=level: said.append((level, text)) for level in ("info", "warning", "error")}
-        )
+        return Logger(self.world.logged, self.world.severities)
 
     def destroy_node(self) -> None:
         self.destroyed = True
@@ -118,8 +152,12 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
         made.__dict__.update(contents)
         monkeypatch.setitem(sys.modules, name, made)
 
-    module("rclpy", init=lambda args: None, ok=lambda: world.running, try_shutdown=lambda: None)
+    def init(*, args: list[str], signal_handler_options: Any) -> None:
+        world.signals = signal_handler_options.name
+
+    module("rclpy", init=init, ok=lambda: world.running, try_shutdown=lambda: None)
     module("rclpy.node", Node=Node)
+    module("rclpy.signals", SignalHandlerOptions=Enum("SignalHandlerOptions", "NO SIGINT SIGTERM ALL"))
     module(
         "rclpy.lifecycle",
         LifecycleNode=LifecycleNode,

@@ -67,6 +67,8 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """... and what it derives from one or from several."""
 
+_NEXT_TO_0 = 1e-9
+
 _NODE: Final[Mapping[str, str]] = {
     "throttle_scans": "throttle_scans", "base_frame": "base_frame", "map_frame": "map_frame",
     "odom_frame": "odom_frame", "map_update_interval": "map_update_interval_s",
@@ -138,10 +140,13 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     if own["map_file"]:
         raise ConfigurationError("map_file: needs the mode localization; in mapping a map is made")
     name = str(own["preset"]) or preset_name
-    base = preset(name)
+    base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
     held = {**GMAPPING, **given} if name == "gmapping" else dict(given)
-    config = changed(base, _tree(_direct(base, held)))
-    config = changed(config, _tree(_derived(base, given, held)))
+    try:
+        config = changed(base, _tree(_direct(base, held)))
+        config = changed(config, _tree(_derived(base, given, held)))
+    except ConfigurationError as error:
+        raise _by_its_ros_name(error) from None
     if own["config"]:
         config = load(str(own["config"]), config)
     config = override(config, *(part for part in str(own["set"]).split(";") if part.strip()))
@@ -170,6 +175,22 @@ def _localizing(given: Mapping[str, Any], own: Mapping[str, Any]) -> NodeParamet
 
 def _path(text: object) -> Path | None:
     return Path(str(text)) if text else None
+
+
+def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
+    """A value as slam_gmapping takes it: 30.0 is a number of particles, and of thresholds 0 is one, too."""
+    if isinstance(GMAPPING.get(name), int) and isinstance(value, float) and value.is_integer():
+        return int(value)
+    if name in ("linearUpdate", "angularUpdate", "resampleThreshold") and value == 0:
+        return _NEXT_TO_0
+    return value
+
+
+def _by_its_ros_name(error: ConfigurationError) -> ConfigurationError:
+    """The same error, of the parameter that was given."""
+    path, _, problem = str(error).partition(": ")
+    ours = [name for name in GMAPPING if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
+    return ConfigurationError(f"{' and '.join(ours) or path}: {problem}")
 
 
 def _direct(base: Configuration, held: Mapping[str, Any]) -> dict[str, Any]:

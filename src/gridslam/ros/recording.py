@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, final
 
@@ -15,7 +16,9 @@ __all__ = ["ScanRecorder"]
 
 @final
 class ScanRecorder:
-    """Writes a row for each accepted scan, so that a node which is killed has lost no more than its last row.
+    """Writes each accepted scan as one whole row, so that a node which is killed has lost none of them.
+
+    Where a row cannot be written, as the disk is full, the record ends with the row before.
 
     Parameters
     ----------
@@ -32,13 +35,15 @@ class ScanRecorder:
         self.path = Path(path)
         self._forms: dict[LaserForm, tuple[str, str]] = {}
         try:
-            self._file: IO[bytes] = self.path.open("wb")
+            self._file: IO[bytes] = self.path.open("wb", buffering=0)
         except OSError as error:
-            raise self._failed(error) from None
+            raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
         self._write(",".join(COLUMNS))
 
     def add(self, accepted: Accepted) -> None:
-        """Write a row, exactly what the filter is given."""
+        """Write a row, exactly what the filter is given; nothing where the record has ended."""
+        if not self.is_whole:
+            return
         (odometry, scan), form = accepted.measurement, accepted.form
         if form not in self._forms:
             self._forms = {form: _cells_of(form)}  # the last one: the others come back seldom
@@ -47,25 +52,25 @@ class ScanRecorder:
         ranges = " ".join(map(repr, scan.ranges.tolist()))
         self._write(f"{format_stamp_ns(scan.stamp_ns)},{names},{pose},{laser},{ranges}")
 
-    def flush(self) -> None:
-        """Bring all rows to the file."""
-        try:
-            self._file.flush()
-        except OSError as error:
-            raise self._failed(error) from None
+    @property
+    def is_whole(self) -> bool:
+        """Whether all scans that came are in it, and those that come will be."""
+        return not self._file.closed
 
     def close(self) -> None:
         """End the file."""
         self._file.close()
 
     def _write(self, line: str) -> None:
+        rest, begin = memoryview(line.encode() + b"\n"), self._file.tell()
         try:
-            self._file.write(line.encode() + b"\n")
+            while rest:
+                rest = rest[self._file.write(rest) :]
         except OSError as error:
-            raise self._failed(error) from None
-
-    def _failed(self, error: OSError) -> OutputError:
-        return OutputError(f"{self.path}: cannot be written: {error.strerror or error}")
+            with suppress(OSError):
+                self._file.truncate(begin)
+            self._file.close()
+            raise OutputError(f"{self.path}: {error.strerror or error}; the record ends before this scan") from None
 
 
 def _cells_of(form: LaserForm) -> tuple[str, str]:

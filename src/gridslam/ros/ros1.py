@@ -9,19 +9,21 @@ Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 from __future__ import annotations
 
 import importlib
+import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, final
 
-from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
+from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
 from gridslam.ros.core import NodeCore
 from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros1_messages import cloud_class, grid_class, response_class
-from gridslam.ros.services import Watch, closed, saved
+from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
 
 __all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
 
@@ -59,7 +61,7 @@ class Ros1Node:
         self._grid_class = grid_class(nav.OccupancyGrid)
         self._map = rospy.Publisher("map", nav.OccupancyGrid, queue_size=1, latch=True)
         self._metadata = rospy.Publisher("map_metadata", nav.MapMetaData, queue_size=1, latch=True)
-        self._entropy = rospy.Publisher("~entropy", std.Float64, queue_size=1)
+        self._entropy = rospy.Publisher("~entropy", std.Float64, queue_size=1, latch=True)
         self._tf = rospy.Publisher("/tf", self._ros["tf2_msgs.msg"].TFMessage, queue_size=100)
         geometry = self._ros["geometry_msgs.msg"]
         self._pose = rospy.Publisher("~pose", geometry.PoseWithCovarianceStamped, queue_size=10)
@@ -77,6 +79,7 @@ class Ros1Node:
         self.core.start()
         self._serve()
         self._subscribe()
+        self.say(Level.OK, waiting_for(self._ros["rospy"].resolve_name("scan"), self.core))
 
     def now_ns(self) -> int:
         """Time now, or that of the simulation, ns."""
@@ -231,6 +234,16 @@ class Ros1Node:
             return
 
 
+def _await_master(tick: Callable[[], None]) -> None:
+    """Wait for roscore, as slam_gmapping does."""
+    graph = importlib.import_module("rosgraph")
+    if not graph.is_master_online():
+        print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
+    while not graph.is_master_online():
+        time.sleep(_POLL_S)
+        tick()
+
+
 def run_ros1(
     arguments: Sequence[str] = (),
     *,
@@ -255,16 +268,18 @@ def run_ros1(
     ------
     ConfigurationError
         ROS 1 is not there, or a parameter is out of range.
-    ArgumentError
-        There is no master.
+    GridslamError
+        The node cannot be started, or its filter has failed.
     """
     rospy = _modules()["rospy"]
+    _await_master(tick)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
-        raise ArgumentError("ROS_MASTER_URI", "a master that answers", error) from None
+        raise GridslamError(f"the node cannot be started: {error}") from None
     private = rospy.get_param("~", {})
     parameters = node_parameters({**private, **(given or {})})
+    check_folder(parameters.out)
     node = Ros1Node(parameters)
     with watch(node.core):
         try:
@@ -274,7 +289,7 @@ def run_ros1(
         except KeyboardInterrupt:  # the usual end of a node
             pass
         finally:
-            closed(node.core, parameters.out)
+            closed(node.core, parameters.out, node.say)
             rospy.signal_shutdown("done")
     if node.core.failure is not None:
         raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure

@@ -21,7 +21,7 @@ from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs
-from gridslam.ros.services import Watch, closed, saved
+from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
 
 __all__ = ["NODE_NAME", "Ros2Node", "run_ros2"]
 
@@ -58,7 +58,7 @@ class Ros2Node:
     """
 
     def __init__(self, node: Any, parameters: NodeParameters) -> None:  # noqa: ANN401
-        self._node, self._qos = node, _module("rclpy.qos")
+        self._node, self._qos, self._is_ok = node, _module("rclpy.qos"), _module("rclpy").ok
         self._out = parameters.out or Path("gridslam-map")
         self._publishers = {
             topic: node.create_publisher(
@@ -66,26 +66,34 @@ class Ros2Node:
             )
             for topic, kind in TOPICS.items()
         }
-        outputs = Ros2Outputs(self._publish, self._now_ns, self._say, node.get_name())
+        outputs = Ros2Outputs(self._publish, self._now_ns, self.say, node.get_name())
         self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
         if parameters.warning:
-            self._say(Level.WARN, parameters.warning)
+            self.say(Level.WARN, parameters.warning)
 
     def start(self) -> None:
         """Begin to take messages and requests."""
         self.core.start()
         self._serve()
         self._subscribe()
+        self.say(Level.OK, waiting_for(self._node.resolve_topic_name("scan"), self.core))
+
+    def say(self, level: Level, text: str) -> None:
+        """Log to the console and /rosout; rclpy wants each line of code to keep to one severity."""
+        logger = self._node.get_logger()
+        if level is Level.OK:
+            logger.info(text)
+        elif level is Level.WARN:
+            logger.warning(text)
+        else:
+            logger.error(text)
 
     def _publish(self, topic: str, data: bytes) -> None:
-        self._publishers[topic].publish(data)
+        if self._is_ok():
+            self._publishers[topic].publish(data)
 
     def _now_ns(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
-
-    def _say(self, level: Level, text: str) -> None:
-        logger = self._node.get_logger()
-        {Level.OK: logger.info, Level.WARN: logger.warning, Level.ERROR: logger.error}[level](text)
 
     def _profile(self, *, reliable: bool = True, latched: bool = False, depth: int) -> Any:  # noqa: ANN401
         qos = self._qos
@@ -228,7 +236,8 @@ def run_ros2(
         There is no ROS 2, or a parameter is wrong.
     """
     rclpy = _module("rclpy")
-    rclpy.init(args=["gridslam", *arguments])
+    ours_alone = _module("rclpy.signals").SignalHandlerOptions.NO  # rclpy's would end it before the last map is told
+    rclpy.init(args=["gridslam", *arguments], signal_handler_options=ours_alone)
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
     node = _module("rclpy.node").Node(NODE_NAME, **options)
     managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
@@ -236,6 +245,7 @@ def run_ros2(
         node.destroy_node()
         node = _managed(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
     parameters = node_parameters({**_given(node), **(given or {})}, "default")
+    check_folder(parameters.out)
     ours = Ros2Node(node, parameters)
     if managed:
         node.core = ours.core
@@ -252,7 +262,7 @@ def run_ros2(
         except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
             pass
         finally:
-            closed(ours.core, parameters.out)
+            closed(ours.core, parameters.out, ours.say)
             node.destroy_node()
             rclpy.try_shutdown()
     if ours.core.failure is not None:

@@ -21,7 +21,7 @@ from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs, grid_values
-from gridslam.ros.services import Watch, closed, saved
+from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
 
 __all__ = ["DdsNode", "run_dds"]
 
@@ -75,11 +75,12 @@ class DdsNode:
         """Begin to take messages and requests."""
         self.core.start()
         self._participant.start()
+        self._say(Level.OK, waiting_for(self._arguments.resolve("scan"), self.core))
 
     def close(self, out: Path | None) -> None:
         """End, and write what was mapped to `out`, where that is given."""
         try:
-            closed(self.core, out)
+            closed(self.core, out, self._say)
         finally:
             self._participant.close()
 
@@ -206,6 +207,7 @@ def run_dds(
     values = {**ros.parameters, **(given or {})}
     simulated = values.pop("use_sim_time", False) is True
     parameters = node_parameters(values, "default")
+    check_folder(parameters.out)
     try:
         domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
     except ValueError:

@@ -24,7 +24,7 @@ TOPICS: Final = {
 }
 """What is published, and its type."""
 
-LATCHED: Final = ("map", "map_metadata")
+LATCHED: Final = ("map", "map_metadata", "~/entropy")
 """What late joiners get, too: published reliable and transient-local."""
 
 _LEVEL_TURN = (0.0, 0.0, 0.0, 1.0)

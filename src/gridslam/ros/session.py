@@ -82,12 +82,12 @@ class Session:
         """Copy all that is to be saved; raises ArgumentError before the first scan."""
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
-        if self._recorder is not None:
-            self._recorder.flush()
+        recorder = self._recorder
+        record = recorder.path if recorder is not None and recorder.is_whole else None
         return TakenSession(
             self.configuration, self.seed, self.threads, self.state.to_arrays(), self.trajectory.to_arrays(),
             self.statistics.to_arrays(), copy.deepcopy(self.log), tuple(self._keys),
-            copy.deepcopy(self.stopwatch.stages), None if self._recorder is None else self._recorder.path,
+            copy.deepcopy(self.stopwatch.stages), record,
         )  # fmt: skip
 
     def close(self) -> None:

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal, final
+from typing import Annotated, Literal, TypeAlias, final
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 __all__ = ["NodeSettings"]
+
+
+def _bare(frame: str) -> str:
+    if not (bare := frame.lstrip("/")):
+        raise ValueError("expected the name of a frame")
+    return bare
+
+
+Frame: TypeAlias = Annotated[str, AfterValidator(_bare)]
+"""Name of a frame; "/odom" of the days before tf2 is "odom"."""
 
 
 @final
@@ -22,7 +32,7 @@ class NodeSettings:
     odometry : str
         "needed": a scan without odometry is refused; "optional": it is matched without; "none": none is asked for.
     map_update_interval_s : float, s
-        Between two maps.
+        Between two maps; 0: one after each scan, as fast as they are drawn.
     transform_publish_period_s : float, s
         Between two transforms from map to odometry; 0: none is published.
     tf_delay_s : float, s
@@ -44,11 +54,11 @@ class NodeSettings:
         As of `map_log`: the first begins anew with each session, the second never changes a result.
     """
 
-    base_frame: str = "base_link"
-    odom_frame: str = "odom"
-    map_frame: str = "map"
+    base_frame: Frame = "base_link"
+    odom_frame: Frame = "odom"
+    map_frame: Frame = "map"
     odometry: Literal["needed", "optional", "none"] = "needed"
-    map_update_interval_s: float = Field(default=5.0, gt=0)
+    map_update_interval_s: float = Field(default=5.0, ge=0)
     transform_publish_period_s: float = Field(default=0.05, ge=0)
     tf_delay_s: float = Field(default=0.05, ge=0)
     throttle_scans: int = Field(default=1, ge=1)

@@ -112,7 +112,7 @@ class Speaker:
             outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
             outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses))
         self._latencies.append(time.perf_counter() - accepted.arrived_s)
-        if self._drawn is None:
+        if self._drawn is None or not self._settings.map_update_interval_s:
             self.draw(state)
 
     def draw(self, state: Any) -> None:  # noqa: ANN401

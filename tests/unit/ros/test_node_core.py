@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def drive():
 
 
 def node(heard, *, configuration=FEW, record=None, **settings):
-    core = NodeCore(NodeSettings(map_update_interval_s=0.2, **settings), configuration, heard, record=record)
+    core = NodeCore(NodeSettings(**{"map_update_interval_s": 0.2, **settings}), configuration, heard, record=record)
     core.on_transforms([mounting()], static=True)
     core.start()
     return core
@@ -51,6 +52,19 @@ def test_the_record_of_a_live_run_is_mapped_to_the_same_bytes(drive, tmp_path):
     for name in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
         assert (tmp_path / "live" / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
     assert heard.said == []
+
+
+def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
+    heard = Heard()
+    core = node(heard, record=tmp_path / "scans.csv")
+    drive_all(core, heard, drive[:10])
+    core._session.close()
+    core._session._recorder._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115 - the recorder closes it
+    drive_all(core, heard, drive[10:60])
+    assert heard.warnings().count("No space left on device") == 1
+    assert core.save(tmp_path / "out")["scans"]["read"] == 60
+    taken = core.close()
+    assert (taken.log.scan_count, taken.record) == (60, None)
 
 
 def test_what_it_says_of_a_drive(drive):
@@ -97,6 +111,28 @@ def test_probabilities_are_told_in_per_cent(drive):
     assert cells[0] == -1
     assert cells[-1] > 90
     assert len(cells) > 4
+    core.close()
+
+
+def test_with_an_interval_of_0_a_map_comes_after_each_scan(drive):
+    heard = Heard()
+    core = node(heard, map_update_interval_s=0.0)
+    for k, one in enumerate(drive[:10]):
+        drive_all(core, heard, [one])
+        assert until(lambda k=k: len(heard.maps) == k + 1 and core._renderer.is_idle)
+    core.close()
+
+
+def test_frames_with_a_slash_are_those_without(drive):
+    """As in launch files and bags from before tf2, whose listeners refuse them."""
+    heard = Heard()
+    core = node(heard, base_frame="/base_link", odom_frame="/odom", map_frame="/map")
+    drive_all(core, heard, drive[:3])
+    assert until(lambda: bool(heard.maps))
+    assert (heard.transforms[-1].parent, heard.transforms[-1].child) == ("map", "odom")
+    assert {heard.maps[-1].frame, heard.poses[-1].frame, heard.clouds[-1].frame} == {"map"}
+    core.on_transforms([heard.transforms[0]._replace(stamp_ns=1)])
+    assert "transform of another node" in heard.warnings()
     core.close()
 
 

@@ -116,9 +116,13 @@ def test_all_that_is_ignored_is_named_in_one_sentence():
     [
         ({"particles": "many"}, "particles: expected a"),
         ({"particles": -1}, "particles: expected a whole number >= 1"),
-        ({"delta": 0}, "resolution_m: expected a number > 0"),
+        ({"delta": 0}, "delta: expected a number > 0"),
         ({"ogain": "much"}, "ogain: expected a number, got 'much'"),
         ({"map_update_interval": -1}, "map_update_interval: "),
+        ({"linearUpdate": -1.0}, "^linearUpdate: expected a number > 0, got -1.0"),
+        ({"maxUrange": 0}, "^maxUrange and maxRange: expected a number > 0"),
+        ({"particles": 40.5}, "^particles: expected a whole number"),
+        ({"base_frame": "/"}, "^base_frame: .*expected the name of a frame"),
         ({"map_values": "colours"}, "map_values: "),
         ({"preset": "best"}, "preset: expected"),
     ],
@@ -126,3 +130,11 @@ def test_all_that_is_ignored_is_named_in_one_sentence():
 def test_wrong_values_are_named(given, says):
     with pytest.raises(ConfigurationError, match=says):
         node_parameters(given)
+
+
+def test_what_roscpp_takes_is_taken():
+    """Launch files say particles 30.0, and 0 where each scan is to be mapped."""
+    config = node_parameters({"particles": 40.0, "linearUpdate": 0, "resampleThreshold": 0.0}).configuration
+    assert config.particles == 40
+    assert 0 < config.when_to_update.translation_m < 1e-6
+    assert 0 < config.when_to_resample.fraction < 1e-6

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gridslam.errors import OutputError
 from gridslam.geometry import rigid
 from gridslam.io.csv_log import CsvLog
 from gridslam.io.ros_messages import ScanMessage
@@ -69,3 +72,49 @@ def test_rows_are_read_back_bit_by_bit(tmp_path_factory, given_scans):
         assert (scan.beam_times_s is None) == (want.beam_times_s is None)
         if scan.beam_times_s is not None:
             assert scan.beam_times_s.tobytes() == want.beam_times_s.tobytes()
+
+
+def plain(stamp_ns: int):
+    message = ScanMessage(stamp_ns, "laser", 0.0, 0.1, 0.0, 0.02, 8.0, np.linspace(1, 7, 20, dtype=np.float32))
+    return ScanMaker().measurement(message, "scan", np.eye(4), Odometry.at(stamp_ns, (1.0, 2.0, 0.5)), 0.0)
+
+
+def test_a_row_is_in_the_file_as_soon_as_it_is_written(tmp_path):
+    """So a node that is killed has lost no scan that its filter was given."""
+    recorder = ScanRecorder(tmp_path / "scans.csv")
+    for k in range(1, 4):
+        recorder.add(plain(k))
+        assert len(list(CsvLog(tmp_path / "scans.csv"))) == k
+    recorder.close()
+
+
+def test_where_the_disk_is_full_the_record_ends_with_a_whole_row(tmp_path):
+    """What comes later is not written even where there is room again: a replay would jump over what lacks."""
+
+    class Nearly:
+        """A file on a disk that is full after some bytes."""
+
+        def __init__(self, file, left):
+            self.file, self.left = file, left
+
+        def write(self, data):
+            if not self.left:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            written = self.file.write(data[: self.left])
+            self.left -= written
+            return written
+
+        def __getattr__(self, name):
+            return getattr(self.file, name)
+
+    recorder = ScanRecorder(tmp_path / "scans.csv")
+    recorder.add(plain(1))
+    recorder._file = full = Nearly(recorder._file, 50)
+    assert recorder.is_whole
+    with pytest.raises(OutputError, match="No space left on device; the record ends"):
+        recorder.add(plain(2))
+    assert not recorder.is_whole
+    full.left = 10_000
+    recorder.add(plain(3))
+    recorder.close()
+    assert [scan.stamp_ns for _, scan in CsvLog(tmp_path / "scans.csv")] == [1]

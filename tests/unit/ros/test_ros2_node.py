@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import fake_rclpy
@@ -86,6 +87,47 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
     assert "message refused: scan: " in str(world.logged)
     assert "parameters that are ignored: xmin" in str(world.logged)
     assert world.nodes[0].destroyed
+
+
+def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
+    """As rclpy's own handlers of signals would not: they shut the context down, and publishing raises from then on."""
+    world = fake_rclpy.installed(monkeypatch, {"particles": 4, "map_update_interval": 60.0})
+
+    def script():
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        for one in drive:
+            send(world, one)
+        assert until(lambda: len(world.published.get("~/pose", ())) == len(drive)), world.logged
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    world.spun = script
+    run_ros2([], given={"out": str(tmp_path / "out")}, tick=interrupted)
+    assert world.signals == "NO"
+    assert (tmp_path / "out" / "map.pgm").is_file()
+    assert f"40 scans, which are written to {tmp_path / 'out'}" in world.logged[-1][1]
+
+
+def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, tmp_path):
+    """What the filter still says on its way out is not published, and that is no failure."""
+    world, cores = fake_rclpy.installed(monkeypatch, {"particles": 4}), []
+
+    @contextmanager
+    def watch(core):
+        cores.append(core)
+        yield
+
+    def script():
+        world.subscriptions["/tf_static"][2](transforms(mounting()))
+        send(world, drive[0])
+        assert until(lambda: len(world.published.get("~/pose", ())) == 1), world.logged
+        world.running = False
+        send(world, drive[1])
+        assert until(lambda: cores[0].diagnostics().values["accepted"] == "2")
+
+    run(world, script, given={"out": str(tmp_path / "out")}, watch=watch)
+    assert (tmp_path / "out" / "map.pgm").is_file()
 
 
 def test_quality_of_service(monkeypatch):
