@@ -93,7 +93,7 @@ class NodeCore:
         self._complain = Complaints(outputs.say)
         self._intake = Intake(settings, self._complain)
         self._renderer = _renderer(configuration, settings, outputs)
-        self._speaker = Speaker(settings, outputs, self._renderer, self._intake.counts, self._complain)
+        self._speaker = Speaker(settings, outputs, self._renderer, self._intake, self._complain)
         self._session = self._new_session()
         self._turns: list[Turn] = []
         clocks = [("transform", settings.transform_publish_period_s, self._speaker.tell_transform)]
@@ -140,9 +140,11 @@ class NodeCore:
         """Take a scan of the topic `sensor`; returns at once."""
         self._intake.add_scan(message, sensor)
 
-    def on_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
-        """Take transforms; returns at once."""
-        self._intake.add_transforms(self._speaker.others(transforms), static=static)
+    def on_transforms(
+        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
+    ) -> None:
+        """Take transforms, where it is known of whom; returns at once."""
+        self._intake.add_transforms(self._speaker.others(transforms), static=static, publisher=publisher)
 
     def refuse(self, what: str, problem: str) -> None:
         """Tell of a message that the transport could not even decode."""
@@ -269,12 +271,9 @@ class NodeCore:
     def _tell_diagnostics(self) -> None:
         told = self._speaker.diagnostics()
         self._outputs.diagnostics(told)
-        if self._hearers:
-            self._intake.post(partial(self._hear, told))
-
-    def _hear(self, told: Diagnostics) -> None:
+        self._speaker.tell_state()
         for hear in self._hearers:
-            hear(told)
+            self._intake.post(partial(hear, told))
 
     def _new_session(self) -> Session | LocalizationSession:
         self._speaker.begin()

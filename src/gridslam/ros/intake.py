@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -24,6 +25,7 @@ from gridslam.types import FloatArray, Odometry
 __all__ = ["Counts", "Intake", "Turn"]
 
 _NEAR_M = 0.5  # and rad: the robot goes on where it was
+_LEAP, _FAST = 1.0, 10.0  # m and rad, and both per second: no robot moves so
 _MAY_COME = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
 
@@ -95,7 +97,7 @@ class Intake:
         self._mountings: dict[str, FloatArray] = {}
         self._latest_ns: dict[str, int] = {}
         self._strays: dict[str, int] = {}
-        self._odometry: FloatArray | None = None
+        self._odometry: Odometry | None = None
         self._owed_jump = False
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
@@ -125,10 +127,12 @@ class Intake:
             self._drop(arrived_s)
             self._changed.notify()
 
-    def add_transforms(self, transforms: Sequence[StampedTransform], *, static: bool = False) -> None:
+    def add_transforms(
+        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
+    ) -> None:
         """Take transforms; never waits."""
         with self._changed:
-            self._transforms.add(transforms, static=static)
+            self._transforms.add(transforms, static=static, publisher=publisher)
             if self._queue:
                 self._changed.notify()
 
@@ -223,14 +227,21 @@ class Intake:
     def _note(self, accepted: Accepted) -> None:
         odometry, scan = accepted.measurement
         self._latest_ns[scan.sensor] = scan.stamp_ns
-        if odometry is not None:
-            self._odometry = odometry.pose
+        if odometry is None:
+            return
+        if self._odometry is not None:
+            seconds = abs(odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
+            dx, dy, turn = between(self._odometry.pose, odometry.pose).tolist()
+            moved = math.hypot(dx, dy)
+            if max(moved, abs(turn)) > _LEAP + _FAST * seconds:
+                self._complain("odometry jumped", f"by {moved:.2f} m and {abs(turn):.2f} rad in {seconds:.3g} s")
+        self._odometry = odometry
 
     def _goes_on(self, odometry: Odometry | None) -> bool:
         """Whether the odometry goes on where it was: then only a clock was set."""
         if odometry is None or self._odometry is None:
             return False
-        return bool(np.abs(between(self._odometry, odometry.pose)).max() <= _NEAR_M)
+        return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _NEAR_M)
 
     def _jumped(self, stamp_ns: int, sensor: str) -> bool | None:
         """Whether time has jumped back; None for the first scan that says so, which may be astray."""

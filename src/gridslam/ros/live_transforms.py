@@ -13,6 +13,7 @@ from gridslam.transforms import TransformBuffer
 __all__ = ["LiveTransforms"]
 
 _KEEP_S = 10.0
+_AT_ONCE_NS = 2_000_000_000  # what two say within this they say at the same time
 
 
 @final
@@ -39,9 +40,10 @@ class LiveTransforms:
         self._static: dict[tuple[str, str], StampedTransform] = {}
         self._latest_ns: dict[tuple[str, str], int] = {}
         self._strays: dict[tuple[str, str], int] = {}
+        self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
 
-    def add(self, transforms: Iterable[StampedTransform], *, static: bool) -> None:
-        """Take readings; those that are none are told."""
+    def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
+        """Take readings; those that are none, or that contradict what another publisher says, are told."""
         for transform in transforms:
             try:
                 if static:
@@ -49,6 +51,7 @@ class LiveTransforms:
                 elif self._jumped(transform):
                     self._renew()
                 self._add(transform, static)
+                self._compare(transform, static, publisher)
             except (ArgumentError, OverflowError) as error:
                 self._static.pop((transform.parent, transform.child), None)
                 self._complain("transform refused", f"{transform.parent} <- {transform.child}: {error}")
@@ -56,6 +59,17 @@ class LiveTransforms:
     def _add(self, transform: StampedTransform, static: bool) -> None:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
+
+    def _compare(self, transform: StampedTransform, static: bool, publisher: str) -> None:
+        """Tell where a frame has two parents, or one that two publishers tell of."""
+        stamp_ns, parent, child, _ = transform
+        sources = self._sources.setdefault(child, {})
+        sources[parent, "" if static else publisher] = None if static else stamp_ns
+        for (other, of), at_ns in sources.items() if len(sources) > 1 else ():
+            differs = other != parent or (of != publisher and not static and at_ns is not None)
+            if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _AT_ONCE_NS):
+                where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
+                self._complain("two transforms", f"{child} is told to lie {' and '.join(where)}: end one of the two")
 
     def _jumped(self, transform: StampedTransform) -> bool:
         """Whether this is the second reading in a row from long before the latest."""
@@ -73,5 +87,6 @@ class LiveTransforms:
         self.buffer = TransformBuffer(_KEEP_S)
         self._latest_ns.clear()
         self._strays.clear()
+        self._sources.clear()
         for transform in self._static.values():
             self._add(transform, static=True)

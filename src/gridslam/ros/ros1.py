@@ -147,7 +147,8 @@ class Ros1Node:
         def on_transforms(static: bool) -> Callable[[Any], None]:
             def take(message: Any) -> None:  # noqa: ANN401
                 if data := self._bytes(message, "transforms", "tf2_msgs/TFMessage"):
-                    self.core.on_transforms(decode_transforms(data, wire_of_ros1(data)), static=static)
+                    sender = message._connection_header.get("callerid", "")
+                    self.core.on_transforms(decode_transforms(data, wire_of_ros1(data)), static=static, publisher=sender)
 
             return take
 

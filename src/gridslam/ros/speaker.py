@@ -15,7 +15,7 @@ from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.observers import Latency
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.complaints import Complaints
-from gridslam.ros.intake import Counts
+from gridslam.ros.intake import Counts, Intake
 from gridslam.ros.localization import KnownMapTeller
 from gridslam.ros.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
 from gridslam.ros.rendering import MapRenderer
@@ -31,6 +31,8 @@ _STALE_NS = 5_000_000_000
 _LATENCIES = 2000  # the last ones, of which the diagnostics tell
 _RECENT_S = 2.0
 _REPEATED_S = 1.0
+_SILENT_S = 5.0
+_WAITING = Level.WARN, "waiting for a scan"
 _OURS = 1000  # the last transforms that are known again when they come back
 
 
@@ -46,7 +48,7 @@ class Speaker:
         The transport.
     renderer : MapRenderer or KnownMapTeller
         Draws the map.
-    counts : Counts
+    intake : Intake
         Of the scans, for the diagnostics.
     complain : Complaints
         Told of scans whose clock is not the node's.
@@ -57,11 +59,11 @@ class Speaker:
         settings: NodeSettings,
         outputs: Outputs,
         renderer: MapRenderer | KnownMapTeller,
-        counts: Counts,
+        intake: Intake,
         complain: Complaints,
     ) -> None:
         self._settings, self._outputs, self._renderer = settings, outputs, renderer
-        self._counts, self._complain = counts, complain
+        self._intake, self._complain = intake, complain
         self._lock = threading.Lock()  # of what is published by the filter's thread and by the clock's
         self._accepted: Accepted | None = None
         self._report: Report | None = None
@@ -74,6 +76,7 @@ class Speaker:
         self._repeat_s = 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
+        self._state_told = _WAITING  # by the transport
         self.sessions = 0
 
     def begin(self) -> None:
@@ -157,7 +160,7 @@ class Speaker:
 
     def diagnostics(self) -> Diagnostics:
         """How the node does."""
-        counts, report = self._counts, self._report
+        counts, report = self._intake.counts, self._report
         latency = Latency.of(np.array(tuple(self._latencies)))
         values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
         values |= {f"{kind}, times": str(times) for kind, times in sorted(self._complain.counts.items())}
@@ -171,12 +174,25 @@ class Speaker:
             "maps, MB": f"{self._memory_bytes / 1e6:.1f}",
         }
         problem = self._complain.latest(_RECENT_S)
-        if problem:
-            return Diagnostics(Level.WARN, problem, values)
-        if report is None:
-            return Diagnostics(Level.WARN, "waiting for a scan", values)
+        return Diagnostics(Level.WARN, problem, values) if problem else Diagnostics(*self._state(), values)
+
+    def tell_state(self) -> None:
+        """Log what the node is at, where that has changed."""
+        state = self._state()
+        if state != self._state_told:
+            self._state_told = state
+            self._outputs.say(*state)
+
+    def _state(self) -> tuple[Level, str]:
+        report, accepted = self._report, self._accepted
+        if self._intake.is_paused:
+            return Level.OK, "paused"
+        if report is None or accepted is None:
+            return _WAITING
+        if time.perf_counter() - accepted.arrived_s > _SILENT_S:
+            return Level.WARN, f"no scan has been taken for {_SILENT_S:g} s"
         maps = isinstance(report, StepReport)
         if report.lost:
             why = "the scan agrees with the map too little" if maps else "it may be elsewhere, or the map is another"
-            return Diagnostics(Level.WARN, f"lost: {why}", values)
-        return Diagnostics(Level.OK, "mapping" if maps else "localizing", values)
+            return Level.WARN, f"lost: {why}"
+        return Level.OK, "mapping" if maps else "localizing"

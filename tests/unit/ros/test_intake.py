@@ -256,3 +256,45 @@ def test_take_waits_in_one_thread_for_what_another_brings():
 
 def test_levels_are_those_of_diagnostic_messages():
     assert [level.value for level in (Level.OK, Level.WARN, Level.ERROR)] == [0, 1, 2]
+
+
+def test_odometry_that_jumps_is_named():
+    """The base's driver was started again: the scan is taken, and the filter goes by the scans."""
+    desk = Desk()
+    for at_s, x in ((0.0, 7.0), (0.1, 7.05), (0.2, 0.0), (0.3, 0.05)):
+        desk.odometry(at_s, x)
+        desk.scan(at_s)
+        assert desk.taken() == [at_s]
+    assert desk.said == ["odometry jumped: by 7.05 m and 0.00 rad in 0.1 s"]
+
+
+def link(at_s: float, parent: str, child: str = BASE) -> StampedTransform:
+    return StampedTransform(START + round(at_s * S), parent, child, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+
+
+def test_two_publishers_of_one_transform_are_named():
+    desk = Desk()
+    for at_s, publisher in ((0.0, "/wheels"), (0.02, "/ekf"), (0.1, "/wheels"), (0.12, "/ekf")):
+        desk.intake.add_transforms([link(at_s, ODOM)], publisher=publisher)
+    assert desk.said == [
+        "two transforms: base_link is told to lie in odom by /ekf and in odom by /wheels: end one of the two"
+    ]
+
+
+def test_two_parents_of_one_frame_are_named():
+    desk = Desk()
+    desk.intake.add_transforms([link(0.0, "odom_combined")], publisher="/ekf")
+    desk.intake.add_transforms([link(0.01, ODOM)], publisher="/wheels")
+    desk.intake.add_transforms([link(0.0, "base_footprint")], static=True, publisher="/urdf")
+    assert "base_link is told to lie in odom by /wheels and in odom_combined by /ekf" in desk.said[0]
+    assert desk.complain.counts["two transforms"] == 3
+
+
+def test_a_publisher_that_took_over_or_says_the_same_forever_is_none_of_two():
+    desk = Desk()
+    desk.intake.add_transforms([link(0.0, ODOM)], publisher="/base_1")
+    desk.intake.add_transforms([link(5.0, ODOM)], publisher="/base_2")
+    for at_s in (0.0, 1.0):  # a fixed joint, latched by one and repeated by another
+        desk.intake.add_transforms([link(at_s, BASE, "imu")], static=True, publisher="/urdf")
+        desk.intake.add_transforms([link(at_s, BASE, "imu")], publisher="/repeater")
+    assert desk.said == []

@@ -51,7 +51,7 @@ def test_the_record_of_a_live_run_is_mapped_to_the_same_bytes(drive, tmp_path):
     map_log(tmp_path / "scans.csv", configuration=FEW, repair="none").save(tmp_path / "replayed")
     for name in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
         assert (tmp_path / "live" / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
-    assert heard.said == []
+    assert all(level is Level.OK for level, _ in heard.said), heard.said
 
 
 def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
@@ -134,6 +134,24 @@ def test_frames_with_a_slash_are_those_without(drive):
     core.on_transforms([heard.transforms[0]._replace(stamp_ns=1)])
     assert "transform of another node" in heard.warnings()
     core.close()
+
+
+def test_what_it_is_at_is_logged_when_it_changes(drive, monkeypatch):
+    """A lidar that falls silent, too: the last thing that its log says would else be that it maps."""
+    monkeypatch.setattr("gridslam.ros.core._DIAGNOSTICS_S", 0.02)
+    monkeypatch.setattr("gridslam.ros.speaker._SILENT_S", 0.3)
+    heard = Heard()
+    core = node(heard)
+    assert core.diagnostics().summary == "waiting for a scan"
+    drive_all(core, heard, drive[:3])
+    assert until(lambda: (Level.OK, "mapping") in heard.said)
+    assert until(lambda: (Level.WARN, "no scan has been taken for 0.3 s") in heard.said)
+    drive_all(core, heard, drive[3:5])
+    assert until(lambda: heard.said[-1] == (Level.OK, "mapping"))
+    core.pause(True)
+    assert until(lambda: heard.said[-1] == (Level.OK, "paused"))
+    core.close()
+    assert len(heard.said) == 4
 
 
 def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):
