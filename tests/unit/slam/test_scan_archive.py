@@ -1,4 +1,4 @@
-"""The archive of scans: what goes in comes out, to a hundredth of a millimetre, also by way of arrays."""
+"""The archive of scans: what goes in comes out, to the 65,000th part of the farthest end, also by way of arrays."""
 
 from __future__ import annotations
 
@@ -29,18 +29,19 @@ def contents(archive):
 
 
 def test_what_goes_in_comes_out(archive):
-    """A float32 below 128 m is a multiple of 2^-17 m: rounding moves it by 4e-6 m at most."""
+    """A coordinate is rounded to a step, which is the greatest one's 32,767th part."""
     assert len(archive) == 9
     assert archive.keys == [0, 3, 5]
     for k, scan in enumerate(scans()):
+        half = 0.5 * np.abs(scan.ends).max(initial=0.0) / 32767
         assert archive[k].ends.dtype == np.float64
-        np.testing.assert_allclose(archive[k].ends, scan.ends, rtol=0, atol=2.0**-18)
+        np.testing.assert_allclose(archive[k].ends, scan.ends, rtol=1e-12, atol=half)
         np.testing.assert_array_equal(archive[k].origin, scan.origin)
         assert len(archive[k]) == len(scan.ends)
-        assert archive[k].reach_m == pytest.approx(scan.reach_m, abs=1e-5)
+        assert archive[k].reach_m == pytest.approx(scan.reach_m, abs=2 * half)
     for key, scan in enumerate((0, 3, 5)):
         np.testing.assert_array_equal(archive.key(key).ends, archive[scan].ends)
-    assert archive.nbytes == 8 * sum(len(scan.ends) for scan in scans())
+    assert archive.nbytes == 4 * sum(len(scan.ends) for scan in scans())
 
 
 def test_of_a_robot_that_stands_nothing_is_kept():
@@ -52,7 +53,35 @@ def test_of_a_robot_that_stands_nothing_is_kept():
     assert [len(kept[k]) > 0 for k in range(8)] == [True, True, False, False, True, False, True, False]
     kept.append(scan, np.array([0.041, 0.0, 0.011 + 2 * np.pi]), is_key=False)
     assert len(kept[8]) == len(scan)
-    assert kept.nbytes == 5 * 8 * len(scan)
+    assert kept.nbytes == 5 * 4 * len(scan)
+
+
+def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
+    """Every k-th: 1080 beams are too many up to k = 4, and 216 with k = 5."""
+    ends, kept = np.random.default_rng(1).normal(size=(1080, 2)), ScanArchive()
+    for k in range(2):
+        kept.append(EndPoints(ends, np.zeros(2)), np.array([0.1 * k, 0.0, 0.0]), is_key=k == 0)
+    assert len(kept.key(0)) == 1080
+    np.testing.assert_allclose(kept[1].ends, ends[::5], rtol=0, atol=1e-4)
+
+
+def test_a_robot_that_drives_for_hours_fills_no_memory(monkeypatch):
+    """All that is kept between key scans stays below a bound, evenly from the begin on; key scans are all kept."""
+    monkeypatch.setattr("gridslam.slam.scan_archive._MOST_BYTES", 40 * 7 * 4)
+    scan, kept = scans()[1], ScanArchive()
+    for k in range(1000):
+        kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
+        assert kept.nbytes <= (40 + len(kept.keys)) * 7 * 4
+    there = np.array([k for k in range(1000) if len(kept[k])])
+    assert set(kept.keys) <= set(there.tolist())
+    between = np.setdiff1d(there, kept.keys)
+    assert len(between) >= 20
+    assert (between % 32 == 0).all()
+    read = ScanArchive.from_arrays(kept.to_arrays())
+    for one in (kept, kept.snapshot(), read):
+        for k in range(1000, 2000):
+            one.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)
+    assert contents(read) == contents(kept)
 
 
 def test_what_was_given_may_be_changed_afterwards():
@@ -82,7 +111,7 @@ def test_arrays_go_on_as_the_archive_does(archive):
     assert contents(ScanArchive.from_arrays(ScanArchive().to_arrays())) == contents(ScanArchive())
 
 
-@pytest.mark.parametrize("name", ["ends", "origins", "counts"])
+@pytest.mark.parametrize("name", ["ends", "steps", "origins", "counts"])
 def test_arrays_that_do_not_fit_are_refused(archive, name):
     arrays = archive.to_arrays()
     with pytest.raises(ArgumentError, match="ends"):
