@@ -11,12 +11,15 @@ import threading
 from contextlib import contextmanager
 
 import pytest
+from localization_world import drive, flat_map
 from onlookers import Onlooker
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from gridslam.cli import live as live_module
 from gridslam.cli.main import main
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.map_server import read_map, write_map
 
 SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
 FEW = "--particles", "4"
@@ -55,9 +58,40 @@ def test_the_results_are_the_same_with_and_without(call, log, mapped, tmp_path):
         assert (tmp_path / "out" / name).read_bytes() == (mapped / name).read_bytes(), name
 
 
+def test_localization_is_seen_to_its_end_and_gives_the_same(call, tmp_path, monkeypatch):
+    write_map(tmp_path / "flat.yaml", flat_map())
+    write_carmen(tmp_path / "flat.clf", drive(1).measurements)
+    given = "localize", tmp_path / "flat.clf", "--map", tmp_path / "flat.yaml"
+    assert call(*given, "-o", tmp_path / "without")[0] == 0
+    onlooker, out = Onlooker(), tmp_path / "with"
+    status, _, err = watched(call, monkeypatch, onlooker, *given, "-o", out)
+    assert status == 0
+    assert "live at http://127.0.0.1:" in err
+    assert (onlooker.status["stage"], onlooker.status["lost"]) == ("done", False)
+    assert onlooker.sees(read_map(tmp_path / "flat.yaml"))
+    for name in ("trajectory.tum", "trajectory.csv", "belief.csv"):
+        assert (out / name).read_bytes() == (tmp_path / "without" / name).read_bytes(), name
+
+
+def test_a_map_that_is_none_opens_no_page(call, log, tmp_path):
+    status, _, err = call("localize", log, "--map", tmp_path / "none.yaml", "--live", "--live-port", 0)
+    assert status == 2
+    assert "none.yaml" in err
+    assert "live at" not in err
+
+
 def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
-    """The command stays until the viewer goes."""
-    port, onlooker, served = free_port(), Onlooker(), live_module.served
+    onlooker = Onlooker()
+    status, _, _ = watched(call, monkeypatch, onlooker, "map", log, "-o", tmp_path / "out", *FEW)
+    assert status == 0
+    assert onlooker.status["stage"] == "done"
+    assert onlooker.status["scans"] == 120
+    assert (tmp_path / "out" / "map.png").is_file()
+
+
+def watched(call, monkeypatch, onlooker, *command):
+    """Run a command with a viewer, for whom it stays until the end is seen."""
+    port, served = free_port(), live_module.served
     viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", onlooker))
 
     @contextmanager
@@ -68,12 +102,9 @@ def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
             yield entered
 
     monkeypatch.setattr(live_module, "served", seen)
-    status, _, _ = call("map", log, "-o", tmp_path / "out", *FEW, "--live", "--live-port", port)
+    done = call(*command, "--live", "--live-port", port)
     viewer.join(10)
-    assert status == 0
-    assert onlooker.status["stage"] == "done"
-    assert onlooker.status["scans"] == 120
-    assert (tmp_path / "out" / "map.png").is_file()
+    return done
 
 
 def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
@@ -110,7 +141,7 @@ def test_options_that_do_not_fit(call, log, tmp_path, arguments, says):
 def test_view_says_what_is_no_result_of_a_run(call, tmp_path):
     status, _, err = call("view", tmp_path)
     assert status == 2
-    assert "run.json: no such file; expected the folder that gridslam map wrote" in err
+    assert "run.json: no such file; expected the folder that gridslam map, localize, grid or landmarks wrote" in err
 
 
 def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
@@ -137,6 +168,6 @@ def test_a_run_without_a_page_imports_no_server(log, tmp_path):
 
 
 def test_help_tells_the_options(call):
-    for command in ("map", "demo"):
+    for command in ("map", "demo", "localize", "ros1", "ros2"):
         assert all(option in call(command, "--help")[1] for option in ("--live ", "--live-port", "--live-host"))
     assert "--live-port" in call("view", "--help")[1]

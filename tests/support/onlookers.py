@@ -18,7 +18,7 @@ class Onlooker:
         self.hello: dict[str, Any] = {}
         self.status: dict[str, Any] = {}
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
-        self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 4), np.float32)
+        self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 5), np.float32)
         self.arrays: dict[str, np.ndarray] = {}
         self.messages = self.bytes = 0
         self.more = False
@@ -64,5 +64,3 @@ class Onlooker:
             at = int(self.arrays["tree_parents"][at])
         stem = self.path if at == -1 else np.zeros((0, 2), np.float32)
         return np.concatenate([stem, np.array(places[::-1]).reshape(-1, 2)])
-
-

@@ -7,8 +7,10 @@ from typing import Any
 
 import click
 
+from gridslam.cli.live import live_options
 from gridslam.cli.log_options import log_options
 from gridslam.cli.options import PATH, SEED, json_option
+from gridslam.cli.rerun import rerun_option
 
 __all__ = ["FAMILY_COMMANDS"]
 
@@ -103,6 +105,8 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one, by its name here or in AMCL.")
 @click.option("--strict-thresholds", is_flag=True, help="Read the map's thresholds literally, even for the pixel 205.")
 @log_options
+@live_options
+@rerun_option
 @json_option
 def localize_command(**options: Any) -> None:  # noqa: ANN401
     """Localize the robot of LOG in a known map, by Monte Carlo localization.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -14,12 +14,17 @@ from gridslam.live.options import LiveOptions
 
 if TYPE_CHECKING:
     from gridslam.api import MapResult
+    from gridslam.io.measurement import Measurement
     from gridslam.live.page import LivePage
+    from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
     from gridslam.ros.messages import Diagnostics
+    from gridslam.types import OccupancyGrid
     from gridslam.viz.rerun_recording import RerunRecording
 
-__all__ = ["live_options", "live_page", "node_page", "place_options", "served", "show_result", "wait_for_viewer"]
+__all__ = [
+    "live_options", "live_page", "node_page", "place_options", "served", "show_result", "wait_for_viewer", "watched",
+]  # fmt: skip
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Page = TypeVar("_Page")
@@ -42,7 +47,7 @@ def live_options(command: _Command) -> _Command:
             raise click.UsageError("--live-port and --live-host need --live")
         return command(live=_options(live_port, live_host) if live else None, **given)
 
-    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show the map in the browser meanwhile.")):
+    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show it in the browser meanwhile.")):
         collected = option(collected)
     return collected  # type: ignore[return-value]
 
@@ -71,14 +76,16 @@ def served(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
 
 
 @contextmanager
-def live_page(live: LiveOptions | None, title: str, range_max_m: float) -> Iterator[LivePage | None]:
+def live_page(
+    live: LiveOptions | None, title: str, range_max_m: float, known: OccupancyGrid | None = None
+) -> Iterator[LivePage | None]:
     """Give the page of a run, or None where none is wanted; in the end it stays as long as someone looks."""
     if live is None:
         yield None
         return
     from gridslam.live.page import LivePage
 
-    with served(LivePage(title, live, range_max_m=range_max_m)) as page:
+    with served(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield page
         if page.viewers:
@@ -90,13 +97,14 @@ def live_page(live: LiveOptions | None, title: str, range_max_m: float) -> Itera
 
 
 @contextmanager
-def node_page(live: LiveOptions, title: str, core: NodeCore) -> Iterator[None]:
+def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGrid | None) -> Iterator[None]:
     """Serve the page of a node that is not started yet, until it has ended."""
     from gridslam.live.control import RobotControl
     from gridslam.live.page import LivePage
 
     robot = RobotControl(lambda: core.is_paused, core.pause)
-    with served(LivePage(title, live, range_max_m=core.configuration.range_max_m, robot=robot)) as page:
+    page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
+    with served(page):
 
         def hear(told: Diagnostics) -> None:
             page.say(told.summary if told.level else "")
@@ -104,6 +112,14 @@ def node_page(live: LiveOptions, title: str, core: NodeCore) -> Iterator[None]:
         core.watch(page.observer, page.session, hear)
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield
+
+
+def watched(
+    source: Iterable[Measurement], page: LivePage | None, recording: RerunRecording | None, watch: Stopwatch
+) -> Iterator[Measurement]:
+    """The measurements of a log, each when the page's viewers want it, and recorded."""
+    held = iter(source) if page is None else page.paced(source, watch)
+    return held if recording is None else recording.followed(held)
 
 
 def wait_for_viewer(page: LivePage | None) -> None:

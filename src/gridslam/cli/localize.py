@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -18,13 +18,21 @@ from gridslam.api.localization_result import LocalizationResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.live import live_page, watched
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import reading_progress
+from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.map_server import load_map
+from gridslam.live.options import LiveOptions
 from gridslam.localization.parts import MonteCarloParts
-from gridslam.localization.state import LocalizationReport, MonteCarloState
+from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray
+
+if TYPE_CHECKING:
+    from gridslam.live.page import LivePage
+    from gridslam.viz.rerun_recording import RerunRecording
 
 __all__ = ["localize_to_folder"]
 
@@ -41,6 +49,8 @@ def localize_to_folder(
     assignments: Sequence[str],
     strict_thresholds: bool,
     options: LogOptions,
+    live: LiveOptions | None,
+    rerun: str | None,
     as_json: bool,
 ) -> None:
     """Localize a log in a map, into a folder where one is given, and say what came of it."""
@@ -48,22 +58,35 @@ def localize_to_folder(
     read = _parameters(preset, assignments, particles)
     pose = _pose(initial_pose, read.pose)
     source = checked(open_log(log, options), options)
-    with nullcontext() if out is None else opened(out) as folder:
-        result = _shown(source, map_path, pose, read, seed, threads, strict_thresholds, not as_json, watch)
-        document = result.document() if folder is None else result.write(folder)
-    for warning in _warnings(result, read.ignored):
-        click.echo(f"gridslam: {warning}", err=True)
-    if as_json:
-        print_json(document)
-    else:
-        click.echo("\n".join(_summary(document, result, out)))
+    name, range_max_m, known = source.path.name, read.parts.range_max_m, None
+    if live is not None or rerun is not None:
+        known = load_map(map_path, strict_thresholds=strict_thresholds).grid
+    with (
+        rerun_recording(rerun, name, range_max_m, known) as recording,
+        live_page(live, name, range_max_m, known) as page,
+    ):
+        with nullcontext() if out is None else opened(out) as folder:
+            result = _shown(
+                source, map_path, pose, read, seed, threads, strict_thresholds, not as_json, watch, page, recording
+            )
+            document = result.document() if folder is None else result.write(folder)
+        for warning in _warnings(result, read.ignored):
+            click.echo(f"gridslam: {warning}", err=True)
+        if as_json:
+            print_json(document)
+        else:
+            click.echo("\n".join(_summary(document, result, out)))
 
 
 def _shown(
     source: Log, map_path: Path, pose: FloatArray | None, read: AmclParameters, seed: int, threads: int,
-    strict_thresholds: bool, shown: bool, watch: Stopwatch,
+    strict_thresholds: bool, shown: bool, watch: Stopwatch, page: LivePage | None, recording: RerunRecording | None,
 ) -> LocalizationResult:  # fmt: skip
-    """Localize while progress is shown."""
+    """Localize while progress is shown, the particles on a page if there is one, and all of it recorded."""
+    onlookers: list[LocalizationObserver] = [] if page is None else [page.observer]
+    onlookers += [] if recording is None else [recording]
+    if page is not None:
+        page.tell_progress(lambda: source.statistics.share_read)
     with reading_progress(lambda: source.statistics, shown=shown) as show:
 
         def observe(report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
@@ -72,7 +95,8 @@ def _shown(
 
         return localize(
             source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
-            strict_thresholds=strict_thresholds, observers=[observe], stopwatch=watch,
+            strict_thresholds=strict_thresholds, observers=[observe, *onlookers], stopwatch=watch,
+            gate=lambda source: watched(source, page, recording, watch),
         )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,13 +12,12 @@ from gridslam.api import MapResult, map_log
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.live import live_page, show_result
+from gridslam.cli.live import live_page, show_result, watched
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import progress
 from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration, load, override, preset, with_laser
 from gridslam.io.log import Log, LogOptions, open_log
-from gridslam.io.measurement import Measurement
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Observer, Stopwatch
 from gridslam.slam.state import GridFastSlamState
@@ -72,14 +71,10 @@ def map_shown(
     source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
     repair: Literal["needed", "all", "none"] = "none", page: LivePage | None = None,
     recording: RerunRecording | None = None,
-) -> MapResult:
+) -> MapResult:  # fmt: skip
     """Map a log while progress is shown, the map on a page if there is one, and all of it recorded."""
     onlookers: list[Observer] = [] if page is None else [page.observer]
     onlookers += [] if recording is None else [recording]
-
-    def gate(source: Iterable[Measurement]) -> Iterator[Measurement]:
-        held = iter(source) if page is None else page.paced(source, watch)
-        return held if recording is None else recording.followed(held)
 
     if page is not None:
         page.tell_progress(lambda: source.statistics.share_read)
@@ -95,7 +90,7 @@ def map_shown(
 
         result = map_log(
             source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
-            observers=[observe, *onlookers], gate=gate,
+            observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
         )  # fmt: skip
         for onlooker in (page, recording):
             show_result(onlooker, result)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from gridslam.types import OccupancyGrid
     from gridslam.viz.rerun_recording import RerunRecording
 
 __all__ = ["rerun_option", "rerun_recording"]
@@ -19,12 +20,14 @@ rerun_option = click.option(
 
 
 @contextmanager
-def rerun_recording(target: str | None, title: str, range_max_m: float) -> Iterator[RerunRecording | None]:
+def rerun_recording(
+    target: str | None, title: str, range_max_m: float, known: OccupancyGrid | None = None
+) -> Iterator[RerunRecording | None]:
     """Give the recording of a run, or None where none is wanted; it is complete in the end."""
     if target is None:
         yield None
         return
     from gridslam.viz.rerun_recording import RerunRecording
 
-    with RerunRecording(target, title, range_max_m=range_max_m) as recording:
+    with RerunRecording(target, title, range_max_m=range_max_m, known=known) as recording:
         yield recording

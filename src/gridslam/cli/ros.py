@@ -14,9 +14,10 @@ from gridslam.cli.rerun import rerun_recording
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.core import NodeCore
+from gridslam.ros.localization import Localization
 from gridslam.ros.services import Watch
 
-__all__ = ["given_parameters", "ros1", "ros2"]
+__all__ = ["given_parameters", "ros1", "ros2", "watched"]
 
 
 def given_parameters(
@@ -44,7 +45,7 @@ def ros1(
     """Be the node in ROS 1 until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
-    given, watch = given_parameters(**options), _watch("ROS 1", live, rerun)
+    given, watch = given_parameters(**options), watched("ROS 1", live, rerun)
     run_ros1(arguments, given=given, watch=watch, tick=stop_if_interrupted)
 
 
@@ -58,7 +59,7 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Be the node in ROS 2 until it is stopped: by rclpy where a ROS 2 is sourced, else by Cyclone DDS."""
-    given, watch = given_parameters(**options), _watch("ROS 2", live, rerun)
+    given, watch = given_parameters(**options), watched("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
@@ -71,19 +72,19 @@ def ros2(
     run_ros2(arguments, given=given, watch=watch, tick=stop_if_interrupted)
 
 
-def _watch(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:
-    """Let in those who look on at a node."""
+def watched(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:
+    """Let in those who look on at a node: its page, and its recording."""
 
     @contextmanager
-    def watched(core: NodeCore) -> Iterator[None]:
-        if core.localizes and (live is not None or rerun is not None):
-            raise ConfigurationError("--live and --rerun show a node that maps, not yet one that localizes")
+    def watch(core: NodeCore) -> Iterator[None]:
+        configuration = core.configuration
+        known = configuration.known.grid if isinstance(configuration, Localization) else None
         with ExitStack() as stack:
-            recording = stack.enter_context(rerun_recording(rerun, title, core.configuration.range_max_m))
+            recording = stack.enter_context(rerun_recording(rerun, title, configuration.range_max_m, known))
             if recording is not None:
                 core.watch(recording, recording.followed)
             if live is not None:
-                stack.enter_context(node_page(live, title, core))
+                stack.enter_context(node_page(live, title, core, known))
             yield
 
-    return watched
+    return watch

@@ -63,8 +63,8 @@ class Show(Protocol):
     def join(self, news: Callable[[], None]) -> Viewer:
         """Take in a viewer, whose `news` is called whenever there may be something new."""
 
-    def map_of(self, channel: int) -> OccupancyGrid:
-        """The map that a channel shows."""
+    def map_of(self, channel: int) -> OccupancyGrid | None:
+        """The map that a channel shows; None where there is none."""
 
 
 def application(show: Show, host: str, token: str | None) -> ASGIApp:
@@ -84,6 +84,8 @@ def application(show: Show, host: str, token: str | None) -> ASGIApp:
             return PlainTextResponse("this needs the token of the page", 403)
         channel = request.query_params.get("channel", "0")
         grid = show.map_of(int(channel) if channel.isdecimal() else 0)
+        if grid is None:
+            return PlainTextResponse("there is no map", 404)
         archive = await asyncio.to_thread(_zipped, grid)
         return Response(archive, media_type="application/zip")
 

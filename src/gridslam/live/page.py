@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import TypeVar, final
+from typing import Any, TypeVar, final
 
+from gridslam.live.cloud_sight import CloudSight
 from gridslam.live.control import Control, RobotControl
+from gridslam.live.map_sight import MapSight
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
+from gridslam.live.sight import Sight
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
@@ -25,17 +28,19 @@ _MAY_COME_BACK_S = 3.0
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run`, and `paced(source)` as its source, or `session(source)` where that is a
-    robot. The filter's result is the same with and without.
+    Give `observer` to `gridslam.pipeline.run` (or to what drives a localization), and `paced(source)` as its source, or
+    `session(source)` where that is a robot. The filter's result is the same with and without.
 
     Parameters
     ----------
     title : str
-        What is mapped.
+        What is mapped, or in which map the robot is.
     options : LiveOptions
         Where the page is served.
     range_max_m : float, m
         The filter's, beyond which beams are not used.
+    known : OccupancyGrid, optional
+        The map, where that is known: the filter is one that localizes then.
     robot : RobotControl, optional
         What a pause comes to, where a robot drives, which cannot be held back as a log can.
 
@@ -53,14 +58,17 @@ class LivePage:
         options: LiveOptions | None = None,
         *,
         range_max_m: float = math.inf,
+        known: OccupancyGrid | None = None,
         robot: RobotControl | None = None,
     ) -> None:
         """Serve nothing yet."""
         options = options or LiveOptions()
         self.control = robot or Control(options.speed)
-        self._run = LiveRun(title, self.control, range_max_m)
+        self._run = LiveRun(title, self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
-        self.observer = LiveObserver(self._post, self.control, range_max_m=range_max_m)
+        self._last_stage = "last word" if known is None else "done"
+        sight: Sight[Any, Any] = MapSight(range_max_m) if known is None else CloudSight(known)
+        self.observer = LiveObserver(self._post, self.control, sight)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
@@ -90,7 +98,7 @@ class LivePage:
     def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
         yield from self.observer.measured(source, stopwatch)
-        self._server.call(self._run.enter, "last word")
+        self._server.call(self._run.enter, self._last_stage)
 
     def session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """The measurements of a robot's session as they come; the page forgets what was before."""

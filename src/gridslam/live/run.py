@@ -12,26 +12,35 @@ import numpy as np
 
 from gridslam import __version__
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import compose
 from gridslam.kernels import TILE
 from gridslam.live.control import Control, RobotControl, checked_speed
-from gridslam.live.observer import BEST, SEEN_S, UNSEEN_S, LiveObserver, Snapshot
+from gridslam.live.observer import SEEN_S, UNSEEN_S, LiveObserver, Snapshot
 from gridslam.live.protocol import STEP_NATS
-from gridslam.live.scene import Float32Array, Scene, Sent, Tree, Way, tree_of
-from gridslam.live.tiles import TileMirror, tiles_of
+from gridslam.live.scene import NO_CLOSURES, NO_PARTICLES, NO_POINTS, NO_TREE, Rows, Scene, Sent, Way
+from gridslam.live.sight import BEST
+from gridslam.live.tiles import TileMirror, offset_of, tiles_of
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid
 
-__all__ = ["LiveRun", "LiveViewer", "greeting"]
+__all__ = ["LIVE_SLAM", "LiveRun", "LiveViewer", "greeting"]
 
+LIVE_SLAM = "map", "path", "pasts", "particles", "weights", "scan", "closures", "n_eff", "latency"
+_LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "doubt"
 _MOST_CHANNELS = 8
 _RATE_OVER = 12  # snapshots
 
 
-def greeting(title: str, mode: str, resolution_m: float = math.nan, particles: int = 0) -> dict[str, Any]:
-    """What a viewer is told first; `session` tells one start of a server from another."""
+def greeting(
+    title: str, mode: str, shows: tuple[str, ...], step: str = "key scan", grid: OccupancyGrid | None = None
+) -> dict[str, Any]:
+    """What a viewer is told first.
+
+    `session` tells one start of a server from another, `shows` names the layers and figures that there are, and `step`
+    says what a row of the series is. The cells of a known `grid` lie off the tiles' by `offset_m`.
+    """
     return {
-        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "tile": TILE,
-        "step_nats": STEP_NATS, "resolution_m": finite(resolution_m), "particles": particles,
+        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "shows": shows,
+        "step": step, "tile": TILE, "step_nats": STEP_NATS, "resolution_m": None if grid is None else grid.resolution_m,
+        "offset_m": (0.0, 0.0) if grid is None else offset_of(grid),
     }  # fmt: skip
 
 
@@ -52,28 +61,39 @@ class LiveRun:
         What viewers' pause, step and speed go to.
     range_max_m : float, m
         Beams of this range or more are not drawn.
+    known : OccupancyGrid, optional
+        The map, where that is known: then the robot is localized in it.
     """
 
-    def __init__(self, title: str, control: Control | RobotControl, range_max_m: float = math.inf) -> None:
+    def __init__(
+        self,
+        title: str,
+        control: Control | RobotControl,
+        range_max_m: float = math.inf,
+        known: OccupancyGrid | None = None,
+    ) -> None:
         """Begin before the first snapshot."""
         self.observer: LiveObserver | None = None
         self.control = control
-        self._title, self._range_max_m = title, range_max_m
+        self._title, self._range_max_m, self._known = title, range_max_m, known
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
         self._channels, self._says = 0, ""
         self.begin()
 
     def begin(self) -> None:
-        """Begin before the first snapshot, with an empty map."""
-        self._hello = greeting(self._title, "live" if isinstance(self.control, Control) else "robot")
-        self._mirrors = {BEST: TileMirror()}
+        """Begin before the first snapshot, with an empty map or the known one."""
+        mode = "live" if isinstance(self.control, Control) else "robot"
+        if self._known is None:
+            self._hello = greeting(self._title, mode, LIVE_SLAM)
+        else:
+            self._hello = greeting(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
+        self._mirrors = {BEST: TileMirror() if self._known is None else TileMirror.of(self._known)}
         self._rows = {BEST: 0}
         self._stage = "waiting"
-        self._status: dict[str, Any] = {"keys": 0, "scans": 0}
-        self._path, self._tree = Way(), Tree(_zeros(0, 2), np.zeros(0, np.int32), np.zeros(0, np.int32))
-        self._particles, self._scan, self._closure_ends = _zeros(0, 4), _zeros(0, 2), _zeros(0, 4)
-        self._series, self._steps = _zeros(256, 4), 0
-        self._closures: list[tuple[int, int]] = []
+        self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
+        self._path, self._tree = Way(), NO_TREE
+        self._particles, self._scan, self._closures = NO_PARTICLES, NO_POINTS, NO_CLOSURES
+        self._series = Rows(5)
         self._first_s: float | None = None
         self._paces: deque[tuple[float, int, float]] = deque(maxlen=_RATE_OVER)
         self._last_scan: LaserScan | None = None
@@ -83,20 +103,21 @@ class LiveRun:
 
     def apply(self, snapshot: Snapshot) -> None:
         """Take over a snapshot."""
-        report, poses = snapshot.report, snapshot.poses
+        view = snapshot.view
         if self._stage == "waiting":
-            self._hello = {**self._hello, "resolution_m": snapshot.resolution_m, "particles": len(poses)}
+            self._hello = {**self._hello, "resolution_m": view.resolution_m}
             self._stage = "running"
-        for channel, changes in snapshot.maps.items():
+        for channel, changes in view.maps.items():
             if channel in self._mirrors:
                 self._mirrors[channel].apply(changes)
-        self._rows = snapshot.rows
+        self._rows = view.rows
         self._take_series(snapshot)
-        trunk, self._tree = tree_of(snapshot.ancestry)
-        self._path = self._path.followed_by(trunk)
-        self._take_closures(snapshot)
-        now = compose(poses, report.key_from_base) if report.skipped else poses
-        self._particles = np.column_stack([now, np.exp(snapshot.log_weights)]).astype(np.float32)
+        way, self._tree = view.past()
+        self._path = self._path.followed_by(way)
+        closures = view.closures()
+        if not np.array_equal(closures, self._closures):
+            self._closures = closures
+        self._particles = view.particles()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
             self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
@@ -107,9 +128,9 @@ class LiveRun:
         for mirror in self._mirrors.values():
             mirror.replace(tiles_of(grid))
         self._path = self._path.followed_by(poses[:, :2].astype(np.float32))
-        self._tree = Tree(_zeros(0, 2), np.zeros(0, np.int32), np.full(len(self._particles), -1, np.int32))
-        self._closure_ends = closures.astype(np.float32)
-        self._particles, self._scan = self._particles[:0], self._scan[:0]
+        self._tree = NO_TREE
+        self._closures = closures.astype(np.float32)
+        self._particles, self._scan = NO_PARTICLES, NO_POINTS
         self.enter("done")
 
     def enter(self, stage: str) -> None:
@@ -141,13 +162,17 @@ class LiveRun:
 
     def map_of(self, channel: int) -> OccupancyGrid:
         """The map that a channel shows; the best particle's where there is no such channel."""
+        if self._known is not None:
+            return self._known
         resolution_m = self._hello["resolution_m"] or 1.0
         return self._mirrors.get(channel, self._mirrors[BEST]).grid(resolution_m)
 
     def watch(self, particle: int) -> int:
         """Open a channel for the map of a particle; raises ArgumentError where there is none, or too many are open."""
-        if not 0 <= particle < self._hello["particles"]:
-            raise ArgumentError("particle", f"an index below {self._hello['particles']}", particle)
+        if self._known is not None:
+            raise ArgumentError("do", "something else, as all particles have one map", "watch")
+        if not 0 <= particle < (count := self._status["particles"]):
+            raise ArgumentError("particle", f"an index below {count}", particle)
         if len(self._mirrors) > _MOST_CHANNELS:
             raise ArgumentError("particle", f"at most {_MOST_CHANNELS} maps at once", "one more")
         self._channels += 1
@@ -173,7 +198,7 @@ class LiveRun:
         }  # fmt: skip
         return Scene(
             self._hello, status, self._mirrors.get(channel, self._mirrors[BEST]), self._path, self._tree,
-            self._particles, self._scan, self._closure_ends, self._series[: self._steps],
+            self._particles, self._scan, self._closures, self._series.all,
         )  # fmt: skip
 
     def tell_all(self) -> None:
@@ -191,22 +216,7 @@ class LiveRun:
             return
         if self._first_s is None:
             self._first_s = snapshot.series[0][0]
-        rows = np.array(snapshot.series, np.float64) * (1.0, 1.0, 1e3, 1.0) - (self._first_s, 0.0, 0.0, 0.0)
-        end = self._steps + len(rows)
-        if end > len(self._series):
-            self._series = np.concatenate([self._series, _zeros(max(end, len(self._series)), 4)])
-        self._series[self._steps : end] = rows
-        self._steps = end
-
-    def _take_closures(self, snapshot: Snapshot) -> None:
-        """Where the loop closures are as the best particle has it; they move when the past is corrected."""
-        self._closures += snapshot.closures
-        if not self._closures:
-            return
-        places = snapshot.ancestry.trajectory(snapshot.rows[BEST])[:, :2]
-        ends = places[np.array(self._closures)].reshape(-1, 4).astype(np.float32)
-        if not np.array_equal(ends, self._closure_ends):
-            self._closure_ends = ends
+        self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
 
     def _tell(self, snapshot: Snapshot) -> None:
         report = snapshot.report
@@ -215,12 +225,11 @@ class LiveRun:
         self._paces.append((snapshot.taken_s, snapshot.scans, stamp_s))
         wall_s, scans, log_s = (b - a for a, b in zip(self._paces[0], self._paces[-1], strict=True))
         pace = {"scans_per_s": scans / wall_s, "times": log_s / wall_s} if wall_s > 0 and scans else {}
-        n_eff = finite(float(self._series[self._steps - 1, 1])) if self._steps else None
+        n_eff = finite(float(self._series.all[-1, 1])) if snapshot.keys else None
         self._status = {
             "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - first_s,
             "pose": report.pose.tolist(), "covariance": report.covariance.tolist(), "lost": bool(report.lost),
-            "n_eff": n_eff, "best": snapshot.rows[BEST], "closures": len(self._closures), "bytes": snapshot.bytes,
-            "share": finite(snapshot.share), **pace,
+            "n_eff": n_eff, "share": finite(snapshot.share), **snapshot.view.facts(), **pace,
         }  # fmt: skip
         self.tell_all()
 
@@ -272,7 +281,3 @@ class LiveViewer:
             self._run.unwatch(before)
         if particle is not None:
             self._channel = self._run.watch(int(particle))
-
-
-def _zeros(*shape: int) -> Float32Array:
-    return np.zeros(shape, np.float32)

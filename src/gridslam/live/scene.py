@@ -11,29 +11,67 @@ from numpy.typing import NDArray
 from gridslam.live.protocol import encode, packed
 from gridslam.live.tiles import TileMirror
 from gridslam.particles.ancestry import Ancestry
+from gridslam.types import FloatArray
 
-__all__ = ["Scene", "Sent", "Tree", "Way", "rooted", "tree_of"]
+__all__ = [
+    "NO_CLOSURES", "NO_LANDMARKS", "NO_PARTICLES", "NO_POINTS", "NO_SERIES", "NO_TREE", "Rows", "Scene", "Sent", "Tree",
+    "Way", "rooted", "tree_of",
+]  # fmt: skip
 
 Float32Array = NDArray[np.float32]
 
 _TILES_AT_ONCE = 1024
 _NODES = 1500  # of a tree of pasts; of more every second, third, ... step is drawn
 _GRAIN = np.float32(64)  # to the m: its places are rounded to 1.6 cm, which halves what is sent of them
-_NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
+NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
+NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
+NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
+NO_LANDMARKS: Float32Array = np.zeros((0, 5), np.float32)
+NO_SERIES: Float32Array = np.zeros((0, 5), np.float32)
+
+
+@final
+class Rows:
+    """Rows of numbers that become more and more; those that were given out stay as they are.
+
+    Parameters
+    ----------
+    width : int
+        Numbers in a row.
+    """
+
+    __slots__ = ("_count", "_rows")
+
+    def __init__(self, width: int) -> None:
+        """Begin without any."""
+        self._rows, self._count = np.zeros((256, width), np.float32), 0
+
+    def append(self, rows: FloatArray) -> None:
+        """Add rows (K, width)."""
+        end = self._count + len(rows)
+        if end > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros((end, self._rows.shape[1]), np.float32)])
+        self._rows[self._count : end] = rows
+        self._count = end
+
+    @property
+    def all(self) -> Float32Array:
+        """All rows until now."""
+        return self._rows[: self._count]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Way:
-    """Places (T, 2) of the robot at the key scans; those of one `edition` begin alike, and may differ in length."""
+    """Places (T, 2) of the robot at the key scans, NaN where it was lost; of one `edition` they begin alike."""
 
-    places: Float32Array = field(default_factory=lambda: _NO_POINTS)
+    places: Float32Array = field(default_factory=lambda: NO_POINTS)
     edition: int = 0
 
     def followed_by(self, places: Float32Array) -> Way:
         """The path as it is now: of the same edition if nothing but its end is new."""
         common = min(len(places), len(self.places))
-        same = np.array_equal(places[:common], self.places[:common])
+        same = np.array_equal(places[:common], self.places[:common], equal_nan=True)
         return Way(places, self.edition if same else self.edition + 1)
 
 
@@ -55,6 +93,10 @@ class Tree:
     places: Float32Array
     parents: NDArray[np.int32]
     leaves: NDArray[np.int32]
+
+
+NO_TREE = Tree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
+"""Of particles without pasts."""
 
 
 def tree_of(ancestry: Ancestry, most: int = _NODES) -> tuple[Float32Array, Tree]:
@@ -105,7 +147,7 @@ class Scene:
         What changes with every scene: numbers and words.
     mirror : TileMirror
         The map that is shown.
-    path : Path
+    path : Way
         Where the robot was, as far as all particles agree.
     tree : Tree
         Where they do not.
@@ -115,11 +157,13 @@ class Scene:
         Ends of the current scan's beams, seen from the robot.
     closures : (C, 4) float32, m
         The two places x, y that each loop closure joins.
-    series : (S, 4) float32
-        For each key scan its time since the first, s, effective sample size, latency, ms, and flags: those of a record,
-        and 8 where the past was corrected.
+    series : (S, 5) float32
+        For each key scan its time since the first, s, effective sample size, latency, ms, flags (`gridslam.live.sight`)
+        and number of particles; NaN where that is not known.
     plan : (P, 2) float32, m
         Where the robot will go; empty where nobody knows.
+    landmarks : (L, 5) float32
+        Their x m, y m, and covariance xx, xy, yy, m^2.
     """
 
     hello: dict[str, Any]
@@ -131,7 +175,8 @@ class Scene:
     scan: Float32Array
     closures: Float32Array
     series: Float32Array
-    plan: Float32Array = field(default_factory=lambda: _NO_POINTS)
+    plan: Float32Array = field(default_factory=lambda: NO_POINTS)
+    landmarks: Float32Array = field(default_factory=lambda: NO_LANDMARKS)
 
 
 @final
@@ -168,7 +213,7 @@ class Sent:
             first = self._series if self._series < len(scene.series) else 0
             header["series"] = first
             arrays["series"], self._series = scene.series[first:], len(scene.series)
-        for name in ("particles", "scan", "closures", "plan"):
+        for name in ("particles", "scan", "closures", "plan", "landmarks"):
             self._add_whole(name, getattr(scene, name), {name: getattr(scene, name)}, arrays)
         tree = scene.tree
         named = {"tree": tree.places, "tree_parents": tree.parents, "tree_leaves": tree.leaves}

@@ -16,7 +16,7 @@ from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["NOWHERE", "Box", "TileChanges", "TileMirror", "TileWatch", "tiles_of"]
+__all__ = ["NOWHERE", "Box", "TileChanges", "TileMirror", "TileWatch", "offset_of", "tiles_of"]
 
 _MARGIN_M = 2 * TILE * 0.05  # what undoing the robot's motion during a scan may move the end of a beam
 
@@ -124,6 +124,13 @@ class TileMirror:
         self._numbers: IntArray = np.zeros(64, np.int64)
         self.sequence = 0
 
+    @classmethod
+    def of(cls, grid: OccupancyGrid) -> TileMirror:
+        """Copy a rectangular map."""
+        mirror = cls()
+        mirror.apply(tiles_of(grid))
+        return mirror
+
     def __len__(self) -> int:
         """Return the number of tiles, those included that have become unknown again."""
         return len(self._place)
@@ -191,6 +198,13 @@ class TileMirror:
 
 def _unknown(count: int) -> NDArray[np.int16]:
     return np.full((count, TILE, TILE), UNKNOWN, np.int16)
+
+
+def offset_of(grid: OccupancyGrid) -> tuple[float, float]:
+    """Where the cells of a rectangular map lie from the nearest ones of the tiles' grid (x m, y m)."""
+    side = grid.resolution_m
+    x, y = (float(corner) - side * round(corner / side) for corner in grid.origin)
+    return x, y
 
 
 def tiles_of(grid: OccupancyGrid) -> TileChanges:

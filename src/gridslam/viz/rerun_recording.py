@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ConfigurationError, OutputError
 from gridslam.geometry.se2 import compose
+from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
+from gridslam.viz.cloud import fair_share
 from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH
 
 __all__ = ["RerunRecording"]
@@ -33,7 +35,9 @@ class RerunRecording:
 
     Under ``map`` are the best particle's map and path (after every tenth key scan), the particles (at key scans), the
     scan and the robot (ten times a second of the log); under ``filter`` the effective sample size, the latency and
-    whether the robot is lost. Timelines are ``stamp``, the time of the log, and ``scan``, which counts.
+    whether the robot is lost. Timelines are ``stamp``, the time of the log, and ``scan``, which counts. Where the map
+    is known it is there from the beginning, the path is what was told at the time, broken where the robot was lost, and
+    under ``filter`` are the number of particles and the doubt, too.
 
     Parameters
     ----------
@@ -43,6 +47,8 @@ class RerunRecording:
         What is mapped.
     range_max_m : float, m
         The filter's, beyond which beams are not used.
+    known : OccupancyGrid, optional
+        The map, where that is known: the filter is one that localizes then.
 
     Raises
     ------
@@ -52,18 +58,19 @@ class RerunRecording:
         On entering: the file cannot be written, or the address is none.
     """
 
-    def __init__(self, target: str, title: str, *, range_max_m: float = math.inf) -> None:
+    def __init__(
+        self, target: str, title: str, *, range_max_m: float = math.inf, known: OccupancyGrid | None = None
+    ) -> None:
         try:
             self._rerun: Any = importlib.import_module("rerun")
             self._blueprint: Any = importlib.import_module("rerun.blueprint")
         except ImportError as error:
             raise ConfigurationError(f"Rerun is not there ({error}): pip install 'gridslam[rerun]'") from None
-        self._target, self._range_max_m = target, range_max_m
+        self._target, self._range_max_m, self._known = target, range_max_m, known
         self._recording: Any = self._rerun.RecordingStream(f"gridslam {title}")
-        self._scans = self._keys = 0
-        self._due_ns = 0
+        self._scans, self._due_ns = 0, 0
         self._scan: LaserScan | None = None
-        self._closures: list[tuple[int, int]] = []
+        self._begin()
 
     def __enter__(self) -> RerunRecording:
         """Open the file, or the line to the viewer."""
@@ -78,27 +85,32 @@ class RerunRecording:
         except (OSError, RuntimeError, ValueError) as error:
             raise OutputError(f"{self._target}: cannot be recorded to: {error}") from None
         recording.log("map", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if self._known is not None:
+            self._log_map(self._known, static=True)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Write what is still to be written."""
+        if self._known is not None:
+            self._log_way()
         self._recording.flush()
         self._recording.disconnect()
 
     def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """The measurements of a source, as they come; a robot's next session begins the map anew."""
-        self._keys, self._closures = 0, []
+        self._begin()
         for measurement in source:
             self._scan = measurement[1]
             yield measurement
 
-    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Record one scan."""
+    def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
+        """Record one scan: of a report and a state of SLAM or, where the map is known, of localization."""
         rerun, log = self._rerun, self._recording.log
         self._scans += 1
-        self._closures.extend(report.closures)
+        if self._known is None:
+            self._closures.extend(report.closures)
         is_key = report.skipped is None
         if not is_key and 0 <= report.stamp_ns - self._due_ns + _SCAN_NS < _SCAN_NS:
             return
@@ -107,14 +119,11 @@ class RerunRecording:
         self._recording.set_time("stamp", timestamp=np.datetime64(report.stamp_ns, "ns"))
         log("filter/latency_ms", rerun.Scalars(1e3 * seconds))
         log("filter/lost", rerun.Scalars(float(report.lost)))
-        self._log_robot(report)
+        self._log_robot(report.pose)
         if is_key:
             self._keys += 1
             log("filter/effective_particles", rerun.Scalars(report.n_eff))
-            self._points("particles", state.poses, 0.03, CLOSURE)
-            if report.corrected or self._keys % _KEYS_A_MAP == 1:
-                self._log_map(state.maps.occupancy(state.best))
-                self._log_past(state.ancestry.trajectory(state.best), self._closures)
+            (self._log_slam if self._known is None else self._log_localization)(report, state)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Record the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
@@ -122,8 +131,35 @@ class RerunRecording:
         self._strips("path", [poses[:, :2]], TIME_ENDS[1])
         self._strips("closures", closures.reshape(-1, 2, 2), TRUTH)
 
-    def _log_robot(self, report: StepReport) -> None:
-        x, y, theta = report.pose.tolist()
+    def _begin(self) -> None:
+        """Begin with a session's first scan."""
+        self._keys, self._closures = 0, list[tuple[int, int]]()
+        self._way: list[list[list[float]]] = [[]]  # where the robot was found
+
+    def _log_slam(self, report: StepReport, state: GridFastSlamState) -> None:
+        self._points("particles", state.poses, 0.03, CLOSURE)
+        if report.corrected or self._keys % _KEYS_A_MAP == 1:
+            self._log_map(state.maps.occupancy(state.best))
+            self._log_past(state.ancestry.trajectory(state.best), self._closures)
+
+    def _log_localization(self, report: LocalizationReport, state: MonteCarloState) -> None:
+        chosen, _ = fair_share(np.exp(state.log_weights))
+        self._points("particles", state.poses[chosen], 0.03, CLOSURE)
+        for name, value in (("particles", report.particles), ("doubt", report.lost_probability)):
+            self._recording.log(f"filter/{name}", self._rerun.Scalars(value))
+        if report.lost:
+            self._way.append([])
+        else:
+            self._way[-1].append(report.pose[:2].tolist())
+        if self._keys % _KEYS_A_MAP == 1:
+            self._log_way()
+
+    def _log_way(self) -> None:
+        """What was told of a localized robot, without what was a guess."""
+        self._strips("path", [np.array(strip) for strip in self._way if len(strip) > 1], TIME_ENDS[1])
+
+    def _log_robot(self, pose: FloatArray) -> None:
+        x, y, theta = pose.tolist()
         rerun = self._rerun
         heading = rerun.Arrows3D(
             origins=[[x, y, _HEIGHT_M["scan"]]], vectors=[[0.6 * math.cos(theta), 0.6 * math.sin(theta), 0.0]],
@@ -132,10 +168,10 @@ class RerunRecording:
         self._recording.log("map/robot", heading)
         if self._scan is not None:
             ends = self._scan.beams(0.05, self._range_max_m).ends
-            world = compose(report.pose, np.column_stack([ends, np.zeros(len(ends))]))
+            world = compose(pose, np.column_stack([ends, np.zeros(len(ends))]))
             self._points("scan", world, 0.02, TIME_ENDS[1])
 
-    def _log_map(self, grid: OccupancyGrid) -> None:
+    def _log_map(self, grid: OccupancyGrid, *, static: bool = False) -> None:
         rerun = self._rerun
         # as of nav_msgs/OccupancyGrid: -1, and 0 to 100
         cells: NDArray[np.uint8] = np.full(grid.known.shape, 255, np.uint8)
@@ -146,7 +182,7 @@ class RerunRecording:
             data=np.flipud(cells).tobytes(), format=form, cell_size=grid.resolution_m, translation=[*grid.origin, 0.0],
             colormap=rerun.components.Colormap.RvizMap,
         )  # fmt: skip
-        self._recording.log("map/grid", picture)
+        self._recording.log("map/grid", picture, static=static)
 
     def _log_past(self, past: FloatArray, closures: list[tuple[int, int]]) -> None:
         self._strips("path", [past[:, :2]], FAINT)
@@ -163,7 +199,7 @@ class RerunRecording:
 
     def _layout(self) -> Any:  # noqa: ANN401
         views = self._blueprint
-        names = "effective_particles", "latency_ms", "lost"
+        names = ["effective_particles", "latency_ms", "lost"] + ([] if self._known is None else ["particles", "doubt"])
         charts = [views.TimeSeriesView(origin=f"filter/{name}") for name in names]
         return views.Blueprint(
             views.Horizontal(views.Spatial3DView(origin="map"), views.Vertical(*charts), column_shares=[3, 1])

@@ -10,8 +10,10 @@ from onlookers import Onlooker
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
 from gridslam.live.control import Control
-from gridslam.live.observer import CORRECTED, LiveObserver
+from gridslam.live.map_sight import MapSight
+from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
+from gridslam.live.sight import CORRECTED
 from gridslam.pipeline import run
 from gridslam.scan import EndPoints
 
@@ -29,7 +31,7 @@ class Sight:
     def __init__(self, every: int = 1) -> None:
         self.control = Control()
         self.live = LiveRun("loop", self.control, 30.0)
-        self.observer = self.live.observer = LiveObserver(self.post, self.control, range_max_m=30.0)
+        self.observer = self.live.observer = LiveObserver(self.post, self.control, MapSight(30.0))
         self.every, self.scans, self.posted, self.held = every, 0, 0, []
         self.check = lambda state: None
 

@@ -82,7 +82,7 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
             assert other.status["scans"] == 120
             assert page.viewers == 2
             receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 2)
-        assert onlooker.hello["particles"] == 4
+        assert onlooker.status["particles"] == 4
         assert onlooker.status["stage"] == "last word"
 
 

@@ -6,19 +6,26 @@ import json
 
 import numpy as np
 import pytest
+from localization_world import drive as localized_drive
+from localization_world import flat_map
 from loops import PROVOKED, loop_drive
 from onlookers import Onlooker
-from ros_node import until
+from ros_node import Heard, mounting, play, until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from gridslam.cli.ros import watched
 from gridslam.config import build
 from gridslam.live.control import RobotControl
+from gridslam.live.map_sight import MapSight
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.run import LiveRun
+from gridslam.localization import KnownMap, MonteCarloParts
 from gridslam.pipeline import run
+from gridslam.ros import NodeCore, NodeSettings
+from gridslam.ros.localization import Localization
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +56,7 @@ def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
         live.apply(snapshot)
         observer.done()
 
-    observer = live.observer = LiveObserver(post, robot.control, range_max_m=30.0)
+    observer = live.observer = LiveObserver(post, robot.control, MapSight(30.0))
     viewer = live.join(lambda: None)
     sessions = []
     for part in (drive, drive[20:40]):
@@ -72,7 +79,7 @@ def test_a_particle_that_was_chosen_before_a_new_session_is_no_more(drive):
     robot, onlooker = Robot(), Onlooker()
     live = LiveRun("robot", robot.control)
     viewer = live.join(lambda: None)
-    live._hello["particles"] = 4
+    live._status["particles"] = 4
     viewer.command({"do": "watch", "particle": 2})
     onlooker.catch_up(viewer)
     assert onlooker.status["channel"] != 0
@@ -105,3 +112,37 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
             line.send(json.dumps({"do": "step", "to_key_scan": True}))
             with pytest.raises(ConnectionClosed, match="a robot drives on"):
                 until(lambda: told("stage") == "stepped")
+
+
+def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
+    """Placed by people meanwhile, it stays one session."""
+    pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
+    log, heard, seen = localized_drive(3), Heard(), Onlooker()
+    known = Localization(KnownMap(flat_map()), MonteCarloParts())
+    core = NodeCore(NodeSettings(), known, heard)
+    core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
+    with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
+        url = capsys.readouterr().err.split("live at ")[1].split()[0]
+        with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
+
+            def told():
+                seen.receive(line.recv(10))
+                line.send(json.dumps({"do": "got"}))
+                return seen.status
+
+            told()
+            assert seen.sees(known.known.grid)
+            assert seen.hello["mode"] == "robot"
+            core.start()
+            sent = play(core, heard, log.measurements[:30], shift_ns=10**18, ahead=5)
+            assert until(lambda: told()["scans"] == sent), heard.warnings()
+            session = seen.hello["session"]
+            core.place((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
+            play(core, heard, log.measurements[30:60], shift_ns=10**18, ahead=5)
+            assert until(lambda: told()["scans"] == 60)
+            assert seen.hello["session"] == session
+            assert seen.status["lost"] is False
+            assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[59])[:2]) < 0.3
+            assert len(seen.arrays["particles"]) <= 1000
+        core.close()
+    assert (tmp_path / "run.rrd").stat().st_size > 1000

@@ -74,6 +74,38 @@ def test_a_run_is_read_back(read, tmp_path):
     assert column(rows["map/closures"], "LineStrips3D:strips")[-1][0][1][:2] == [2.0, 3.0]
 
 
+def test_a_localization_is_read_back(read, tmp_path):
+    from localization_world import drive, flat_map
+
+    from gridslam.localization import KnownMap, MonteCarloLocalization
+
+    grid, reports = flat_map(), []
+    mcl, rng = MonteCarloLocalization(KnownMap(grid)), np.random.default_rng(1)
+    state = mcl.init()
+    with RerunRecording(str(tmp_path / "run.rrd"), "flat", range_max_m=30.0, known=grid) as recording:
+        for odometry, scan in recording.followed(drive(1).measurements):
+            state, report = mcl.step(state, odometry, scan, rng)
+            recording(report, state, 0.001)
+            reports.append(report)
+    rows = read(tmp_path / "run.rrd")
+    updates = [report for report in reports if report.skipped is None]
+    (form,) = column(rows["map/grid"], "GridMap:format")
+    assert (form[0]["height"], form[0]["width"]) == grid.known.shape
+    for name, told in (("doubt", "lost_probability"), ("particles", "particles"), ("effective_particles", "n_eff")):
+        values = [value for (value,) in column(rows[f"filter/{name}"], "Scalars:scalars")]
+        assert values == pytest.approx([getattr(report, told) for report in updates])
+    clouds = column(rows["map/particles"], "Points3D:positions")
+    assert len(clouds) == len(updates)
+    assert 100 < max(map(len, clouds)) <= 1000
+    strips = column(rows["map/path"], "LineStrips3D:strips")[-1]
+    found = [report.pose[:2] for report in updates if not report.lost]
+    assert 0 < len(found) < len(updates)
+    places = np.concatenate([np.array(strip)[:, :2] for strip in strips])
+    assert len(found) - 5 < len(places) <= len(found)  # single places among lost ones make no line
+    np.testing.assert_allclose(places[-50:], found[-50:], atol=1e-5)
+    assert rows["map/scan"]
+
+
 @pytest.mark.parametrize(
     ("target", "address"),
     [

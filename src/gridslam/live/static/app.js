@@ -1,7 +1,7 @@
 // Puts the page together: messages change the world, and what has changed is drawn.
 
 import { Camera } from "./camera.js";
-import { Chart, Strip } from "./chart.js";
+import { Chart, COLUMNS, Strip } from "./chart.js";
 import { Drawing } from "./drawing.js";
 import { Panel } from "./panel.js";
 import { Line } from "./socket.js";
@@ -15,7 +15,7 @@ const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
 const panel = new Panel((command) => line.send(command));
 const charts = [
-  new Chart($("#n_eff"), 1, { rule: 0.5, top: ({ hello }) => hello.particles || 1 }),
+  new Chart($("#n_eff"), 1, { share: true }),
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
 const strip = new Strip($("#weights"), choose);
@@ -24,8 +24,8 @@ let colours = {}, wanted = false;
 function forget() {
   world.map.clear();
   Object.assign(world, {
-    hello: {}, status: {}, resolution: 0.05, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
-    particles: NONE, scan: NONE, closures: NONE, series: NONE, steps: 0,
+    hello: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
+    particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, series: NONE, steps: 0,
   });
 }
 
@@ -45,10 +45,10 @@ function receive({ header, arrays }) {
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
   if (arrays.path) world.path = spliced(world.path, 2 * header.path, arrays.path);
   if (arrays.series) {
-    world.series = spliced(world.series, 4 * header.series, arrays.series);
-    world.steps = world.series.length / 4;
+    world.series = spliced(world.series, COLUMNS * header.series, arrays.series);
+    world.steps = world.series.length / COLUMNS;
   }
-  for (const name of ["particles", "scan", "closures", "plan"]) world[name] = arrays[name] ?? world[name];
+  for (const name of ["particles", "scan", "closures", "plan", "landmarks"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
   Object.assign(document.body.dataset, { tiles: world.map.tiles.size, keys: world.steps, watched: world.status.watched ?? "" });
@@ -57,7 +57,7 @@ function receive({ header, arrays }) {
 
 function greet(hello) {
   world.hello = hello;
-  world.resolution = hello.resolution_m ?? world.resolution;
+  world.map.place(hello.resolution_m ?? 0.05, hello.offset_m);
   document.body.dataset.session = hello.session;
   panel.greet(hello);
 }
@@ -78,7 +78,7 @@ function redraw() {
 function look() {
   const pose = world.status.pose;
   if (camera.mode === "follow" && pose && camera.approach(pose[0], pose[1])) redraw();
-  const extent = world.map.extent(world.resolution);
+  const extent = world.map.extent() ?? drawing.extent();
   if (camera.mode === "fit" && extent) camera.fit(extent);
   $("#fit").setAttribute("aria-pressed", camera.mode === "fit");
   $("#follow").setAttribute("aria-pressed", camera.mode === "follow");
@@ -92,7 +92,11 @@ function rule() {
   $("#scale span").textContent = metres >= 1 ? `${metres} m` : `${Math.round(100 * metres)} cm`;
 }
 
+// Whether particles have maps or pasts of their own.
+const choosable = () => world.hello.shows?.includes("weights");
+
 function choose(particle) {
+  if (!choosable()) return;
   line.send({ do: "watch", particle: particle === world.status.watched ? null : particle });
 }
 
@@ -115,7 +119,7 @@ function resize() {
 
 function dress() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "pasts", "particle", "chosen", "scan", "closure", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "pasts", "particle", "chosen", "scan", "closure", "landmark", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
@@ -152,7 +156,7 @@ camera.clicked = (u, v) => {
   const particle = drawing.particleAt(u, v);
   if (particle >= 0) choose(particle);
 };
-camera.hovered = (u, v) => $("#map").classList.toggle("over", drawing.particleAt(u, v) >= 0);
+camera.hovered = (u, v) => $("#map").classList.toggle("over", choosable() && drawing.particleAt(u, v) >= 0);
 for (const chart of charts) chart.again = redraw;
 $("#fit").onclick = () => set("fit");
 $("#follow").onclick = () => set(camera.mode === "follow" ? "free" : "follow");

@@ -16,13 +16,15 @@ function ceiling(value) {
   return power * [1, 2, 5, 10].find((step) => step * power >= value);
 }
 
+export const COLUMNS = 5; // of the series: time, effective sample size, latency, flags, number of particles
+const FLAGS = 3, PARTICLES = 4;
 const LOST = 1, CORRECTED = 8;
 
 // One quantity of the series; of all key scans that fall on one pixel the range is drawn.
 export class Chart {
-  // `column` of the series; `top(status, greatest)` the end of the axis; `rule` a share of it to be marked.
-  constructor(canvas, column, { rule = 0, top = (_, greatest) => ceiling(greatest), unit = "" } = {}) {
-    Object.assign(this, { canvas, column, rule, top, unit, pointer: null });
+  // `column` of the series; as a `share` of the particles, of which half are marked, where that is asked for.
+  constructor(canvas, column, { share = false, unit = "" } = {}) {
+    Object.assign(this, { canvas, column, share, unit, pointer: null });
     canvas.addEventListener("pointermove", (event) => { this.pointer = event.offsetX; this.again?.(); });
     canvas.addEventListener("pointerleave", () => { this.pointer = null; this.again?.(); });
   }
@@ -30,27 +32,20 @@ export class Chart {
   draw(world, colours) {
     const [context, width, height] = prepared(this.canvas), { series, steps } = world;
     if (!steps) return;
-    const first = series[0], last = Math.max(series[4 * (steps - 1)], first + 1);
+    const first = series[0], last = Math.max(series[COLUMNS * (steps - 1)], first + 1);
     const toX = (time) => ((time - first) / (last - first)) * (width - 1);
     const columns = new Map();
     let greatest = 0;
+    this.marks(context, series, steps, toX, height, colours);
     for (let k = 0; k < steps; k++) {
-      const value = series[4 * k + this.column], x = Math.round(toX(series[4 * k])), flags = series[4 * k + 3];
+      const value = this.value(series, k), x = Math.round(toX(series[COLUMNS * k]));
       if (Number.isNaN(value)) continue;
       greatest = Math.max(greatest, value);
-      const [low, high, marks] = columns.get(x) ?? [value, value, 0];
-      columns.set(x, [Math.min(low, value), Math.max(high, value), marks | flags]);
+      const [low, high] = columns.get(x) ?? [value, value];
+      columns.set(x, [Math.min(low, value), Math.max(high, value)]);
     }
-    const top = this.top(world, greatest), toY = (value) => height - 1 - (value / top) * (height - 12);
-    this.axes(context, width, height, toY(this.rule * top), top, colours);
-    for (const [x, [low, high, marks]] of columns) {
-      if (marks & (LOST | CORRECTED)) {
-        context.fillStyle = marks & LOST ? colours.bad : colours.closure;
-        context.globalAlpha = 0.5;
-        context.fillRect(x, 10, 1, height - 10);
-        context.globalAlpha = 1;
-      }
-    }
+    const top = this.share ? 1 : ceiling(greatest), toY = (value) => height - 1 - (value / top) * (height - 12);
+    this.axes(context, width, height, toY(0.5), this.share ? "100 %" : `${+top.toPrecision(3)}${this.unit}`, colours);
     context.beginPath();
     let before = null;
     for (const [x, [low, high]] of [...columns].sort(([a], [b]) => a - b)) {
@@ -65,13 +60,31 @@ export class Chart {
     if (this.pointer !== null) this.read(context, world, first + (this.pointer / width) * (last - first), toX, toY, width, colours);
   }
 
-  axes(context, width, height, ruled, top, colours) {
+  value(series, k) {
+    const value = series[COLUMNS * k + this.column];
+    return this.share ? value / series[COLUMNS * k + PARTICLES] : value;
+  }
+
+  // Where the robot was lost, from one step to the next, and where the past was corrected.
+  marks(context, series, steps, toX, height, colours) {
+    context.globalAlpha = 0.4;
+    for (let k = 0; k < steps; k++) {
+      const flags = series[COLUMNS * k + FLAGS], x = toX(series[COLUMNS * k]);
+      if (!(flags & (LOST | CORRECTED))) continue;
+      const next = flags & LOST && k + 1 < steps ? toX(series[COLUMNS * (k + 1)]) : x + 1;
+      context.fillStyle = flags & LOST ? colours.bad : colours.closure;
+      context.fillRect(x, 12, Math.max(next - x, 1), height - 12);
+    }
+    context.globalAlpha = 1;
+  }
+
+  axes(context, width, height, half, top, colours) {
     context.fillStyle = colours.rule;
     context.fillRect(0, height - 1, width, 1);
-    if (this.rule) for (let x = 0; x < width; x += 6) context.fillRect(x, Math.round(ruled), 3, 1);
+    if (this.share) for (let x = 0; x < width; x += 6) context.fillRect(x, Math.round(half), 3, 1);
     context.fillStyle = colours.faint;
     context.font = "10px system-ui, sans-serif";
-    context.fillText(`${+top.toPrecision(3)}${this.unit}`, 0, 8);
+    context.fillText(top, 0, 8);
   }
 
   needle(context, x, height, colour) {
@@ -84,13 +97,15 @@ export class Chart {
     let [low, high] = [0, steps - 1];
     while (low < high) {
       const middle = (low + high) >> 1;
-      if (series[4 * middle] < time) low = middle + 1; else high = middle;
+      if (series[COLUMNS * middle] < time) low = middle + 1; else high = middle;
     }
-    const [at, value] = [series[4 * low], series[4 * low + this.column]], x = toX(at);
-    const text = `${at.toFixed(1)} s: ${value.toPrecision(3)}${this.unit}`;
+    while (low > 0 && Number.isNaN(series[COLUMNS * low + this.column])) low--;
+    const [at, value, particles] = [0, this.column, PARTICLES].map((column) => series[COLUMNS * low + column]), x = toX(at);
+    if (Number.isNaN(value)) return;
+    const text = `${at.toFixed(1)} s: ${+value.toPrecision(3)}${this.share ? ` of ${particles}` : this.unit}`;
     context.fillStyle = colours.text;
     context.beginPath();
-    context.arc(x, toY(value), 2.5, 0, 7);
+    context.arc(x, toY(this.value(series, low)), 2.5, 0, 7);
     context.fill();
     context.fillText(text, width - context.measureText(text).width, 8);
   }

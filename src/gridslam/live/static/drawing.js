@@ -2,9 +2,15 @@
 
 const ROBOT = 9; // px
 
+// A line through points; it is broken where there is NaN.
 function line(context, points, camera) {
+  let broken = true;
   context.beginPath();
-  for (let k = 0; k + 1 < points.length; k += 2) context.lineTo(...camera.toScreen(points[k], points[k + 1]));
+  for (let k = 0; k + 1 < points.length; k += 2) {
+    const [u, v] = camera.toScreen(points[k], points[k + 1]);
+    if (broken) context.moveTo(u, v); else context.lineTo(u, v);
+    broken = Number.isNaN(u);
+  }
   context.stroke();
 }
 
@@ -25,7 +31,7 @@ function place(world, at) {
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
-    this.shown = { map: true, path: true, pasts: true, particles: true, scan: true, closures: true };
+    this.shown = { map: true, path: true, pasts: true, particles: true, scan: true, closures: true, landmarks: true };
   }
 
   resize() {
@@ -37,11 +43,12 @@ export class Drawing {
     const { world, camera, shown } = this, context = this.canvas.getContext("2d");
     context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     context.clearRect(0, 0, camera.width, camera.height);
-    if (shown.map) world.map.draw(context, camera, world.resolution);
+    if (shown.map) world.map.draw(context, camera);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
     if (shown.closures) this.closures(context, colours.closure);
     if (shown.pasts) this.pasts(context, colours.pasts);
     if (shown.path) this.path(context, colours);
+    if (shown.landmarks) this.landmarks(context, colours.landmark);
     if (shown.scan) this.scan(context, colours.scan);
     this.robot(context, colours);
     if (shown.particles) this.particles(context, colours);
@@ -143,7 +150,7 @@ export class Drawing {
     const [x, y, theta] = status.pose, [u, v] = this.camera.toScreen(x, y);
     context.save();
     context.translate(u, v);
-    this.ellipse(context, status.covariance, colours.path);
+    if (status.covariance) this.ellipse(context, ...status.covariance[0].slice(0, 2), status.covariance[1][1], colours.path, !status.lost);
     context.rotate(-theta);
     context.beginPath();
     context.moveTo(1.3 * ROBOT, 0);
@@ -158,18 +165,45 @@ export class Drawing {
   }
 
   // Within two deviations, where that is large enough to be seen.
-  ellipse(context, covariance, colour) {
-    if (!covariance) return;
-    const [[a, b], [, c]] = covariance, mean = (a + c) / 2, spread = Math.hypot((a - c) / 2, b);
+  ellipse(context, a, b, c, colour, filled = true) {
+    const mean = (a + c) / 2, spread = Math.hypot((a - c) / 2, b);
     const radii = [mean + spread, Math.max(mean - spread, 0)].map((variance) => 2 * Math.sqrt(variance) * this.camera.scale);
     if (radii[0] < 4) return;
     context.beginPath();
     context.ellipse(0, 0, radii[0], radii[1], -0.5 * Math.atan2(2 * b, a - c), 0, 7);
     Object.assign(context, { fillStyle: colour, strokeStyle: colour, lineWidth: 1, globalAlpha: 0.15 });
-    context.fill();
+    if (filled) context.fill();
     context.globalAlpha = 0.6;
     context.stroke();
     context.globalAlpha = 1;
+  }
+
+  // Landmarks, and where they may be.
+  landmarks(context, colour) {
+    const { landmarks } = this.world, side = 7;
+    for (let k = 0; k < landmarks.length; k += 5) {
+      const [x, y, xx, xy, yy] = landmarks.subarray(k, k + 5);
+      context.save();
+      context.translate(...this.camera.toScreen(x, y));
+      this.ellipse(context, xx, xy, yy, colour);
+      context.fillStyle = colour;
+      context.fillRect(-side / 2, -side / 2, side, side);
+      context.restore();
+    }
+  }
+
+  // What holds the way and the landmarks: [x0, y0, x1, y1], or null.
+  extent() {
+    let box = null;
+    for (const [points, stride] of [[this.world.plan, 2], [this.world.path, 2], [this.world.landmarks, 5]]) {
+      for (let k = 0; k < points.length; k += stride) {
+        const [x, y] = [points[k], points[k + 1]];
+        if (Number.isNaN(x)) continue;
+        box ??= [x, y, x, y];
+        box = [Math.min(box[0], x), Math.min(box[1], y), Math.max(box[2], x), Math.max(box[3], y)];
+      }
+    }
+    return box && [box[0] - 1, box[1] - 1, box[2] + 1, box[3] + 1];
   }
 
   // The particle nearest to a place on the screen; -1 where none is near.

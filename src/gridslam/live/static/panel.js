@@ -1,5 +1,7 @@
 // The words and buttons about the map.
 
+import { COLUMNS } from "./chart.js";
+
 const $ = (selector) => document.querySelector(selector);
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10, 30, 100];
 
@@ -10,6 +12,8 @@ function clock(seconds) {
 }
 
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
+const share = (value) => `${(100 * value).toFixed(0)} %`;
+const few = (value) => value.toFixed(value < 100 ? 1 : 0);
 const short = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export class Panel {
@@ -34,8 +38,11 @@ export class Panel {
     document.title = `${hello.title} · gridslam`;
     $("#title").textContent = hello.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
-    $("#layers [name=scan]").parentElement.hidden = replay; // a record does not hold the scans
-    for (const id of ["#step", "#pace", "#line"]) $(id).hidden = this.mode === "robot"; // which nobody can hold back
+    for (const shown of document.querySelectorAll("[data-shows]")) shown.hidden = !hello.shows.includes(shown.dataset.shows);
+    $("#latency-of").textContent = `Time per ${hello.step}`;
+    const still = this.mode === "still"; // nothing happens
+    for (const id of ["#step", "#pace", "#line"]) $(id).hidden = still || this.mode === "robot"; // which goes its way
+    for (const id of ["#pause", "#time"]) $(id).hidden = still;
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
     if (replay) unlimited?.remove();
   }
@@ -73,7 +80,7 @@ export class Panel {
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
-    $("#facts").textContent = this.facts(status).join(" · ");
+    $("#facts").textContent = this.facts(world).join(" · ");
     this.robot(status);
     this.particles(world);
     this.time(world);
@@ -84,30 +91,31 @@ export class Panel {
     if ($("#speed").value !== String(times)) $("#speed").add(new Option(`${times} ×`, times, false, true), 0);
   }
 
-  facts(status) {
+  facts({ status, hello: { step } }) {
     const facts = [];
-    if (status.scans) facts.push(`${status.scans} scans`);
-    if (status.keys) facts.push(`${status.keys} key scans`);
-    if (status.closures) facts.push(`${status.closures} loop closure${status.closures > 1 ? "s" : ""}`);
+    const counts = [[status.scans, "scan"], [status.keys, step], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
+    for (const [count, what] of counts) if (count) facts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
     if (status.times && status.stage === "running" && this.mode === "live") facts.push(`${short(status.times)} × real time`);
     if (status.bytes) facts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
     return facts;
   }
 
-  robot({ pose, covariance }) {
+  robot({ pose, covariance, doubt, agreement }) {
     if (!pose) return;
+    if (doubt !== undefined) [put("doubt", share(doubt)), put("agreement", share(agreement))];
     put("position", `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m`);
     put("heading", `${((pose[2] * 180) / Math.PI).toFixed(1)}°`);
     if (!covariance) return put("deviation", "–");
     const deviation = Math.sqrt(covariance[0][0] + covariance[1][1]), turn = Math.sqrt(covariance[2][2]);
-    put("deviation", `${(100 * deviation).toFixed(1)} cm, ${((turn * 180) / Math.PI).toFixed(2)}°`);
+    const length = deviation < 1 ? `${(100 * deviation).toFixed(1)} cm` : `${deviation.toFixed(1)} m`;
+    put("deviation", `${length}, ${few((turn * 180) / Math.PI)}°`);
   }
 
   particles({ status, hello, series, steps }) {
-    put("n_eff", status.n_eff == null ? "" : `${status.n_eff.toFixed(1)} of ${hello.particles}`);
-    const now = status.at ?? steps - 1;
-    put("latency", steps ? `${series[4 * now + 2].toPrecision(2)} ms` : "");
-    put("particles", hello.particles || "");
+    const now = status.at ?? steps - 1, [, , latency, , count] = series.subarray(COLUMNS * now, COLUMNS * (now + 1));
+    put("n_eff", status.n_eff == null ? "" : `${few(status.n_eff)} of ${count}`);
+    put("latency", steps ? `${short(latency)} ms` : "");
+    put("particles", status.particles || "");
     const replay = hello.mode === "replay", what = replay ? "past" : "map";
     $("#watched span").textContent = status.stage === "done" ? "map as the end tells it"
       : status.watched < 0 ? "the chosen one has died out"
@@ -120,7 +128,7 @@ export class Panel {
     const slider = $("#line"), replay = hello.mode === "replay";
     slider.disabled = !replay;
     if (replay) {
-      slider.max = Math.max(status.keys_total - 1, 0);
+      slider.max = Math.max(status.last, 0);
       if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at;
     } else {
       slider.max = 1000;

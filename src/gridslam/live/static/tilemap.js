@@ -23,6 +23,7 @@ export function palette(unknown, free, occupied) {
 export class TileMap {
   constructor() {
     this.side = 32;
+    this.place(0.05, [0, 0]);
     this.clear();
   }
 
@@ -32,7 +33,13 @@ export class TileMap {
     this.box = null; // of tiles that hold something: [row0, column0, row1, column1]
   }
 
+  // The side of a cell, m, and where the corner of tile (0, 0) lies.
+  place(resolution, offset) {
+    Object.assign(this, { resolution, offset });
+  }
+
   colour(colours) {
+    this.unknown = `rgb(${colours[0]})`;
     this.colours = new Uint32Array(colours.map(([r, g, b]) => (255 << 24) | (b << 16) | (g << 8) | r));
     this.sheets.clear();
     for (const [key, tile] of this.tiles) this.paint(...key.split(",").map(Number), tile);
@@ -68,19 +75,21 @@ export class TileMap {
     if (!sheet) {
       const canvas = new OffscreenCanvas(TILES * side, TILES * side);
       sheet = { row: sheetRow, column: sheetColumn, context: canvas.getContext("2d") };
+      sheet.context.fillStyle = this.unknown; // what is not there must not shine through where a sheet is scaled
+      sheet.context.fillRect(0, 0, canvas.width, canvas.height);
       this.sheets.set(key, sheet);
     }
     sheet.context.putImageData(image, (column - TILES * sheetColumn) * side, (TILES - 1 - row + TILES * sheetRow) * side);
   }
 
   // Edges are put on whole pixels, so that no seams show between bitmaps.
-  draw(context, camera, resolution) {
-    const metres = TILES * this.side * resolution, ratio = devicePixelRatio;
-    context.imageSmoothingEnabled = camera.scale * resolution * ratio < 2;
+  draw(context, camera) {
+    const metres = TILES * this.side * this.resolution, ratio = devicePixelRatio, [x0, y0] = this.offset;
+    context.imageSmoothingEnabled = camera.scale * this.resolution * ratio < 2;
     context.imageSmoothingQuality = "high";
     for (const sheet of this.sheets.values()) {
-      const [left, bottom] = camera.toScreen(sheet.column * metres, sheet.row * metres);
-      const [right, top] = camera.toScreen((sheet.column + 1) * metres, (sheet.row + 1) * metres);
+      const [left, bottom] = camera.toScreen(x0 + sheet.column * metres, y0 + sheet.row * metres);
+      const [right, top] = camera.toScreen(x0 + (sheet.column + 1) * metres, y0 + (sheet.row + 1) * metres);
       if (right < 0 || bottom < 0 || left > camera.width || top > camera.height) continue;
       const whole = (value) => Math.round(value * ratio) / ratio;
       const [x, y] = [whole(left), whole(top)];
@@ -89,9 +98,9 @@ export class TileMap {
   }
 
   // In metres: [x0, y0, x1, y1], or null.
-  extent(resolution) {
+  extent() {
     if (!this.box) return null;
-    const metres = this.side * resolution, [r0, c0, r1, c1] = this.box;
-    return [c0 * metres, r0 * metres, (c1 + 1) * metres, (r1 + 1) * metres];
+    const metres = this.side * this.resolution, [r0, c0, r1, c1] = this.box, [x, y] = this.offset;
+    return [x + c0 * metres, y + r0 * metres, x + (c1 + 1) * metres, y + (r1 + 1) * metres];
   }
 }

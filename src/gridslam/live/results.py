@@ -1,0 +1,233 @@
+"""What is seen of a finished run at any time of it, whichever command wrote it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, final
+
+import numpy as np
+
+from gridslam.io.record import Record, RecordFlag
+from gridslam.live.pasts import Pasts
+from gridslam.live.run import finite
+from gridslam.live.scene import (
+    NO_CLOSURES,
+    NO_LANDMARKS,
+    NO_PARTICLES,
+    NO_POINTS,
+    NO_SERIES,
+    NO_TREE,
+    Float32Array,
+    Tree,
+    rooted,
+)  # fmt: skip
+from gridslam.live.sight import LOST
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+
+__all__ = ["FoundWay", "MappedRun", "Moment", "Results", "StillMap"]
+
+
+class Moment(NamedTuple):
+    """What is seen at one step: parts of a `gridslam.live.scene.Scene`; the way goes as far as that step."""
+
+    way: Float32Array
+    particles: Float32Array = NO_PARTICLES
+    tree: Tree = NO_TREE
+    closures: Float32Array = NO_CLOSURES
+
+
+class Results(Protocol):
+    """A finished run of T steps, T >= 1."""
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The map; None where there is none."""
+
+    @property
+    def particles(self) -> int:
+        """How many particles there are to choose from."""
+
+    @property
+    def times_s(self) -> FloatArray:
+        """Times (T,) of the steps since the first one, never going back."""
+
+    @property
+    def series(self) -> Float32Array:
+        """As of a scene; (T, 5), or (0, 5) where nothing is drawn over time."""
+
+    @property
+    def way(self) -> Float32Array:
+        """All of the way that is drawn, (T, 2); (0, 2) where there is none."""
+
+    @property
+    def landmarks(self) -> Float32Array:
+        """As of a scene."""
+
+    def moment(self, at: int) -> Moment:
+        """What is seen at a step."""
+
+    def facts(self, at: int, time_s: float) -> dict[str, Any]:
+        """What there is to say of a time at or after step `at`, as JSON values."""
+
+    def relative(self, particle: int, before: int, after: int) -> int:
+        """Who at step `after` descends from, or is the past of, a particle at `before`; -1 where nobody is."""
+
+
+@final
+class MappedRun:
+    """Results of `gridslam map`: the steps are the key scans.
+
+    Parameters
+    ----------
+    record : Record
+        What the particles did; at least one key scan.
+    trajectory : Trajectory
+        A pose for each scan, told from the end.
+    key_poses : (T, 3) float64
+        The key scans', told from the end.
+    grid : OccupancyGrid
+        The map.
+    closures : (C, 2) int64
+        Key scans of the loop closures, the older one first.
+    """
+
+    landmarks = NO_LANDMARKS
+
+    def __init__(
+        self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, closures: IntArray
+    ) -> None:
+        """Lay out what is told at every time."""
+        self.grid, self.particles = grid, record.poses.shape[1]
+        self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
+        self.way: Float32Array = key_poses[:, :2].astype(np.float32)
+        columns = (self.times_s, record.n_eff, 1e3 * record.latency_s, record.flags)
+        counts = np.full(len(record), self.particles)
+        self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
+        self._record, self._trajectory, self._pasts = record, trajectory, Pasts(record)
+        self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
+        self._closed: IntArray = np.sort(closures[:, 1])  # at which step each closure was found
+        order = np.argsort(closures[:, 1], kind="stable")
+        self._closure_ends = key_poses[closures[order], :2].reshape(-1, 4).astype(np.float32)
+
+    def moment(self, at: int) -> Moment:
+        """What is seen at a key scan."""
+        record = self._record
+        particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
+        return Moment(
+            self.way[: at + 1], particles, rooted(self._pasts.at(at)), self._closure_ends[: self._closed_by(at)]
+        )
+
+    def facts(self, at: int, time_s: float) -> dict[str, Any]:
+        """What there is to say of a time at or after a key scan."""
+        record = self._record
+        scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
+        return {
+            "keys": at + 1, "scans": scan + 1, "pose": self._trajectory.poses[scan].tolist(),
+            "n_eff": finite(float(record.n_eff[at])), "lost": bool(record.flags[at] & RecordFlag.LOST),
+            "best": int(record.parents[at, record.best[at]]), "closures": self._closed_by(at),
+            "particles": self.particles,
+        }  # fmt: skip
+
+    def relative(self, particle: int, before: int, after: int) -> int:
+        """Who at key scan `after` descends from, or is the past of, a particle at `before`; -1 where nobody is."""
+        return self._pasts.relative(particle, before, after)
+
+    def _closed_by(self, at: int) -> int:
+        return int(np.searchsorted(self._closed, at, "right"))
+
+
+@final
+class FoundWay:
+    """A way without particles, as `gridslam localize` and `gridslam landmarks` leave it.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        T poses.
+    covariances : (T, 3, 3) float64
+        Of the poses.
+    grid : OccupancyGrid, optional
+        The map.
+    landmarks : (L, 5) float32
+        As of a scene.
+    belief : (T, 5) float64, optional
+        At each pose whether the robot was lost, the doubt, the share of beams that agree, the number of particles, and
+        the effective sample size, NaN where nothing was weighed.
+    """
+
+    particles = 0
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        covariances: FloatArray,
+        grid: OccupancyGrid | None = None,
+        landmarks: Float32Array = NO_LANDMARKS,
+        belief: FloatArray | None = None,
+    ) -> None:
+        """Lay out what is told at every time."""
+        self.grid, self.landmarks = grid, landmarks
+        self.times_s = _elapsed(trajectory.stamps_ns, trajectory.stamps_ns[0])
+        self.way: Float32Array = trajectory.poses[:, :2].astype(np.float32)
+        self.series = NO_SERIES
+        self._poses, self._covariances, self._belief = trajectory.poses, covariances, belief
+        if belief is not None:
+            lost, _, _, particles, n_eff = belief.T
+            unknown = np.full(len(lost), np.nan)
+            self.series = np.column_stack([self.times_s, n_eff, unknown, LOST * lost, particles]).astype(np.float32)
+            self.way[lost > 0] = np.nan
+            weighed = np.where(np.isnan(n_eff), 0, np.arange(len(n_eff)))
+            self._weighed: IntArray = np.maximum.accumulate(weighed)  # the last step of which n_eff is known
+
+    def moment(self, at: int) -> Moment:
+        """What is seen at a pose."""
+        return Moment(self.way[: at + 1])
+
+    def facts(self, at: int, time_s: float) -> dict[str, Any]:
+        """What there is to say of a pose."""
+        told = {"pose": self._poses[at].tolist(), "covariance": self._covariances[at].tolist()}
+        if self._belief is None:
+            return {**told, "keys": at + 1, "landmarks": len(self.landmarks)}
+        lost, doubt, agreement, particles, _ = self._belief[at].tolist()
+        n_eff = finite(float(self._belief[self._weighed[at], 4]))
+        return {
+            **told, "scans": at + 1, "lost": bool(lost), "doubt": doubt, "agreement": agreement,
+            "particles": int(particles), "n_eff": n_eff,
+        }  # fmt: skip
+
+    def relative(self, particle: int, before: int, after: int) -> int:
+        """Nobody: there are no particles."""
+        return -1
+
+
+@final
+class StillMap:
+    """A map, and nothing that happened, as `gridslam grid` leaves it.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    """
+
+    particles, way, series, landmarks = 0, NO_POINTS, NO_SERIES, NO_LANDMARKS
+
+    def __init__(self, grid: OccupancyGrid) -> None:
+        """One moment."""
+        self.grid, self.times_s = grid, np.zeros(1)
+
+    def moment(self, at: int) -> Moment:
+        """What is seen."""
+        return Moment(self.way)
+
+    def facts(self, at: int, time_s: float) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def relative(self, particle: int, before: int, after: int) -> int:
+        """Nobody: there are no particles."""
+        return -1
+
+
+def _elapsed(stamps_ns: IntArray, first_ns: int) -> FloatArray:
+    """Seconds since the first stamp, never going back."""
+    return np.maximum.accumulate((stamps_ns - first_ns) * 1e-9)
