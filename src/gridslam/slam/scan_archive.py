@@ -77,7 +77,7 @@ class ScanArchive:
 
     def __getitem__(self, scan: int) -> EndPoints:
         """Scan number `scan`, from 0."""
-        return EndPoints(self._ends[scan] * self._steps_m[scan], self._origins[scan])
+        return EndPoints(self._ends[scan] * np.float64(self._steps_m[scan]), self._origins[scan])
 
     def key(self, key: int) -> EndPoints:
         """Key scan number `key`, from 0."""
