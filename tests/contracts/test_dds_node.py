@@ -129,6 +129,16 @@ def test_another_node_that_says_where_odometry_lies_is_named(running):
     assert running.node.says("transform of another node: it says where odom lies in map"), running.node.log.read_text()
 
 
+def test_a_quality_of_service_that_does_not_fit_is_named(running):
+    peer, log = running.peer, running.node.log
+    kept = peer.writer("rt/tf", "tf2_msgs/TFMessage", reliable=False), peer.writer("rt/tf_static", "tf2_msgs/TFMessage")
+    assert running.node.says("quality of service of /tf refused: a publisher offers less reliability"), log.read_text()
+    assert running.node.says("quality of service of /tf_static refused: a publisher offers less durability")
+    late = peer.reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped", latched=True)
+    assert running.node.says("quality of service of /gridslam/pose refused: a subscriber asks for more durability")
+    del kept, late
+
+
 def test_services_answer(running):
     peer = running.peer
     grid = asked(peer, "dynamic_map", "nav_msgs/GetMap", 0).map

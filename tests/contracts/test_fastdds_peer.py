@@ -31,7 +31,9 @@ def peer(tmp_path_factory):
 
 def test_another_vendor_s_program_is_understood_and_understands(peer, tmp_path):
     domain = free_domain()
-    node = Node(domain, tmp_path / "node.log", "--ros-args", "-p", "particles:=4", "-p", "map_update_interval:=0.3")
+    (tmp_path / "robot.yaml").write_text("/**:\n  ros__parameters:\n    particles: 4\n    map_update_interval: 0.3\n")
+    parameters = "--ros-args", "--params-file", str(tmp_path / "robot.yaml")
+    node = Node(domain, tmp_path / "node.log", *parameters, interface="")  # by ROS_LOCALHOST_ONLY
     try:
         done = subprocess.run([str(peer), str(domain), "80"], capture_output=True, text=True, timeout=400)
         assert done.returncode == 0, done.stderr + node.log.read_text()

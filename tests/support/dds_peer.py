@@ -194,11 +194,15 @@ class Robot:
 class Node:
     """The command, in a process of its own."""
 
-    def __init__(self, domain: int, log: Path, *arguments: str) -> None:
+    def __init__(self, domain: int, log: Path, *arguments: str, interface: str = "127.0.0.1") -> None:
         others = "ROS", "CYCLONE", "FASTRTPS", "PYTHON"
         environment = {name: value for name, value in os.environ.items() if not name.startswith(others)}
         environment["ROS_DOMAIN_ID"] = str(domain)
-        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", "dds", "--interface", "127.0.0.1"]
+        command = [sys.executable, "-m", "gridslam.cli.main", "ros2", "--transport", "dds"]
+        if interface:
+            command += ["--interface", interface]
+        else:
+            environment["ROS_LOCALHOST_ONLY"] = "1"
         self.log = log
         with log.open("w") as out:
             self.process = subprocess.Popen([*command, *arguments], env=environment, stderr=out, start_new_session=True)

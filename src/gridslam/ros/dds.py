@@ -48,6 +48,8 @@ class DdsParticipant:
         ROS_DOMAIN_ID.
     interfaces : sequence of str
         Addresses or names of the network interfaces to use; those that the library chooses if empty.
+    mismatched : callable
+        Told of a topic on which another program's quality of service does not fit, and of what that is.
 
     Raises
     ------
@@ -55,8 +57,11 @@ class DdsParticipant:
         Cyclone DDS is not installed, or cannot use the interfaces.
     """
 
-    def __init__(self, domain: int, interfaces: Sequence[str] = ()) -> None:
+    def __init__(
+        self, domain: int, interfaces: Sequence[str] = (), mismatched: Callable[[str, str], None] = lambda *told: None
+    ) -> None:
         self._dds = dds = _library()
+        self._mismatched = mismatched
         self._carries_bytes = importlib.metadata.version("cyclonedds").startswith(_KNOWN)
         self._types: dict[str, Any] = {}
         self._writers: dict[str, Any] = {}
@@ -74,7 +79,11 @@ class DdsParticipant:
     def add_writer(self, topic: str, message_type: str, *, latched: bool = False, depth: int = 10) -> None:
         """Make ready to publish on a DDS topic; `latched`: late joiners get the last message, too."""
         qos = self._qos(reliable=True, latched=latched, depth=1 if latched else depth)
-        self._writers[topic] = self._dds.pub.DataWriter(self._participant, self._topic(topic, message_type), qos)
+        listener = self._dds.core.Listener(
+            on_offered_incompatible_qos=lambda writer, status: self._mismatch(topic, "subscriber asks for more", status)
+        )
+        what = self._topic(topic, message_type)
+        self._writers[topic] = self._dds.pub.DataWriter(self._participant, what, qos, listener)
 
     def add_reader(
         self, topic: str, message_type: str, take: Handler, *, reliable: bool = True, latched: bool = False,
@@ -82,7 +91,10 @@ class DdsParticipant:
     ) -> None:  # fmt: skip
         """Have the bytes of each message on a DDS topic taken; to be called before `start`."""
         dds, qos = self._dds, self._qos(reliable=reliable, latched=latched, depth=depth)
-        reader = dds.sub.DataReader(self._participant, self._topic(topic, message_type), qos)
+        listener = dds.core.Listener(
+            on_requested_incompatible_qos=lambda reader, status: self._mismatch(topic, "publisher offers less", status)
+        )
+        reader = dds.sub.DataReader(self._participant, self._topic(topic, message_type), qos, listener)
         states = dds.core.ViewState.Any | dds.core.InstanceState.Any | dds.core.SampleState.NotRead
         condition = dds.core.ReadCondition(reader, states)
         self._waiting.attach(condition)
@@ -110,6 +122,10 @@ class DdsParticipant:
                 for message in reader.take(_MOST_TAKEN):
                     if message.sample_info.valid_data:  # else it only says that a writer has gone
                         take(message.serialize(use_version_2=False))
+
+    def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
+        policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")
+        self._mismatched(topic, f"a {who} {policy} than this node, and nothing passes")
 
     def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
         return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))
@@ -167,6 +183,8 @@ def _of_bytes(cls: Any, /, data: bytes, *unused: object, **options: object) -> A
     message.cdr = data
     return message
 
+
+_POLICIES: Final[Mapping[int, str]] = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}
 
 _PLAIN: Final[Mapping[str, Any]] = {"string": str, "bool": bool}
 

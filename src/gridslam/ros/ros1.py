@@ -148,7 +148,8 @@ class Ros1Node:
             def take(message: Any) -> None:  # noqa: ANN401
                 if data := self._bytes(message, "transforms", "tf2_msgs/TFMessage"):
                     sender = message._connection_header.get("callerid", "")
-                    self.core.on_transforms(decode_transforms(data, wire_of_ros1(data)), static=static, publisher=sender)
+                    found = decode_transforms(data, wire_of_ros1(data))
+                    self.core.on_transforms(found, static=static, publisher=sender)
 
             return take
 

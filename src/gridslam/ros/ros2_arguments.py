@@ -5,16 +5,24 @@ Source: https://design.ros2.org/articles/ros_command_line_arguments.html
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+import importlib
+import re
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, final
+from pathlib import Path
+from typing import Any, Final, final
 
-from gridslam.errors import ConfigurationError
+from gridslam.errors import ConfigurationError, InputError
 
 __all__ = ["RosArguments", "parse_ros_arguments"]
 
-_PARAMETER, _REMAP = ("-p", "--param"), ("-r", "--remap")
+_KINDS: Final[tuple[tuple[str, ...], ...]] = (
+    ("-p", "--param"), ("-r", "--remap"), ("--params-file",),
+    ("--log-level", "--log-config-file", "-e", "--enclave"),  # what they set is not here
+)  # fmt: skip
+_PARAMETER, _REMAP, _FILE, _OF_ROS = _KINDS
+_FLAG_OF_ROS = re.compile("--(enable|disable)-(rosout|stdout|external-lib)-logs")
 
 
 @final
@@ -30,17 +38,20 @@ class RosArguments:
         Names that stand for others.
     node, namespace : str
         Of the node; the latter begins with a slash.
+    ignored : tuple of str
+        Arguments that mean something to a ROS alone.
     """
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
     remaps: Mapping[str, str] = field(default_factory=dict)
     node: str = "gridslam"
     namespace: str = "/"
+    ignored: tuple[str, ...] = ()
 
     def resolve(self, name: str) -> str:
         """Full name of a topic or service: remapped, then in the namespace, or in the node's own where it has a ~."""
         full = self._full(name)
-        return self._full(self.remaps.get(name) or self.remaps.get(full) or full)
+        return next((self._full(to) for of, to in self.remaps.items() if self._full(of) == full), full)
 
     def _full(self, name: str) -> str:
         space = self.namespace.rstrip("/")
@@ -50,40 +61,103 @@ class RosArguments:
 
 
 def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> RosArguments:
-    """Understand ``--ros-args -p particles:=80 -r scan:=front/scan -r __ns:=/robot1``.
+    """Understand ``--ros-args -p particles:=80 -r scan:=front/scan -r __ns:=/robot1 --params-file robot.yaml``.
+
+    Of two values of one parameter the one that is given later holds, as in ROS.
 
     Raises
     ------
     ConfigurationError
         An argument is none of these.
+    InputError
+        A file of parameters cannot be read.
     """
-    remaps: dict[str, str] = {}
-    parameters: dict[str, Any] = {}
+    settings: list[tuple[tuple[str, ...], str]] = []
+    ignored: list[str] = []
     left = [argument for argument in arguments if argument not in ("--ros-args", "--")]
     while left:
         option = left.pop(0)
-        if option not in (*_PARAMETER, *_REMAP) or not left:
-            raise ConfigurationError(f"expected -p NAME:=VALUE or -r FROM:=TO, got {option!r}")
-        name, value = _split(left.pop(0))
-        if option in _REMAP:
-            remaps[name] = value
+        kind = next((kind for kind in _KINDS if option in kind), None)
+        if _FLAG_OF_ROS.fullmatch(option):
+            ignored.append(option)
+        elif kind is None or not left:
+            expected = "-p NAME:=VALUE, -r FROM:=TO or --params-file FILE"
+            raise ConfigurationError(f"expected {expected}, got {option!r}")
+        elif kind is _OF_ROS:
+            ignored.append(f"{option} {left.pop(0)}")
         else:
-            parameters[name] = _value(value)
-    named = remaps.pop("__node", None) or remaps.pop("__name", None) or node
-    space = remaps.pop("__ns", "/")
-    return RosArguments(parameters, remaps, named, space if space.startswith("/") else f"/{space}")
+            settings.append((kind, left.pop(0)))
+    pairs = [_split(text) for kind, text in settings if kind is _REMAP]
+    names = {name: value for of, name, value in pairs if of in ("", node)}
+    named = names.pop("__node", None) or names.pop("__name", None) or node
+    space = f"/{names.pop('__ns', '').strip('/')}"
+    remaps = {name: value for of, name, value in pairs if of in ("", named) and not name.startswith("__")}
+    parameters: dict[str, Any] = {}
+    for kind, text in settings:
+        if kind is _FILE:
+            parameters |= _of_file(text, f"{space.rstrip('/')}/{named}")
+        elif kind is _PARAMETER:
+            of, name, value = _split(text)
+            parameters |= {name: _value(value)} if of in ("", named) else {}
+    return RosArguments(parameters, remaps, named, space, tuple(ignored))
 
 
-def _split(text: str) -> tuple[str, str]:
+def _split(text: str) -> tuple[str, str, str]:
+    """Node for which alone it is said, or "", then name and value."""
     name, sign, value = text.partition(":=")
+    of, _, name = name.rpartition(":")
     if not (name and sign and value):
         raise ConfigurationError(f"expected NAME:=VALUE, got {text!r}")
-    return name, value
+    return of, name, value
+
+
+def _of_file(path: str, node: str) -> dict[str, Any]:
+    """Parameters that a file has for a node of that full name."""
+    try:
+        tree = _yaml(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, str(error)) from None
+    found: dict[str, Any] = {}
+    for pattern, parameters in _nodes(tree, ""):
+        if not isinstance(parameters, dict):
+            raise InputError(path, f"expected parameters below ros__parameters of {pattern}, got {parameters!r}")
+        if re.fullmatch(_expression(pattern), node):
+            found |= {name: value for name, value in parameters.items() if not isinstance(value, dict)}
+    return found
+
+
+def _nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+    """Name of each node in a tree of parameters, and what is said of it."""
+    for name, below in tree.items() if isinstance(tree, dict) else ():
+        if name == "ros__parameters":
+            yield above, below
+        else:
+            yield from _nodes(below, f"{above}/{str(name).strip('/')}")
+
+
+def _expression(pattern: str) -> str:
+    """Regular expression of a name in which * is any one part and ** any number of them."""
+    parts = {"**": "(/[^/]+)*", "*": "/[^/]+"}
+    return "".join(parts.get(part, "/" + re.escape(part)) for part in pattern.split("/")[1:])
 
 
 def _value(text: str) -> Any:  # noqa: ANN401
-    """A number, a truth value or a list as JSON and YAML write them alike; else the text itself."""
+    """A number, a truth value or a list as YAML writes them; else the text itself."""
     try:
-        return json.loads(text.lower() if text.lower() in ("true", "false") else text)
+        value = _yaml(text)
     except ValueError:
         return text
+    return text if value is None or isinstance(value, dict) else value
+
+
+def _yaml(text: str) -> Any:  # noqa: ANN401
+    """Read YAML 1.1, as ROS does; raises ValueError where it is none."""
+    ruamel = importlib.import_module("ruamel.yaml")  # of rosbags, which reads bags' metadata by it
+    reader = ruamel.YAML(typ="safe", pure=True)
+    reader.version = (1, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
+        try:
+            return reader.load(text)
+        except ruamel.YAMLError as error:
+            raise ValueError(" ".join(str(error).split())) from None

@@ -60,14 +60,16 @@ class DdsNode:
     ) -> None:
         self._arguments, self._out = arguments, parameters.out or Path("gridslam-map")
         self._clock_ns: int | None = 0 if simulated else None
-        self._participant = DdsParticipant(domain, interfaces)
-        self._writers = {topic: f"rt{arguments.resolve(topic)}" for topic in TOPICS}
-        for topic, kind in TOPICS.items():
-            self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
+        self._participant = DdsParticipant(domain, interfaces, self._mismatched)
         outputs = Ros2Outputs(self._publish, self._now_ns, self._say, arguments.node)
         self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
         if parameters.warning:
             self._say(Level.WARN, parameters.warning)
+        if arguments.ignored:
+            self._say(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
+        self._writers = {topic: f"rt{arguments.resolve(topic)}" for topic in TOPICS}
+        for topic, kind in TOPICS.items():
+            self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
         self._listen()
         self._serve()
 
@@ -92,6 +94,9 @@ class DdsNode:
 
     def _say(self, level: Level, text: str) -> None:
         print(f"[{_LEVELS[level]}] [{time.time():.3f}] [{self._arguments.node}]: {text}", file=sys.stderr, flush=True)
+
+    def _mismatched(self, topic: str, problem: str) -> None:
+        self.core.refuse(f"quality of service of {topic[2:]}", problem)
 
     def _listen(self) -> None:
         sensor = self._arguments.resolve("scan")
@@ -175,6 +180,12 @@ class DdsNode:
 _EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))), b"")
 
 
+def _is_local(environment: Mapping[str, str]) -> bool:
+    """Whether ROS's own variables (of Humble; of Jazzy) keep it to this machine."""
+    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    return environment.get("ROS_LOCALHOST_ONLY") == "1" or reach == "LOCALHOST"
+
+
 def run_dds(
     arguments: Sequence[str] = (),
     *,
@@ -192,7 +203,7 @@ def run_dds(
     given : mapping, optional
         Parameters that hold whatever the arguments say.
     interfaces : sequence of str
-        Network interfaces, by address or name; those that the library chooses if empty.
+        Network interfaces, by address or name; if empty those that ROS's variables or the library choose.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable
@@ -212,7 +223,8 @@ def run_dds(
         domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
     except ValueError:
         raise ConfigurationError("ROS_DOMAIN_ID: expected a number, got " + os.environ["ROS_DOMAIN_ID"]) from None
-    node = DdsNode(ros, parameters, domain=domain, interfaces=interfaces, simulated=simulated)
+    where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
+    node = DdsNode(ros, parameters, domain=domain, interfaces=where, simulated=simulated)
     with watch(node.core):
         try:
             node.start()
