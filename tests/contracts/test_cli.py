@@ -440,19 +440,6 @@ def test_simulate_draws_worlds_from_the_seed(call, tmp_path, world):
     assert logs[0] != logs[1]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["lop"], "WORLD: name: expected one of demo, loop, rooms, hall, corridor, random, equal_rooms, symmetric, "),
-        (["loop", "--fov", "0"], "field_of_view_rad"),
-        (["loop", "--beams", "1"], "'--beams': 1 is not in the range"),
-        (["loop", "--duration", "-1"], "--duration: expected 0 s or more, got -1"),
-    ],
-)
-def test_simulate_refuses(call, tmp_path, arguments, message):
-    assert message in refused(call, tmp_path, "simulate", *arguments, "-o", tmp_path / "log.clf")
-
-
 def test_simulate_refuses_to_write_over_a_folder(call, tmp_path):
     assert "expected the name of a file, got a folder" in refused(call, tmp_path, "simulate", "loop", "-o", tmp_path)
 

@@ -34,7 +34,9 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
         else:
             scores = against_truth(estimate, read_tum(reference), distance_m)
             lines = tell(scores)
-    except ArgumentError as error:  # the two files do not belong together
+    except ArgumentError as error:
+        if error.argument == "distance_m":
+            raise click.ClickException(str(error).replace("distance_m", "--distance", 1)) from None
         raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
     if as_json:
         print_json({"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores})

@@ -22,10 +22,10 @@ __all__ = ["FAMILY_COMMANDS"]
     "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph", "ekf-localization"]), default="fastslam2",
     show_default=True, help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM; or localization where the landmarks are known.",
 )  # fmt: skip
-@click.option("--particles", type=int, help="Number of particles of FastSLAM.  [default: 100 for 1.0, 20 for 2.0]")
+@click.option("--particles", type=int, help="Number of particles, for FastSLAM.  [default: 100 for 1.0, 20 for 2.0]")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
-@click.option("--unknown", is_flag=True, help="Do not read which landmark was seen, where LOG says it: find it out.")
-@click.option("--landmarks", type=PATH, help="Known ones, a landmarks.csv, to localize by.  [default: LOG's true ones]")
+@click.option("--unknown", is_flag=True, help="Find out which landmark was seen, even where LOG tells it.")
+@click.option("--landmarks", type=PATH, help="What to localize by: a landmarks.csv.  [default: LOG's true ones]")
 @click.option(
     "--start", type=(float, float, float), metavar="X Y THETA",
     help="Where to begin to localize, m and rad.  [default: the true pose; with --landmarks the origin]",
@@ -37,7 +37,8 @@ def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] 
     LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat, its other files beside it), or the lines ODOMETRY and
     LANDMARK that Victoria Park comes in.
 
-    OUT gets landmarks.csv (with covariances), landmarks.png, trajectory.tum and run.json.
+    OUT gets landmarks.csv (not where they are known) and trajectory.csv, both with covariances, landmarks.png,
+    trajectory.tum, of SLAM by a filter also trajectory_online.tum (what was said at the time), and run.json.
     """
     if options["method"] == "ekf-localization":
         from gridslam.cli.landmark_localization import localize_to_folder
@@ -127,10 +128,13 @@ def localize_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--robust", is_flag=True, help="Find the loop closures that are false, and leave them out.")
 @click.option("--no-guess", is_flag=True, help="Take no notice of the poses in FILE: guess them from the edges.")
 @click.option("--skip-unknown", is_flag=True, help="Pass over lines with unknown tags, and count them.")
-@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, help="From one guess.")
+@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, metavar="N",
+              help="End the search from each first guess after so many steps.")  # fmt: skip
 @json_option
 def graph_command(**options: Any) -> None:  # noqa: ANN401
-    """Solve FILE, a pose graph in g2o's form (plain, .gz or .bz2), by GraphSLAM.
+    """Solve FILE, a pose graph, by GraphSLAM.
+
+    FILE is in g2o's form: plain, .gz or .bz2.
 
     OUT gets graph.g2o (the poses found), graph.png (before and after), graph.json and, with --robust, weights.csv.
     """
@@ -142,13 +146,16 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
 @click.command("evaluate")
 @click.argument("trajectory", type=PATH)
 @click.argument("reference", type=PATH)
-@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, help="Of the RPE's pairs, m.")
+@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, metavar="M",
+              help="Way between the two poses that the RPE compares, m.")  # fmt: skip
 @json_option
 def evaluate_command(**options: Any) -> None:  # noqa: ANN401
-    """Compare TRAJECTORY (TUM) with REFERENCE.
+    """Tell the errors of TRAJECTORY against REFERENCE.
 
-    A REFERENCE named *.relations holds true relative poses (Kuemmerle et al. 2009); any other is a trajectory (TUM),
-    and the absolute (ATE, aligned) and relative (RPE) errors are told.
+    TRAJECTORY is in TUM's form: stamp x y z qx qy qz qw.
+
+    REFERENCE is true relative poses (Kuemmerle et al. 2009), if it is named *.relations; else a true trajectory in
+    TUM's form, and the absolute (ATE, aligned) and the relative (RPE) errors are told.
     """
     from gridslam.cli.evaluate import evaluate
 
@@ -157,14 +164,17 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 
 @click.command("simulate")
 @click.argument("world")
-@click.option("-o", "--out", type=PATH, required=True, help="The log; compressed if named .gz or .bz2.")
+@click.option("-o", "--out", type=PATH, required=True, help="The log, a .clf; compressed if .gz or .bz2 follows.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Of the noise, and of a world that is drawn.")
 @click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams of a scan.")
-@click.option("--fov", "fov_deg", type=float, default=180.0, show_default=True, help="Field of view, degrees.")
-@click.option("--range-max", "range_max_m", type=float, default=30.0, show_default=True, help="No return beyond, m.")
-@click.option("--rate", "rate_hz", type=float, default=5.0, show_default=True, help="Scans a second.")
+@click.option("--fov", "fov_deg", type=click.FloatRange(0, 360, min_open=True), default=180.0, show_default=True,
+              metavar="DEG", help="Field of view, degrees.")  # fmt: skip
+@click.option("--range-max", "range_max_m", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
+              metavar="M", help="Beyond it nothing returns, m.")  # fmt: skip
+@click.option("--rate", "rate_hz", type=click.FloatRange(0, 1000, min_open=True), default=5.0, show_default=True,
+              metavar="HZ", help="Scans a second.")  # fmt: skip
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="People who walk about.")
-@click.option("--duration", "duration_s", type=float, help="End the log after so many seconds.")
+@click.option("--duration", "duration_s", type=float, metavar="S", help="End the log after so many seconds.")
 @json_option
 def simulate_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in WORLD and write its log.

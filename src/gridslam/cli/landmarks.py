@@ -23,6 +23,8 @@ def landmarks_to_folder(
     log: Path, out: Path, method: LandmarkMethod, particles: int | None, seed: int, unknown: bool, as_json: bool
 ) -> None:
     """Map the landmarks of a log into a folder and say what came of it."""
+    if method == "graph" and unknown:
+        raise click.ClickException("--unknown: GraphSLAM has to be told which landmark was seen")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with opened(out) as folder:

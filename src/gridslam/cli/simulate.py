@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 import numpy as np
-from pydantic import ValidationError
 
 from gridslam.cli.output import opened, print_json
 from gridslam.errors import ArgumentError
@@ -30,6 +29,8 @@ __all__ = ["SIMULATION_SCHEMA", "simulate_to_log"]
 SIMULATION_SCHEMA = "gridslam.simulation/1"
 
 _DAY_S = 86_400.0
+_CARMEN = ".clf", ".log", ".carmen"
+_PACKED = ".gz", ".bz2"
 
 
 def simulate_to_log(
@@ -45,34 +46,42 @@ def simulate_to_log(
     as_json: bool,
 ) -> None:
     """Write a simulated log, and the truth beside it."""
-    if out.is_dir() or not out.name:
-        raise click.ClickException(f"{out}: expected the name of a file, got a folder")
+    truth = out.with_name(_truth_name(out))
     lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
     if duration_s is not None and not duration_s >= 0:
         raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
-    truth_name = f"{out.name.split('.')[0] or 'log'}.truth.tum"
     with opened(out.parent) as folder:
         try:
             crowd = PeopleConfig(count=people)
             log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         except ArgumentError as error:
-            raise click.ClickException(f"WORLD: {error}") from None
+            raise click.ClickException(str(error).replace("name:", "WORLD:", 1)) from None
         kept = _first(log.truth, scans)
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
-        write_tum(folder.file(truth_name), kept)
-    _tell(log, kept, world, seed, out, out.parent / truth_name, as_json)
+        write_tum(folder.file(truth.name), kept)
+    _tell(log, kept, world, seed, out, truth, as_json)
+
+
+def _truth_name(out: Path) -> str:
+    """The truth of run.1.clf.gz is run.1.truth.tum."""
+    if out.is_dir() or not out.name:
+        raise click.ClickException(f"{out}: expected the name of a file, got a folder")
+    plain = out.with_suffix("") if out.suffix in _PACKED else out
+    if plain.suffix not in _CARMEN:
+        raise click.ClickException(
+            f"{out}: expected a name that ends in .clf, .log or .carmen, also with .gz or .bz2 "
+            "(gridslam convert writes other formats)"
+        )
+    return f"{plain.stem}.truth.tum"
 
 
 def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> LidarConfig:
-    try:
-        return LidarConfig(
-            beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise click.ClickException(f"{first['loc'][0]}: {first['msg']}, got {first['input']}") from None
+    for option, value in (("--fov", fov_deg), ("--range-max", range_max_m), ("--rate", rate_hz)):
+        if not math.isfinite(value):
+            raise click.ClickException(f"{option}: expected a finite number, got {value:g}")
+    return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
 def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
