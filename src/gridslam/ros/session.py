@@ -5,8 +5,9 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ from gridslam.types import StepReport, Trajectory
 
 __all__ = ["Session", "TakenSession"]
 
+_LATER: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+"""What the filter and `save` import when they first need it, which a robot that drives would wait for."""
+
 
 @final
 class Session:
@@ -47,6 +51,8 @@ class Session:
     begins = "a new map is begun"
 
     def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
+        for name in _LATER:
+            import_module(name)
         self.configuration, self.seed, self.threads = configuration, seed, threads
         self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
         self.stopwatch = Stopwatch()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -176,6 +179,35 @@ def test_saving_does_not_change_what_comes_after(drive, tmp_path):
         ends.append(np.array([pose.pose for pose in heard.poses]))
         core.close()
     assert ends[0].tobytes() == ends[1].tobytes()
+
+
+DRIVE = """
+import sys
+import numpy as np
+from ros_node import Heard, mounting, play, until
+from gridslam.config import Configuration
+from gridslam.ros import NodeCore, NodeSettings
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+rng = np.random.default_rng(1)
+log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
+drive, heard = list(log.measurements)[:250], Heard()
+core = NodeCore(NodeSettings(map_update_interval_s=0.2), Configuration(particles=2), heard)
+core.on_transforms([mounting()], static=True)
+core.start()
+before = set(sys.modules)
+play(core, heard, drive, shift_ns=10**18)
+assert until(lambda: len(heard.poses) == len(drive)), heard.warnings()
+print(*sorted(sys.modules.keys() - before))
+core.close()
+"""
+
+
+def test_nothing_is_imported_while_it_maps():
+    """SciPy alone holds the filter up for a third of a second."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run([sys.executable, "-c", DRIVE], env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
 
 
 def test_reset_begins_anew(drive, tmp_path):
