@@ -173,7 +173,8 @@ class FoundWay:
         if belief is not None:
             lost, _, _, particles, n_eff = belief.T
             unknown = np.full(len(lost), np.nan)
-            self.series = np.column_stack([self.times_s, n_eff, unknown, LOST * lost, particles]).astype(np.float32)
+            weighed_of = np.fmax(np.append(particles[:1], particles[:-1]), n_eff)  # at least; more where it was lost
+            self.series = np.column_stack([self.times_s, n_eff, unknown, LOST * lost, weighed_of]).astype(np.float32)
             self.way[lost > 0] = np.nan
             weighed = np.where(np.isnan(n_eff), 0, np.arange(len(n_eff)))
             self._weighed: IntArray = np.maximum.accumulate(weighed)  # the last step of which n_eff is known
@@ -220,8 +221,9 @@ class StillMap:
         return Moment(self.way)
 
     def facts(self, at: int, time_s: float) -> dict[str, Any]:
-        """Nothing."""
-        return {}
+        """How large it is."""
+        height, width = (side * self.grid.resolution_m for side in self.grid.known.shape)
+        return {"size_m": [width, height]}
 
     def relative(self, particle: int, before: int, after: int) -> int:
         """Nobody: there are no particles."""

@@ -60,6 +60,7 @@ function greet(hello) {
   world.map.place(hello.resolution_m ?? 0.05, hello.offset_m);
   document.body.dataset.session = hello.session;
   panel.greet(hello);
+  resize();
 }
 
 function redraw() {
@@ -109,6 +110,7 @@ function set(mode) {
 function resize() {
   drawing.resize();
   const box = (selector) => $(selector).getBoundingClientRect(), wide = !matchMedia("(max-width: 720px), (max-height: 480px)").matches;
+  document.documentElement.style.setProperty("--foot", `${box("#transport").height}px`);
   const panelBox = box("#panel"), gap = 16;
   camera.margin = {
     left: gap, right: wide ? innerWidth - panelBox.left + gap : gap, top: box("#bar").bottom + gap,

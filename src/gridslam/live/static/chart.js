@@ -68,14 +68,19 @@ export class Chart {
   // Where the robot was lost, from one step to the next, and where the past was corrected.
   marks(context, series, steps, toX, height, colours) {
     context.globalAlpha = 0.4;
+    const flag = (k) => series[COLUMNS * k + FLAGS], x = (k) => Math.round(toX(series[COLUMNS * Math.min(k, steps - 1)]));
     for (let k = 0; k < steps; k++) {
-      const flags = series[COLUMNS * k + FLAGS], x = toX(series[COLUMNS * k]);
-      if (!(flags & (LOST | CORRECTED))) continue;
-      const next = flags & LOST && k + 1 < steps ? toX(series[COLUMNS * (k + 1)]) : x + 1;
-      context.fillStyle = flags & LOST ? colours.bad : colours.closure;
-      context.fillRect(x, 12, Math.max(next - x, 1), height - 12);
+      const first = k;
+      while (flag(k) & LOST) k++;
+      if (k > first) this.mark(context, x(first), x(k), height, colours.bad);
+      if (flag(k) & CORRECTED) this.mark(context, x(k), x(k), height, colours.closure);
     }
     context.globalAlpha = 1;
+  }
+
+  mark(context, first, end, height, colour) {
+    context.fillStyle = colour;
+    context.fillRect(first, 12, Math.max(end - first, 1), height - 12);
   }
 
   axes(context, width, height, half, top, colours) {

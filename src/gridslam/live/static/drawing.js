@@ -91,7 +91,7 @@ export class Drawing {
       line(context, world.plan, camera);
       context.globalAlpha = 1;
     }
-    Object.assign(context, { strokeStyle: colours.path, lineWidth: 2.2 });
+    Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
     line(context, world.path, camera);
     const chosen = world.status.watched ?? -1, best = world.status.best ?? -1;
     if (best >= 0 && !world.plan.length) line(context, pastOf(world, best), camera);

@@ -11,6 +11,7 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
+const WORDS = { "last word": "finding the final map", done: "finished" };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
 const share = (value) => `${(100 * value).toFixed(0)} %`;
 const few = (value) => value.toFixed(value < 100 ? 1 : 0);
@@ -40,9 +41,7 @@ export class Panel {
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const shown of document.querySelectorAll("[data-shows]")) shown.hidden = !hello.shows.includes(shown.dataset.shows);
     $("#latency-of").textContent = `Time per ${hello.step}`;
-    const still = this.mode === "still"; // nothing happens
-    for (const id of ["#step", "#pace", "#line"]) $(id).hidden = still || this.mode === "robot"; // which goes its way
-    for (const id of ["#pause", "#time"]) $(id).hidden = still;
+    document.body.dataset.mode = hello.mode; // of which the style sheet knows what there is to hold
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
     if (replay) unlimited?.remove();
   }
@@ -73,9 +72,9 @@ export class Panel {
     const { status } = world;
     if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.says, status.says ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
-    $("#stage").textContent = status.lost && status.stage === "running" ? "running, the robot is lost" : status.stage;
+    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, the robot is lost" : WORDS[status.stage] ?? status.stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
-    const going = ["running", "paused", "waiting"].includes(status.stage);
+    const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     $("#pause").disabled = !going;
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
     $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
@@ -92,7 +91,7 @@ export class Panel {
   }
 
   facts({ status, hello: { step } }) {
-    const facts = [];
+    const facts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
     const counts = [[status.scans, "scan"], [status.keys, step], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
     for (const [count, what] of counts) if (count) facts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
     if (status.times && status.stage === "running" && this.mode === "live") facts.push(`${short(status.times)} × real time`);
@@ -105,7 +104,8 @@ export class Panel {
     if (doubt !== undefined) [put("doubt", share(doubt)), put("agreement", share(agreement))];
     put("position", `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m`);
     put("heading", `${((pose[2] * 180) / Math.PI).toFixed(1)}°`);
-    if (!covariance) return put("deviation", "–");
+    for (const row of document.querySelectorAll(".deviation")) row.hidden = !covariance;
+    if (!covariance) return;
     const deviation = Math.sqrt(covariance[0][0] + covariance[1][1]), turn = Math.sqrt(covariance[2][2]);
     const length = deviation < 1 ? `${(100 * deviation).toFixed(1)} cm` : `${deviation.toFixed(1)} m`;
     put("deviation", `${length}, ${few((turn * 180) / Math.PI)}°`);
