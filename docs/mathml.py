@@ -23,8 +23,8 @@ _OF_HTML = re.compile(r"&(?!(?:lt|gt|amp|quot|apos);)\w+;")
 ElementTree.register_namespace("", _MATHML)
 
 
-def _with_accents_above(text: str) -> str:
-    """Put subscripts of accented letters beside them: docutils puts those of \\hat{z}_t and \\bar{x}_t below."""
+def _as_tex_sets_it(text: str) -> str:
+    """Put subscripts of accented letters beside them, as of \\hat{z}_t, which docutils has below; 1:t without gaps."""
     tree = ElementTree.fromstring(_OF_HTML.sub(lambda entity: html.unescape(entity[0]), text))
     for element in tree.iter(f"{{{_MATHML}}}munderover"):
         base, below, above = element
@@ -32,12 +32,18 @@ def _with_accents_above(text: str) -> str:
             accented = ElementTree.Element(f"{{{_MATHML}}}mover", accent="true")
             accented.extend([base, above])
             element.tag, element[:] = f"{{{_MATHML}}}msub", [accented, below]
+    for name in ("msub", "msup", "msubsup"):
+        for element in tree.iter(f"{{{_MATHML}}}{name}"):
+            for script in element[1:]:
+                for sign in script.iter(f"{{{_MATHML}}}mo"):
+                    sign.set("lspace", "0")
+                    sign.set("rspace", "0")
     return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _converted(node: nodes.math | nodes.math_block, as_block: bool) -> str:
     try:
-        return _with_accents_above(tex2mathml(node.astext(), as_block=as_block))
+        return _as_tex_sets_it(tex2mathml(node.astext(), as_block=as_block))
     except MathError as error:
         _LOGGER.warning("%s in the formula %s", error, node.astext(), location=node)
         return ""

@@ -81,9 +81,7 @@ def environment(folder: Path) -> dict[str, str]:
     return os.environ | here | ({"PYTHONPATH": os.pathsep.join(paths)} if paths else {})
 
 
-@pytest.mark.parametrize(
-    "page", RUN, ids=lambda page: page.name
-)
+@pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
 def test_examples_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
@@ -112,18 +110,26 @@ def test_the_pages_build_without_a_warning(tmp_path):
     assert {page.stem for page in PAGES} <= set(pages)
 
 
-def test_tests_that_are_named_exist():
-    named = [found for page in PAGES for found in re.findall(r"(tests/[\w/]+\.py)::(\w+)", page.read_text("utf-8"))]
+def test_files_and_tests_that_are_named_exist():
+    """Of the pages and of the README."""
+    texts = [page.read_text("utf-8") for page in (*PAGES, ROOT / "README.md")]
+    files = {found for text in texts for found in re.findall(r"\b((?:tests|benchmarks|examples)/[\w/.]*\w)", text)}
+    assert [name for name in files if not (ROOT / name).exists()] == []
+    named = [found for text in texts for found in re.findall(r"(tests/[\w/]+\.py)::(\w+)", text)]
     assert named
     missing = [f"{path}::{name}" for path, name in named if f"def {name}(" not in (ROOT / path).read_text("utf-8")]
     assert missing == []
 
 
-def test_every_page_of_an_algorithm_shows_its_model_its_trunk_its_picture_and_its_tests():
-    needed = r"figures/\w+\.svg", r"\{literalinclude\}", r"images/\w+\.png", r"tests/[\w/]+\.py::", "When to use it"
-    for name in ALGORITHMS:
-        text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
-        assert [what for what in needed if not re.search(what, text)] == [], name
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_page_of_an_algorithm_has_all_that_it_promises(name):
+    """The model, the equations, the trunk, a picture, when to use it and when not, what the tests prove, the source."""
+    needed = (
+        r"^## The problem$", r"figures/\w+\.svg", r"^\$\$", r"^```\{literalinclude\} \.\./src/", r"images/\w+\.png",
+        r"^## When to use it$", r"\bWhen not\b", r"^## What the tests prove$", r"`tests/[\w/]+\.py::\w+`", r"^Source: ",
+    )  # fmt: skip
+    text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
+    assert [what for what in needed if not re.search(what, text, re.MULTILINE)] == []
 
 
 def test_tuning_names_every_parameter_with_its_default():
