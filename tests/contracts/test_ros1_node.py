@@ -28,6 +28,7 @@ SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"
 EXAMPLES = SUPPORT.parents[1] / "examples" / "ros1"
 PATIENT = "_transform_wait:=10.0", "_queue:=60.0"  # on a busy machine nothing is dropped
+NAME = "/slam_gmapping"
 LINKS = ("map:odom", "odom:base_link", "map:base_link")
 NODE = f"""
 import sys
@@ -85,7 +86,7 @@ class Ros:
 
     def listens(self, process: int) -> bool:
         """Whether that process is the node, and listens: the master still knows one that was killed, too."""
-        found, _, address = self.master.lookupNode("/test", "/slam_gmapping")
+        found, _, address = self.master.lookupNode("/test", NAME)
         if found != 1:
             return False
         with xmlrpc.client.ServerProxy(address) as node:
@@ -96,7 +97,7 @@ class Ros:
         """Play a bag, and give what an independent program has seen of it in the end."""
         ended = self.folder / "ended"
         ended.unlink(missing_ok=True)
-        watcher = self.start([SYSTEM_PYTHON, str(SUPPORT / "ros1_watcher.py"), str(ended), *LINKS], "watcher")
+        watcher = self.start([SYSTEM_PYTHON, str(SUPPORT / "ros1_watcher.py"), str(ended), NAME, *LINKS], "watcher")
         assert self.until(lambda: "listening" in self.log("watcher")), self.log("watcher")
         self.run("rosbag", "play", "--clock", "--quiet", "--delay=2", "-r", str(rate), *options, str(bag))
         ended.touch()
@@ -195,13 +196,16 @@ def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
 def test_a_converted_log_is_played_twice_and_the_services_serve(ros, data_dir, tmp_path):
     bag = tmp_path / "intel.bag"
     convert_log(data_dir / "intel.clf.bz2", bag, options=LogOptions(duration_s=60.0))
-    ros.node("scan:=scan", "_particles:=5", "_linearUpdate:=0.5", "_map_update_interval:=0.3", *PATIENT)
+    old = "_map_frame:=/map", "_odom_frame:=/odom"  # as before tf2, whose listeners refuse the slash
+    ros.node("scan:=scan", "_particles:=5", "_linearUpdate:=0.5", "_map_update_interval:=0.3", *old, *PATIENT)
     assert "ERROR" in subprocess.run(
         ["rosservice", "call", "/dynamic_map"], env=ros.environment, capture_output=True, text=True, timeout=120
     ).stderr
     first = ros.play(bag, 15)
     assert first["diagnostics"]["values"]["session"] == "1"
     assert first["map"]["counts"]["0"] > 1000
+    assert first["map"]["frame"] == "map"
+    assert 0 <= first["entropy"] <= math.log(5) + 1e-9
     second = ros.play(bag, 15)
     assert second["diagnostics"]["values"]["session"] == "2"
     assert "time jumped back" in ros.log("node")
@@ -224,14 +228,31 @@ def test_a_node_that_was_killed_is_started_again(ros, data_dir, tmp_path):
     node.wait(20)
     maps = ros.log("maps").count("frame_id")
     assert maps > 0
-    second = ros.node(*few, *PATIENT, log="second")
+    second = ros.node(*few, *PATIENT, f"_out:={tmp_path / 'out'}", log="second")
     again = ros.play(bag, 15)
     assert ros.until(lambda: ros.log("maps").count("frame_id") > maps)
     assert [seen["diagnostics"]["values"]["session"] for seen in (first, again)] == ["1", "1"]
     assert again["map"]["counts"]["0"] > 1000
     assert again["map"] == again["dynamic_map"]
-    second.send_signal(signal.SIGINT)
+    second.send_signal(signal.SIGTERM)
     assert second.wait(60) == 0, ros.log("second")
+    assert "scans, which are written to" in ros.log("second")
+    assert (tmp_path / "out" / "map.pgm").is_file()
+
+
+def test_a_node_that_is_there_before_the_master_waits_for_it(ros):
+    ros.master("close")()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    ros.environment["ROS_MASTER_URI"] = uri = f"http://127.0.0.1:{port}"
+    node = ros.start([sys.executable, "-c", NODE], "early")
+    assert ros.until(lambda: f"waiting for a master at {uri}" in ros.log("early"))
+    ros.start(["roscore", "-p", str(port)], "second_roscore")
+    said = "waiting for scans on /scan and for base_link in odom"
+    assert ros.until(lambda: said in ros.log("early")), ros.log("early")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(60) == 0, ros.log("early")
 
 
 def test_a_robot_is_localized_in_a_known_map(ros, tmp_path):

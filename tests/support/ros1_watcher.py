@@ -1,6 +1,6 @@
 """An independent program of ROS 1, run by the system's Python, that tells as JSON what it sees of a node.
 
-It listens to transforms until the file named first appears, and only then joins to see the map.
+It listens to transforms until the file named first appears, and only then joins to see the map of the node named next.
 
 Nothing of the package is imported: messages are those of ROS, transforms are looked up by tf2.
 """
@@ -15,6 +15,7 @@ import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from nav_msgs.srv import GetMap
+from std_msgs.msg import Float64
 
 
 def described(grid):
@@ -29,6 +30,14 @@ def described(grid):
         "counts": {str(value): cells.count(value) for value in sorted(set(cells))},
         "sum": sum(k % 9973 * value for k, value in enumerate(cells)),
     }
+
+
+def latched(topic):
+    """What a latched topic has for a late joiner; None where it is not there, or not latched."""
+    try:
+        return rospy.wait_for_message(topic, Float64, timeout=2).data
+    except rospy.ROSException:
+        return None
 
 
 def settle(told, seconds=120.0):
@@ -66,10 +75,11 @@ def main():
             "map": described(rospy.wait_for_message("/map", OccupancyGrid, timeout=60)),
             "metadata_width": rospy.wait_for_message("/map_metadata", MapMetaData, timeout=60).width,
             "dynamic_map": described(rospy.ServiceProxy("/dynamic_map", GetMap)().map),
+            "entropy": latched(rospy.names.ns_join(sys.argv[2], "entropy")),
         }
         if found["map"] == found["dynamic_map"] and found["metadata_width"] == found["map"]["width"]:
             break
-    for name in sys.argv[2:]:
+    for name in sys.argv[3:]:
         parent, child = name.split(":")
         try:
             link = buffer.lookup_transform(parent, child, rospy.Time(0), rospy.Duration(0)).transform

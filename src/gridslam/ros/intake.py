@@ -20,11 +20,12 @@ from gridslam.ros.complaints import Complaints
 from gridslam.ros.live_transforms import LiveTransforms
 from gridslam.ros.settings import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
-from gridslam.types import FloatArray, Odometry
+from gridslam.types import BeamStatus, FloatArray, Odometry
 
 __all__ = ["Counts", "Intake", "Turn"]
 
 _NEAR_M = 0.5  # and rad: the robot goes on where it was
+_LATE_S, _FORGOTTEN_S = 0.5, 10.0
 _LEAP, _FAST = 1.0, 10.0  # m and rad, and both per second: no robot moves so
 _MAY_COME = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
@@ -97,6 +98,7 @@ class Intake:
         self._mountings: dict[str, FloatArray] = {}
         self._latest_ns: dict[str, int] = {}
         self._strays: dict[str, int] = {}
+        self._came_ns: dict[tuple[str, str], int] = {}
         self._odometry: Odometry | None = None
         self._owed_jump = False
 
@@ -114,6 +116,11 @@ class Intake:
             if problem := refusal_of(message, settings.min_beams, settings.max_beams):
                 self._refuse("scan refused", f"{sensor}: {problem}")
                 return
+            source = sensor, message.frame
+            if self._came_ns.get(source) == message.stamp_ns:
+                self._refuse("scan refused", f"{sensor}: one of this stamp has come; are there two publishers?")
+                return
+            self._came_ns[source] = message.stamp_ns
             jumped = self._jumped(message.stamp_ns, sensor)
             if jumped is None:
                 self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the one ahead")
@@ -122,6 +129,8 @@ class Intake:
                 counts.jumps += 1
                 counts.dropped += len(self._queue)
                 self._queue.clear()
+            else:
+                self._compare_clocks(message.stamp_ns, sensor)
             self._queue.append(_Waiting(message, sensor, arrived_s, jumped or self._owed_jump))
             self._owed_jump = False
             self._drop(arrived_s)
@@ -227,6 +236,8 @@ class Intake:
     def _note(self, accepted: Accepted) -> None:
         odometry, scan = accepted.measurement
         self._latest_ns[scan.sensor] = scan.stamp_ns
+        if not (scan.status == BeamStatus.HIT).any():
+            self._complain("nothing seen", f"{scan.sensor}: no beam of {len(scan.status)} hits anything in range")
         if odometry is None:
             return
         if self._odometry is not None:
@@ -255,6 +266,14 @@ class Intake:
             return True
         self._strays[sensor] = stamp_ns
         return None
+
+    def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
+        """Tell of a scan that is older than the odometry which came before it: the filter would take its old pose."""
+        newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
+        late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
+        if _LATE_S < late_s < _FORGOTTEN_S:
+            problem = f"{sensor} is stamped {late_s:.2f} s before the odometry that came: it is late, or clocks differ"
+            self._complain("late scan", problem)
 
     def _drop(self, now_s: float) -> None:
         """Keep the newest scans."""

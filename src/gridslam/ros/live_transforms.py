@@ -56,6 +56,10 @@ class LiveTransforms:
                 self._static.pop((transform.parent, transform.child), None)
                 self._complain("transform refused", f"{transform.parent} <- {transform.child}: {error}")
 
+    def newest_ns(self, parent: str) -> int | None:
+        """Stamp of the newest reading of what moves in a frame; None where there is none."""
+        return max((stamp_ns for (above, _), stamp_ns in self._latest_ns.items() if above == parent), default=None)
+
     def _add(self, transform: StampedTransform, static: bool) -> None:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)

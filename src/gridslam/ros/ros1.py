@@ -134,6 +134,7 @@ class Ros1Node:
         """Log to the console and /rosout."""
         rospy = self._ros["rospy"]
         {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
+        sys.stdout.flush()  # what rospy leaves in a file's buffer
 
     def _subscribe(self) -> None:
         rospy = self._ros["rospy"]
