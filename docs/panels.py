@@ -143,5 +143,13 @@ def save(name: str, panels: Sequence[Panel], columns: int, key: Sequence[tuple[s
         draw.rectangle((x, y + 6, x + 26, y + 14), fill=colour)
         draw.text((x + 36, y + 16), says, fill=FAINT, font=font(17, 1.0), anchor="ls")
         x += 36 + round(font(17, 1.0).getlength(says)) + 36
-    page.quantize(128, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
+    keep(name, page)
+
+
+def keep(name: str, picture: Image.Image, width: int | None = None) -> None:
+    """Write a picture of the pages, in 128 colours that cover those of thin lines, too."""
+    if width is not None:
+        picture = picture.resize((width, round(width * picture.height / picture.width)), Image.Resampling.LANCZOS)
+    few = picture.convert("RGB").quantize(128, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    few.save(IMAGES / f"{name}.png", optimize=True)
     print(f"{name}.png: {(IMAGES / f'{name}.png').stat().st_size // 1000} kB")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from drives import drive, extent, mapped
-from panels import IMAGES, ORANGE, SIDE, Chart, Panel, save
+from panels import ORANGE, SIDE, Chart, Panel, keep, save
 from pictures_of_parts import measurement_models, motion_models, resampling, scan_matching
 from PIL import Image
 
@@ -151,9 +151,7 @@ def graph_slam() -> None:
         f"chi2 {solution.chi2_before:.4g} before, {solution.chi2_after:.4g} after {solution.iterations} linear systems",
     ]
     picture = draw_graph(solution.graph, graph.poses, title="a simulated town", caption=caption)
-    small = picture.resize((1100, round(1100 * picture.height / picture.width)), Image.Resampling.LANCZOS)
-    small.quantize(96, dither=Image.Dither.NONE).save(IMAGES / "graph_slam.png", optimize=True)
-    print(f"graph_slam.png: {(IMAGES / 'graph_slam.png').stat().st_size // 1000} kB")
+    keep("graph_slam", picture, 1100)
 
 
 def first_map() -> None:
@@ -188,6 +186,7 @@ def landmarks() -> None:
         print(f"pictures of landmarks: left as they are, no logs in {DATA} (GRIDSLAM_DATA)")
         return
     small_copy("ekf_slam", "landmarks.png", "landmarks", str(mrclam), "--method", "ekf")
+    small_copy("ekf_localization", "landmarks.png", "landmarks", str(mrclam), "--method", "ekf-localization")
     small_copy("fastslam", "landmarks.png", "landmarks", str(mrclam), "--method", "fastslam2")
     park = str(mrclam.with_name("victoria_park.txt.gz"))
     small_copy("landmark_graph", "landmarks.png", "landmarks", park, "--method", "graph")
@@ -197,9 +196,7 @@ def small_copy(name: str, drawn: str, *command: str) -> None:
     """Run a command of gridslam, and keep the picture that it draws, smaller."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "gridslam.cli.main", *command, "-o", folder], check=True)
-        picture = Image.open(Path(folder) / drawn)
-        small = picture.resize((760, round(760 * picture.height / picture.width)), Image.Resampling.LANCZOS)
-    small.quantize(96, dither=Image.Dither.NONE).save(IMAGES / f"{name}.png", optimize=True)
+        keep(name, Image.open(Path(folder) / drawn), 760)
 
 
 PICTURES = (
