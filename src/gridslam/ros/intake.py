@@ -25,7 +25,7 @@ from gridslam.types import BeamStatus, FloatArray, Odometry
 __all__ = ["Counts", "Intake", "Turn"]
 
 _NEAR_M = 0.5  # and rad: the robot goes on where it was
-_LATE_S, _FORGOTTEN_S = 0.5, 10.0
+_LATE_S, _FORGOTTEN_S, _LATE_SCANS = 0.5, 10.0, 10  # one after the other: a single one was held up
 _LEAP, _FAST = 1.0, 10.0  # m and rad, and both per second: no robot moves so
 _MAY_COME = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
@@ -99,6 +99,7 @@ class Intake:
         self._latest_ns: dict[str, int] = {}
         self._strays: dict[str, int] = {}
         self._came_ns: dict[tuple[str, str], int] = {}
+        self._late: dict[str, int] = {}
         self._odometry: Odometry | None = None
         self._owed_jump = False
 
@@ -268,12 +269,13 @@ class Intake:
         return None
 
     def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
-        """Tell of a scan that is older than the odometry which came before it: the filter would take its old pose."""
+        """Tell of scans that are always older than the odometry which came before: each would get an old pose."""
         newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
-        if _LATE_S < late_s < _FORGOTTEN_S:
+        self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _FORGOTTEN_S else 0
+        if self._late[sensor] >= _LATE_SCANS:
             problem = f"{sensor} is stamped {late_s:.2f} s before the odometry that came: it is late, or clocks differ"
-            self._complain("late scan", problem)
+            self._complain("late scans", problem)
 
     def _drop(self, now_s: float) -> None:
         """Keep the newest scans."""

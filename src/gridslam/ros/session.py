@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gridslam.api.result import MapResult
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, OutputError
 from gridslam.io.digest import digest_of
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
@@ -131,7 +131,11 @@ class TakenSession:
         OutputError
             The folder cannot be written.
         """
-        return self.result().save(folder)
+        result = self.result()
+        try:
+            return result.save(folder)
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
     def result(self) -> MapResult:
         """Find the full answer, as `gridslam map` does at the end of a log."""

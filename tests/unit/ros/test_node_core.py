@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from gridslam.io.map_server import read_map
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.messages import Level
 from gridslam.ros.rendering import cells_of_map
+from gridslam.ros.services import saved
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
 SHIFT_NS = 1_700_000_000 * 10**9
@@ -68,6 +70,19 @@ def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
     assert core.save(tmp_path / "out")["scans"]["read"] == 60
     taken = core.close()
     assert (taken.log.scan_count, taken.record) == (60, None)
+
+
+def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch):
+    def full(result, folder):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("gridslam.ros.session.MapResult.save", full)
+    heard = Heard()
+    core = node(heard)
+    drive_all(core, heard, drive[:10])
+    assert saved(core, tmp_path / "out") == (False, f"{tmp_path / 'out'}: cannot be written: No space left on device")
+    drive_all(core, heard, drive[10:20])
+    core.close()
 
 
 def test_what_it_says_of_a_drive(drive):
