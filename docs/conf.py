@@ -32,6 +32,7 @@ html_copy_source = html_show_sourcelink = False
 
 default_role = "code"
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
 autodoc_typehints = "none"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
@@ -42,6 +43,16 @@ nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!gridslam\.).*")]  # names of ours must lead somewhere; others' need not
 
 LONGEST_SIGNATURE = 260
+
+
+def _source_first(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Tell the source before the sections; below them napoleon takes it for one more parameter."""
+    sections = [k for k, line in enumerate(lines[1:]) if re.fullmatch("-{3,}", line)]
+    begin = next((k for k, line in enumerate(lines) if line.startswith("Source: ")), -1)
+    if sections and begin > sections[0]:
+        source = list(itertools.takewhile(str.strip, lines[begin:]))
+        del lines[begin : begin + len(source)]
+        lines[sections[0] : sections[0]] = [*source, ""]
 
 
 def _one_name_a_line(app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
@@ -67,5 +78,6 @@ def _short(
 
 def setup(app: Sphinx) -> None:
     """Listen to Sphinx."""
+    app.connect("autodoc-process-docstring", _source_first, priority=400)
     app.connect("autodoc-process-docstring", _one_name_a_line, priority=400)  # before napoleon
     app.connect("autodoc-process-signature", _short)

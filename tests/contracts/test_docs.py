@@ -108,6 +108,9 @@ def test_the_pages_build_without_a_warning(tmp_path):
     assert done.returncode == 0, done.stderr
     pages = [page.relative_to(tmp_path / "html").with_suffix("").name for page in (tmp_path / "html").glob("*.html")]
     assert {page.stem for page in PAGES} <= set(pages)
+    api = (tmp_path / "html" / "api.html").read_text(encoding="utf-8")
+    assert api.count("<p>Source: ") > 20
+    assert "<strong>Source</strong>" not in api  # as if it were a parameter
 
 
 def test_files_and_tests_that_are_named_exist():
