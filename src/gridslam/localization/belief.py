@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray
 
-__all__ = ["NEAR_M", "NEAR_RAD", "Estimate", "estimate", "moved_covariance"]
+__all__ = ["NEAR_M", "NEAR_RAD", "Estimate", "bins", "estimate", "is_near", "moved_covariance"]
 
 NEAR_M, NEAR_RAD = 1.0, 0.5
 """Who is as near as that to the pose that is told is where it says; farther off, the robot is lost."""
@@ -41,7 +41,8 @@ class Estimate(NamedTuple):
 def estimate(poses: FloatArray, weights: FloatArray) -> Estimate:
     """Find the densest cluster of poses (N, 3) with weights (N,) that sum to 1: mean shift from the heaviest bin."""
     x, y, theta = poses.T.copy()
-    near = _heaviest_bin(x, y, theta, weights)
+    names = bins(x, y, theta)
+    near = names == np.bincount(names, weights).argmax()
     centre = poses[np.flatnonzero(near)[weights[near].argmax()]]
     for _ in range(_SHIFTS):
         away = _away(x, y, theta, centre)
@@ -55,14 +56,20 @@ def estimate(poses: FloatArray, weights: FloatArray) -> Estimate:
     return Estimate(centre, covariance, min(mass, 1.0))
 
 
-def _heaviest_bin(x: FloatArray, y: FloatArray, theta: FloatArray, weights: FloatArray) -> NDArray[np.bool_]:
-    """Who (N,) is in the bin of the greatest weight; bins are as wide as a cluster."""
+def bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
+    """Number (N,) of the bin that each pose is in; bins are as wide as a cluster."""
     column, row, turn = (
         np.floor((values - values.min()) * (0.5 / width)).astype(np.int64)
         for values, width in ((x, NEAR_M), (y, NEAR_M), (theta, NEAR_RAD))
     )
-    bins = (column * (row.max() + 1) + row) * (turn.max() + 1) + turn
-    return np.asarray(bins == np.bincount(bins, weights).argmax())
+    return np.asarray((column * (row.max() + 1) + row) * (turn.max() + 1) + turn)
+
+
+def is_near(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
+    """Which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
+    x, y, theta = poses.T.copy()
+    away = _away(x, y, theta, centre)
+    return np.asarray((away[0] ** 2 + away[1] ** 2 < NEAR_M**2) & (np.abs(away[2]) < NEAR_RAD))
 
 
 def _second_moment(away: FloatArray, weights: FloatArray) -> FloatArray:
@@ -92,4 +99,3 @@ def moved_covariance(covariance: FloatArray, way: FloatArray, noise: FloatArray)
     """Covariance (3, 3) after a way (2,) in the world frame whose own is `noise`: a doubtful heading bends it."""
     jacobian = np.array([[1.0, 0.0, -way[1]], [0.0, 1.0, way[0]], [0.0, 0.0, 1.0]])
     return np.asarray(jacobian @ covariance @ jacobian.T + noise)
-

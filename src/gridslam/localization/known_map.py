@@ -60,6 +60,8 @@ class KnownMap:
         self.resolution_m = grid.resolution_m
         self.free: NDArray[np.bool_] = free
         self._free_cells = np.argwhere(free)
+        self._middle = (self._free_cells.mean(axis=0)[::-1] + 0.5) * grid.resolution_m + grid.origin
+        self._spread = np.cov(self._free_cells[:, ::-1].T, bias=True) * grid.resolution_m**2
         reach = math.ceil(reach_m / grid.resolution_m)
         rim = reach + 1  # the field goes on beyond the map, to where it says the same for good
         self._corner = np.array(grid.origin) - rim * grid.resolution_m
@@ -82,6 +84,14 @@ class KnownMap:
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         found: NDArray[np.bool_] = inside & self.free[np.where(inside, row, 0), np.where(inside, column, 0)]
         return found
+
+    def spread_about(self, pose: FloatArray) -> FloatArray:
+        """Mean square (3, 3) of how far poses that are even over free cells and headings are from a pose (3,)."""
+        away = self._middle - pose[:2]
+        spread = np.zeros((3, 3))
+        spread[:2, :2] = self._spread + np.outer(away, away)
+        spread[2, 2] = math.pi**2 / 3
+        return spread
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Poses (count, 3), uniform over free cells and headings."""

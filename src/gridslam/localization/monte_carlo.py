@@ -90,7 +90,7 @@ class MonteCarloLocalization:
         if share := self._elsewhere(state, poses, beams):  # augment
             poses, log_weights = self._augmented(poses, log_weights, share, beams, weigh, rng)
         state.advance(poses, normalize(log_weights), odometry)
-        report = self._report(state, scan, moved, beams, share)
+        report = self._report(state, scan, moved, beams, share, rng)
         if self._resamples(state, report):  # resample
             parents = self.parts.kld(poses, np.exp(state.log_weights), self.resampler, rng)
             state.resample(parents)
@@ -159,15 +159,19 @@ class MonteCarloLocalization:
         return report.augmented > 0 or self.parts.when_to_resample(report.n_eff, len(state.poses))
 
     def _report(
-        self, state: MonteCarloState, scan: LaserScan, moved: FloatArray, beams: Beams, share: float
-    ) -> LocalizationReport:
-        """Report of an update, before resampling; keeps the estimate in the state."""
-        told = estimate(state.poses, np.exp(state.log_weights))
-        state.agreement = float(self._agreement(beams)(told.pose[None])[0])
+        self, state: MonteCarloState, scan: LaserScan, moved: FloatArray, beams: Beams, share: float,
+        rng: np.random.Generator,
+    ) -> LocalizationReport:  # fmt: skip
+        """Report of an update, before resampling; keeps the estimate and its rivals in the state."""
+        weights, agree = np.exp(state.log_weights), self._agreement(beams)
+        told = estimate(state.poses, weights)
+        state.agreement = float(agree(told.pose[None])[0])
         state.follow(told, moved)
+        state.rivals = self.parts.rivals(state.rivals, moved, told, state.poses, weights, agree, rng)
         return LocalizationReport(
-            scan.stamp_ns, told.pose, told.covariance, *self._lost(state), state.agreement, len(state.poses),
-            effective_sample_size(state.log_weights), augmented=share, poses=state.poses, log_weights=state.log_weights,
+            scan.stamp_ns, told.pose, *self._doubted(state, told.pose, told.covariance), state.agreement,
+            len(state.poses), effective_sample_size(state.log_weights), augmented=share, poses=state.poses,
+            log_weights=state.log_weights,
         )  # fmt: skip
 
     def _between_updates(
@@ -180,14 +184,31 @@ class MonteCarloLocalization:
         noise = self._motion(moved).moments(told.pose[None])[1][0]
         covariance = moved_covariance(told.covariance, pose[:2] - told.pose[:2], noise)
         return LocalizationReport(
-            scan.stamp_ns, pose, covariance, *self._lost(state), state.agreement, len(state.poses), skipped=reason
+            scan.stamp_ns, pose, *self._doubted(state, pose, covariance), state.agreement, len(state.poses),
+            skipped=reason,
         )  # fmt: skip
 
-    def _lost(self, state: MonteCarloState) -> tuple[float, bool]:
-        """How probable it is that the robot is not where it is said to be, and whether it counts as lost.
+    def _doubted(
+        self, state: MonteCarloState, pose: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, float, bool]:
+        """Covariance, how probable it is that the robot is not where it is said to be, and whether it is lost.
 
-        The belief's own doubt, that of the recovery, and that of a place that was found but not followed yet.
+        A robot that is lost may be where its rivals are and, by what doubt is left, anywhere on the map.
         """
+        probability, rivals = self._lost_probability(state), state.rivals
+        if probability <= self.parts.lost_above:
+            return covariance, probability, False
+        theirs = min(probability, rivals.odds / (1 + rivals.odds))
+        elsewhere = theirs * rivals.spread_about(state.estimate.pose)
+        elsewhere += (probability - theirs) * self.map.spread_about(pose)
+        return (1 - probability) * covariance + elsewhere, probability, True
+
+    def _lost_probability(self, state: MonteCarloState) -> float:
+        """The belief's own doubt, that of its rivals, of a place not followed yet, and of a scan that does not fit.
+
+        What recovery draws from elsewhere is in the belief already: it has been weighed by the scan.
+        """
+        place = min(state.estimate.mass, 1 / (1 + state.rivals.odds))
         followed = -math.expm1(-state.followed_m / self.parts.follow_m)
-        probability = 1 - state.estimate.mass * followed * (1 - self.parts.recovery.share(state.averages))
-        return probability, probability > 0.5 or (state.updates > 0 and state.agreement < self.parts.lost_below)
+        fits = min(max(state.agreement / self.parts.lost_below - 0.5, 0.0), 1.0) if state.updates else 1.0
+        return 1 - place * followed * fits

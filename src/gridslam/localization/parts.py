@@ -9,6 +9,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
+from gridslam.localization.rivals import RivalPlaces
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
@@ -43,6 +44,8 @@ class MonteCarloParts:
         How probable it is that the robot is somewhere else.
     proposal : MeasurementProposal
         Where it may be, then and at the start.
+    rivals : RivalPlaces
+        Which places that look like the one that is told keep it in doubt.
     kld : KldSampling
         How many particles survive.
     when_to_update : MovedAtLeast
@@ -61,8 +64,12 @@ class MonteCarloParts:
     off_free : float, (0, 1]
         What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
         a robot may drive where its map ends.
-    lost_below : float, [0, 1]
-        Where a smaller share of the beams agrees with the map it counts as lost; poses taken by chance have 0.2.
+    lost_below : float, (0, 1]
+        Where a smaller share of the beams agrees with the map it counts as lost; poses taken by chance have 0.2. The
+        doubt begins at one and a half times as many.
+    lost_above : float, (0, 1)
+        It counts as lost where it is more probable than this that it is somewhere else. One place of two that look
+        alike is far above, whatever little a scan tells of them.
     follow_m : float, m, > 0
         A place just found is doubted by exp(-way / follow_m): places that look alike are told apart by driving on.
 
@@ -76,6 +83,7 @@ class MonteCarloParts:
     sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
+    rivals: RivalPlaces = Field(default_factory=RivalPlaces)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
     when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)
@@ -85,5 +93,6 @@ class MonteCarloParts:
     range_max_m: float = Field(default=30.0, gt=0)
     reach_m: float = Field(default=1.0, gt=0)
     off_free: float = Field(default=0.01, gt=0, le=1)
-    lost_below: float = Field(default=0.3, ge=0, le=1)
-    follow_m: float = Field(default=2.0, gt=0)
+    lost_below: float = Field(default=0.3, gt=0, le=1)
+    lost_above: float = Field(default=0.2, gt=0, lt=1)
+    follow_m: float = Field(default=1.0, gt=0)

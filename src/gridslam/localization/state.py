@@ -11,9 +11,10 @@ import numpy as np
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, compose
-from gridslam.localization.belief import NEAR_M, NEAR_RAD, Estimate
+from gridslam.geometry.se2 import compose
+from gridslam.localization.belief import Estimate, is_near
 from gridslam.localization.recovery import Averages
+from gridslam.localization.rivals import NO_RIVALS, Rivals
 from gridslam.types import FloatArray, IntArray, Odometry
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]
@@ -37,12 +38,12 @@ class LocalizationReport:
     stamp_ns : int
         Stamp of the scan.
     pose, covariance : (3,), (3, 3) float64
-        Of the robot's base in the map: mean of the densest cluster of particles. The covariance is that cluster's or,
-        where the robot is lost, that of all particles.
+        Of the robot's base in the map: mean of the densest cluster of particles. The covariance is that cluster's;
+        where the robot is lost, it spans all places where it may be.
     lost_probability : float, [0, 1]
         How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
     lost : bool
-        That is more probable than not, or the scan agrees with the map too little there.
+        That is more probable than `MonteCarloParts.lost_above`.
     agreement : float, [0, 1]
         Share of the beams that agree with the map at the pose of the last update.
     particles : int
@@ -89,6 +90,8 @@ class MonteCarloState:
         What the particles said at the last update.
     followed_m : float, m
         How far the robot was driven since the place that is told was found; infinite where it was given.
+    rivals : Rivals
+        Places that the particles have left, and that nothing has refuted yet.
     agreement : float, [0, 1]
         Share of the beams that agreed with the map there.
     odometry : (3,) float64 or None
@@ -104,6 +107,7 @@ class MonteCarloState:
     averages: Averages
     estimate: Estimate
     followed_m: float = 0.0
+    rivals: Rivals = NO_RIVALS
     agreement: float = 0.0
     odometry: FloatArray | None = None
     last: Odometry | None = None
@@ -125,8 +129,7 @@ class MonteCarloState:
 
     def follow(self, told: Estimate, moved: FloatArray) -> None:
         """Take what the particles say after the robot has `moved` (3,): on from where it was, or somewhere else."""
-        dx, dy, turn = between(compose(self.estimate.pose, moved), told.pose).tolist()
-        same = math.hypot(dx, dy) < NEAR_M and abs(turn) < NEAR_RAD
+        same = is_near(compose(self.estimate.pose, moved)[None], told.pose)[0]
         self.followed_m = self.followed_m + math.hypot(moved[0], moved[1]) if same else 0.0
         self.estimate = told
 

@@ -146,3 +146,14 @@ def test_maps_without_free_or_occupied_cells_are_refused():
             KnownMap(grid_of(cells))
     with pytest.raises(ArgumentError, match="reach_m"):
         KnownMap(grid_of(room()), reach_m=0.0)
+
+
+def test_spread_about_a_pose_is_that_of_poses_drawn_from_the_map():
+    free = np.zeros((40, 60), bool)
+    free[5:30, 10:50] = free[2:5, 3:8] = True
+    cells = np.where(free, -4, 4).astype(np.float32)
+    known = KnownMap(OccupancyGrid(cells, np.ones(free.shape, bool), 0.1, (-2.0, 1.0)))
+    pose = np.array([0.5, 2.0, 0.0])
+    away = known.draw(200_000, np.random.default_rng(0)) - pose
+    # Cells count by their centres: they leave out the 0.1^2 / 12 that a cell is wide.
+    np.testing.assert_allclose(known.spread_about(pose), away.T @ away / len(away), atol=0.03)

@@ -16,7 +16,7 @@ from gridslam.localization.kld_sampling import KldSampling
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.motion import OdometryMotion
 from gridslam.sim import OdometryNoise
-from gridslam.types import BeamStatus, LaserScan
+from gridslam.types import BeamStatus, LaserScan, Odometry
 
 SPREAD = np.diag([0.04, 0.04, 0.01])
 
@@ -214,3 +214,21 @@ def test_another_motion_model(known, log):
     ):
         reports, _ = follow(mcl, drive(1).measurements, 0, log.truth.poses[0])
         assert errors(reports, log.truth.poses)[0][5:].max() < 0.25
+
+
+def test_a_robot_that_stands_stays_lost_until_it_moves(known, log):
+    """What is seen from one place may be seen from another one: however often it is looked at."""
+    mcl, rng = MonteCarloLocalization(known), np.random.default_rng(3)
+    odometry, scan = log.measurements[0]
+    state, report = mcl.step(mcl.init(), odometry, scan, rng)
+    for k in range(1, 200):
+        state, report = mcl.step(state, Odometry.at(k, odometry.pose), scan, rng)
+        assert report.lost
+        assert report.lost_probability > 0.9
+    # 12 m x 8 m, nearly all of it possible: an even spread has 3.5 m by 2.3 m.
+    assert math.sqrt(report.covariance[0, 0]) > 3
+    assert math.sqrt(report.covariance[1, 1]) > 2
+    for measurement in log.measurements[1:40]:
+        state, report = mcl.step(state, *measurement, rng)
+    assert not report.lost
+    assert np.sqrt(np.trace(report.covariance[:2, :2])) < 0.2
