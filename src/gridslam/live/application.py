@@ -8,7 +8,7 @@ import json
 import secrets
 import tempfile
 import zipfile
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
@@ -147,15 +147,17 @@ async def _attend(websocket: WebSocket, show: Show) -> None:
 
 async def _send_all(
     websocket: WebSocket, viewer: Viewer, news: asyncio.Event, window: asyncio.Semaphore
-) -> Awaitable[None]:
+) -> None:
+    clock = asyncio.get_running_loop().time
     while True:
         await window.acquire()
         news.clear()
         while (message := viewer.message()) is None:
             await news.wait()
             news.clear()
+        due = clock() + max(PERIOD_S, len(message) / BYTES_PER_S)
         await websocket.send_bytes(message)
-        await asyncio.sleep(max(PERIOD_S, len(message) / BYTES_PER_S))
+        await asyncio.sleep(due - clock())
 
 
 def _zipped(grid: OccupancyGrid) -> bytes:

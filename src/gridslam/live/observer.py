@@ -155,7 +155,7 @@ class LiveObserver:
     def _take(self, now: float) -> None:
         if self._latest is None or self._busy:
             return
-        self._due, self._busy, self._fresh = now + self.period_s, True, False
+        self._due, self._busy, self._fresh = max(self._due + self.period_s, now), True, False
         while self._requests:
             self._sight.watch(*self._requests.popleft())
         report, state = self._latest

@@ -81,6 +81,7 @@ function look() {
   if (camera.mode === "follow" && pose && camera.approach(pose[0], pose[1])) redraw();
   const extent = world.map.extent() ?? drawing.extent();
   if (camera.mode === "fit" && extent) camera.fit(extent);
+  document.body.dataset.view = [camera.x, camera.y, camera.scale, ...camera.middle].map((value) => value.toFixed(3)).join(" ");
   $("#fit").setAttribute("aria-pressed", camera.mode === "fit");
   $("#follow").setAttribute("aria-pressed", camera.mode === "follow");
 }

@@ -45,9 +45,9 @@ export class Drawing {
     context.clearRect(0, 0, camera.width, camera.height);
     if (shown.map) world.map.draw(context, camera);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
-    if (shown.closures) this.closures(context, colours.closure);
     if (shown.pasts) this.pasts(context, colours.pasts);
     if (shown.path) this.path(context, colours);
+    if (shown.closures) this.closures(context, colours.closure);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
     if (shown.scan) this.scan(context, colours.scan);
     this.robot(context, colours);
@@ -56,13 +56,12 @@ export class Drawing {
 
   closures(context, colour) {
     const { world, camera } = this;
-    Object.assign(context, { strokeStyle: colour, fillStyle: colour, lineWidth: 1.2, globalAlpha: 0.8 });
+    Object.assign(context, { strokeStyle: colour, fillStyle: colour, lineWidth: 1.2 });
     for (let k = 0; k < world.closures.length; k += 4) {
       const ends = world.closures.subarray(k, k + 4);
       line(context, ends, camera);
       for (const end of [ends.subarray(0, 2), ends.subarray(2)]) this.dot(context, end, 2.5);
     }
-    context.globalAlpha = 1;
   }
 
   dot(context, [x, y], radius) {

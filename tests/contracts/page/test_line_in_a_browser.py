@@ -1,0 +1,102 @@
+"""The page and its line, in a real browser: lost and back, a server's restart, the token, and a robot's page."""
+
+from __future__ import annotations
+
+import numpy as np
+from browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait
+from loops import PROVOKED
+
+from gridslam.config import build
+from gridslam.live.control import RobotControl
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+from gridslam.pipeline import run
+
+
+def port_of(page):
+    return int(page.url.partition("/?")[0].rstrip("/").rpartition(":")[2])
+
+
+def test_a_restart_of_the_server_is_outlived(browser, drive, screenshot):
+    with LivePage("before", LiveOptions(port=0), range_max_m=30.0) as page:
+        url, port = page.url, port_of(page)
+        browser.get(url)
+        Mapping(page, drive[:60]).join(PATIENCE_S)
+        session = wait(lambda: told(browser).get("tiles", "0") != "0" and told(browser)["session"], "a map")
+    wait(lambda: told(browser)["stage"] == "offline", "the page notices")
+    assert "trying again" in text(browser, "#notice")
+    screenshot("offline")
+    with LivePage("after", LiveOptions(port=port), range_max_m=30.0) as page:
+        wait(lambda: told(browser)["session"] != session, "the page is back")
+        assert text(browser, "#title") == "after"
+        assert told(browser)["tiles"] == "0", "the map of the run before is still there"
+        Mapping(page, drive[:60]).join(PATIENCE_S)
+        wait(lambda: int(told(browser)["tiles"]) > 0, "the new map")
+        assert not shown(browser, "notice")
+
+
+def test_a_line_that_is_lost_comes_back_to_the_same_run(browser, drive, screenshot):
+    """Meanwhile the run has gone on; a chosen particle is the best one again."""
+    with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
+        cable = Cable(port_of(page))
+        browser.get(f"http://127.0.0.1:{cable.port}/")
+        Mapping(page, drive[:60]).join(PATIENCE_S)
+        session = wait(lambda: int(told(browser).get("keys", "0")) > 20 and told(browser)["session"], "a map")
+        cable.cut()
+        wait(lambda: told(browser)["stage"] == "offline", "the page notices")
+        assert not browser.find_element("id", "pause").is_enabled()
+        wait(lambda: page.viewers == 0, "so does the server")
+        keys, tiles = told(browser)["keys"], told(browser)["tiles"]
+        cable.mend()
+        wait(lambda: told(browser)["stage"] != "offline", "the page is back by itself")
+        wait(lambda: not shown(browser, "notice"), "nothing is said any more")
+        wait(lambda: (told(browser)["keys"], told(browser)["tiles"]) == (keys, tiles), "and has what it had")
+        assert told(browser)["session"] == session
+        cable.close()
+
+
+def test_a_page_that_is_open_to_others_wants_its_token(browser, drive, screenshot):
+    with LivePage("loop.clf", LiveOptions(host="0.0.0.0", port=0), range_max_m=30.0) as page:
+        here, token = f"http://127.0.0.1:{port_of(page)}/", page.url.partition("?")[2]
+        Mapping(page, drive[:40]).join(PATIENCE_S)
+        browser.get(here)
+        wait(lambda: "needs the address with its token" in text(browser, "#notice"), "what is wrong")
+        assert told(browser).get("tiles", "0") == "0"
+        screenshot("without")
+        browser.get(f"{here}?{token}")
+        wait(lambda: int(told(browser).get("tiles", "0")) > 0, "the map")
+        click(browser, "save-map")
+        wait(lambda: list(browser.downloads.glob("*.zip")), "the map is saved")
+
+
+def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive, screenshot):
+    paused = []
+    control = RobotControl(lambda: bool(paused) and paused[-1], paused.append)
+    with LivePage("ROS 1", LiveOptions(port=0), range_max_m=30.0, robot=control) as page:
+        browser.get(page.url)
+        wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
+
+        def mapped(part):
+            rng, observers = np.random.default_rng(1), [page.observer]
+            run(page.session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
+            page.say("")
+
+        page.say("missing transform: base_link <- laser")
+        wait(lambda: shown(browser, "notice"), "what is wrong")
+        assert text(browser, "#notice") == "missing transform: base_link <- laser"
+        mapped(drive[:60])
+        session = wait(lambda: int(told(browser)["tiles"]) > 10 and told(browser)["session"], "a map")
+        wait(lambda: not shown(browser, "notice"), "nothing is wrong any more")
+        buttons = "pause", "step", "speed", "line", "follow"
+        assert [name for name in buttons if shown(browser, name)] == ["pause", "follow"]
+        browser.find_element("tag name", "body").send_keys(".")  # the key for a step does nothing
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "paused", "paused")
+        screenshot("paused")
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "running", "it goes on")
+        assert paused == [True, False]
+        mapped(drive[60:64])
+        wait(lambda: told(browser)["session"] != session, "another session")
+        wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
+        assert int(told(browser)["keys"]) < 5

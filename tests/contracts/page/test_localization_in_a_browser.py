@@ -1,0 +1,137 @@
+"""A known map in a real browser: the cloud converges in it; and what other commands left is seen again."""
+
+from __future__ import annotations
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from browsing import PATIENCE_S, click, pixels_of, shown, text, told, wait
+from landmark_world import ring
+from localization_world import drive as flat_drive
+from localization_world import flat_map
+from loops import PROVOKED
+
+from gridslam.api import map_log
+from gridslam.api.grid import map_with_poses
+from gridslam.api.localization import localize
+from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.landmark_files import write_landmarks
+from gridslam.io.map_server import write_map
+from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+from gridslam.live.replay import ReplayPage
+from gridslam.sim import OdometryNoise
+from gridslam.slam.landmark_report import LandmarkMap
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A flat's map and a drive in it."""
+    folder = tmp_path_factory.mktemp("flat")
+    write_map(folder / "flat.yaml", flat_map())
+    log = flat_drive(1, OdometryNoise())
+    write_carmen(folder / "flat.clf", log.measurements)
+    write_tum(folder / "truth.tum", log.truth)
+    return folder
+
+
+def test_particles_are_seen_to_converge(browser, place, screenshot):
+    grid = flat_map()
+    with LivePage("flat.clf", LiveOptions(port=0), range_max_m=30.0, known=grid) as page:
+        browser.get(page.url)
+        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map is there before the first scan")
+        page.control.step(to_key_scan=True)
+        given = {"seed": 2, "observers": [page.observer], "gate": page.paced}
+        found = threading.Thread(target=localize, args=(place / "flat.clf", grid), kwargs=given)
+        found.start()
+        wait(lambda: told(browser).get("keys") == "1", "an update")
+        assert "elsewhere" not in text(browser, "#stage")
+        screenshot("lost")
+        spread = pixels_of(browser, "particle")
+        page.control.set_speed(10.0)
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "running", "it is found")
+        screenshot("found")
+        assert not shown(browser, "weights")
+        assert not browser.find_elements("css selector", "#layers label:not([hidden]) [name=pasts]")
+        assert text(browser, "[data-value=doubt]").endswith(" %")
+        page.control.end()
+        found.join(PATIENCE_S)
+        wait(lambda: told(browser)["stage"] == "done", "the end")
+        wait(lambda: pixels_of(browser, "path") > 100, "the way")
+        assert spread >= 0
+        screenshot("done")
+
+
+def test_a_localization_is_seen_again(browser, place, tmp_path, screenshot):
+    localize(place / "flat.clf", place / "flat.yaml", seed=2).save(tmp_path / "out")
+    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
+        wait(lambda: pixels_of(browser, "path") > 100, "the way")
+        seek(browser, 5)
+        wait(lambda: told(browser)["stage"] == "paused" and "6 scans" in text(browser, "#facts"), "another time")
+        screenshot("early")
+        seek(browser, 100)
+        wait(lambda: "101 scans" in text(browser, "#facts"), "another time")
+        screenshot("later")
+
+
+def seek(browser, at):
+    script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
+    browser.execute_script(script, browser.find_element("id", "line"), at)
+
+
+def test_a_map_with_known_poses_is_seen_without_a_time_line(browser, place, tmp_path, screenshot):
+    map_with_poses(place / "flat.clf", place / "truth.tum").save(tmp_path / "out")
+    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
+        assert [name for name in ("pause", "step", "speed", "line", "follow", "robot") if shown(browser, name)] == []
+        assert " m × " in text(browser, "#facts")
+        screenshot("map")
+
+
+def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
+    log = flat_drive(1)
+    spread = np.tile([[0.04, 0.01], [0.01, 0.09]], (6, 1, 1))
+    found = LandmarkMap(np.arange(6), ring(6), spread, np.ones(6, np.int64))
+    write_landmarks(tmp_path / "landmarks.csv", found)
+    covariances = np.tile(np.diag([0.04, 0.01, 0.001]), (len(log.truth), 1, 1))
+    write_trajectory_csv(tmp_path / "trajectory.csv", log.truth, covariances)
+    (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/1", "input": {"path": "park.txt"}}')
+    with ReplayPage(tmp_path, LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")
+        assert not shown(browser, "save-map")
+        assert "6 landmarks" in text(browser, "#facts")
+        screenshot("way")
+
+
+def test_a_mapped_run_has_a_time_line(browser, drive, tmp_path, screenshot):
+    write_carmen(tmp_path / "loop.clf.gz", drive[:200])
+    map_log(tmp_path / "loop.clf.gz", configuration=PROVOKED, repair="none").save(tmp_path / "out")
+    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+        browser.get(page.url)
+        wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
+        line = browser.find_element("id", "line")
+        last = int(line.get_attribute("max"))
+        assert int(line.get_attribute("value")) == last
+
+        def time_of():
+            return browser.find_element("css selector", "#time output").text
+
+        end = time_of()
+        seek(browser, 20)
+        wait(lambda: time_of() != end and int(line.get_attribute("value")) == 20, "the time line")
+        screenshot("early")
+        click(browser, "pause")
+        wait(lambda: int(line.get_attribute("value")) > 25, "it plays")
+        click(browser, "pause")
+        wait(lambda: told(browser)["stage"] == "paused", "it pauses")
+        record = json.loads((tmp_path / "out" / "run.json").read_text())["scans"]["used"]
+        assert last == record - 1
+        screenshot("later")
