@@ -17,6 +17,7 @@ import pytest
 
 from gridslam.config import PARAMETERS, Configuration
 from gridslam.config.tables import value_of
+from gridslam.io.landmark_files import LANDMARKS_HEADER
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -133,6 +134,16 @@ def test_a_page_of_an_algorithm_has_all_that_it_promises(name):
     )  # fmt: skip
     text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
     assert [what for what in needed if not re.search(what, text, re.MULTILINE)] == []
+
+
+def test_every_schema_is_told():
+    """Of what is written or printed: by its name and number, and the columns of landmarks.csv."""
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py")]
+    schemas = {found for text in sources for found in re.findall(r'"(gridslam\.\w+/\d+)"', text)}
+    pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert [schema for schema in sorted(schemas) if schema not in pages] == []
+    assert len(schemas) > 8
+    assert f"    {LANDMARKS_HEADER}\n" in pages
 
 
 def test_tuning_names_every_parameter_with_its_default():
