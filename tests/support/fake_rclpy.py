@@ -128,6 +128,9 @@ class LifecycleNode(Node):
     def on_deactivate(self, state: Any) -> str:
         return "success"
 
+    def on_shutdown(self, state: Any) -> str:
+        return "success"
+
 
 def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
     """Put the stand-in where `import rclpy` finds it."""

@@ -144,7 +144,7 @@ class NodeCore:
         self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
     ) -> None:
         """Take transforms, where it is known of whom; returns at once."""
-        self._intake.add_transforms(self._speaker.others(transforms), static=static, publisher=publisher)
+        self._intake.add_transforms(self._speaker.others(transforms, publisher), static=static, publisher=publisher)
 
     def refuse(self, what: str, problem: str) -> None:
         """Tell of a message that the transport could not even decode."""

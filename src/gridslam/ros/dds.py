@@ -72,7 +72,7 @@ class DdsParticipant:
             self._participant = dds.domain.DomainParticipant(domain)
         except dds.core.DDSException as error:
             where = ", ".join(interfaces) or "any interface"
-            raise ConfigurationError(f"DDS cannot start on {where}: {error.msg}") from None
+            raise ConfigurationError(f"DDS cannot start in domain {domain} on {where}: {error.msg}") from None
         self._waiting = dds.core.WaitSet(self._participant)
         self._thread = threading.Thread(target=self._listen, name="gridslam-dds", daemon=True)
 

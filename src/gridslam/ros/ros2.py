@@ -202,6 +202,11 @@ def _managed(base: Any) -> Any:  # noqa: ANN401
                 self.core.pause(True)
             return super().on_deactivate(state)
 
+        def on_shutdown(self, state: Any) -> Any:  # noqa: ANN401
+            if self.core is not None:
+                self.core.pause(True)
+            return super().on_shutdown(state)
+
         def on_cleanup(self, state: Any) -> Any:  # noqa: ANN401
             if self.core is not None:
                 self.core.reset()

@@ -145,17 +145,16 @@ class Speaker:
                 del self._ours[next(iter(self._ours))]
             self._outputs.transform(told_of)
 
-    def others(self, transforms: Sequence[StampedTransform]) -> Sequence[StampedTransform]:
+    def others(self, transforms: Sequence[StampedTransform], publisher: str = "") -> Sequence[StampedTransform]:
         """Leave out the transforms that this node tells; one from elsewhere of the same child is complained of."""
         child = self._child
         if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
             return transforms
         for transform in transforms:
             if transform.child == child and transform not in self._ours:
-                self._complain(
-                    "transform of another node", f"it says where {child} lies in {transform.parent}, and this one"
-                    f" where in {self._settings.map_frame}: end one of them (a localization, or the bag itself)",
-                )  # fmt: skip
+                told = f"{publisher or 'it'} says where {child} lies in {transform.parent}, and this one where in"
+                end = "end one of them (a localization, or the bag itself)"
+                self._complain("transform of another node", f"{told} {self._settings.map_frame}: {end}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:

@@ -161,6 +161,10 @@ def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
         assert node.core.diagnostics().values["paused"] == "2"
         node.on_cleanup(None)
         assert until(lambda: "a new map is begun: reset" in str(world.logged))
+        node.on_activate(None)
+        node.on_shutdown(None)
+        send(world, drive[3])
+        assert node.core.diagnostics().values["paused"] == "3"
 
     run(world, script)
     assert world.nodes[0].destroyed
