@@ -63,3 +63,19 @@ def test_landmarks_by_a_graph_that_is_not_told_which(call, tmp_path):
     assert (status, out) == (2, "")
     assert err == "gridslam: --unknown: GraphSLAM has to be told which landmark was seen\n"
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("method", ["ekf", "fastslam1", "fastslam2", "graph"])
+def test_landmarks_of_a_log_that_sees_none(call, tmp_path, method):
+    log = tmp_path / "log.txt"
+    log.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n")
+    status, out, err = call("landmarks", log, "-o", tmp_path / "out", "--method", method)
+    assert (status, out) == (2, "")
+    assert err == f"gridslam: {log}: expected sightings of landmarks, got none\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_landmarks_needs_a_particle(call, tmp_path):
+    status, out, err = call("landmarks", tmp_path / "log.txt", "-o", tmp_path / "out", "--particles", 0)
+    assert (status, out) == (2, "")
+    assert "'--particles': 0 is not in the range x>=1" in err

@@ -12,7 +12,7 @@ from gridslam.api.landmarks import LandmarkMethod, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import opened, print_json
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
@@ -35,6 +35,8 @@ def landmarks_to_folder(
             )  # fmt: skip
         except ArgumentError as error:
             raise click.ClickException(f"--{error}") from None
+        if not source.statistics.sightings:
+            raise InputError(log, "expected sightings of landmarks, got none")
         document = result.write(folder)
     if as_json:
         print_json(document)
