@@ -124,7 +124,7 @@ def _guarded(app: ASGIApp, names: set[str] | None) -> ASGIApp:
 
 async def _attend(websocket: WebSocket, show: Show) -> None:
     """Send one viewer what is new, and do what it asks, until it goes."""
-    news, window = asyncio.Event(), asyncio.Semaphore(_UNDERWAY)
+    news, window = asyncio.Event(), asyncio.BoundedSemaphore(_UNDERWAY)
     viewer = show.join(news.set)
     sender = asyncio.create_task(_send_all(websocket, viewer, news, window))
     try:
@@ -135,8 +135,9 @@ async def _attend(websocket: WebSocket, show: Show) -> None:
             else:
                 viewer.command(command)
                 news.set()
-    except (ArgumentError, KeyError, TypeError, ValueError) as error:
-        await websocket.close(_BAD_COMMAND, f"not understood: {error}"[:100])
+    except (ArgumentError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        reason = f"not understood: {error}".encode()[:100].decode(errors="ignore")  # a close frame holds little
+        await websocket.close(_BAD_COMMAND, reason)
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
@@ -145,9 +146,7 @@ async def _attend(websocket: WebSocket, show: Show) -> None:
         await asyncio.gather(sender, return_exceptions=True)
 
 
-async def _send_all(
-    websocket: WebSocket, viewer: Viewer, news: asyncio.Event, window: asyncio.Semaphore
-) -> None:
+async def _send_all(websocket: WebSocket, viewer: Viewer, news: asyncio.Event, window: asyncio.Semaphore) -> None:
     clock = asyncio.get_running_loop().time
     while True:
         await window.acquire()

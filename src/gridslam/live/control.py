@@ -9,7 +9,7 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["Control", "RobotControl", "checked_speed"]
+__all__ = ["Control", "RobotControl", "checked_particle", "checked_speed"]
 
 _LONGEST_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
 
@@ -19,6 +19,13 @@ def checked_speed(times: float | None) -> float | None:
     if times is not None and not 0.01 <= times <= 1e4:
         raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
     return times
+
+
+def checked_particle(particle: object, count: int) -> int:
+    """An index of `count` particles that a viewer asks for; ArgumentError where it is none."""
+    if not isinstance(particle, int) or not 0 <= particle < count:
+        raise ArgumentError("particle", f"an index below {count}", particle)
+    return particle
 
 
 @final

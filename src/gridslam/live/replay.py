@@ -10,7 +10,7 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.live.control import checked_speed
+from gridslam.live.control import checked_particle, checked_speed
 from gridslam.live.finished import open_finished
 from gridslam.live.options import LiveOptions
 from gridslam.live.results import Moment
@@ -114,9 +114,7 @@ class ReplayViewer:
         self._at = at
 
     def _watch(self, particle: int | None) -> None:
-        if particle is not None and not 0 <= particle < self._results.particles:
-            raise ArgumentError("particle", f"an index below {self._results.particles}", particle)
-        self._watched = particle
+        self._watched = None if particle is None else checked_particle(particle, self._results.particles)
 
     def _scene(self) -> Scene:
         """The scene now; what is as in the one before stays the same object."""

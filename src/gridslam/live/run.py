@@ -13,7 +13,7 @@ import numpy as np
 from gridslam import __version__
 from gridslam.errors import ArgumentError
 from gridslam.kernels import TILE
-from gridslam.live.control import Control, RobotControl, checked_speed
+from gridslam.live.control import Control, RobotControl, checked_particle, checked_speed
 from gridslam.live.observer import SEEN_S, UNSEEN_S, LiveObserver, Snapshot
 from gridslam.live.protocol import STEP_NATS
 from gridslam.live.scene import NO_CLOSURES, NO_PARTICLES, NO_POINTS, NO_TREE, Rows, Scene, Sent, Way
@@ -171,8 +171,7 @@ class LiveRun:
         """Open a channel for the map of a particle; raises ArgumentError where there is none, or too many are open."""
         if self._known is not None:
             raise ArgumentError("do", "something else, as all particles have one map", "watch")
-        if not 0 <= particle < (count := self._status["particles"]):
-            raise ArgumentError("particle", f"an index below {count}", particle)
+        particle = checked_particle(particle, self._status["particles"])
         if len(self._mirrors) > _MOST_CHANNELS:
             raise ArgumentError("particle", f"at most {_MOST_CHANNELS} maps at once", "one more")
         self._channels += 1
@@ -280,4 +279,4 @@ class LiveViewer:
         if before != BEST:
             self._run.unwatch(before)
         if particle is not None:
-            self._channel = self._run.watch(int(particle))
+            self._channel = self._run.watch(particle)

@@ -200,7 +200,15 @@ def test_other_hosts_need_the_token(monkeypatch):
         assert len(page.url.partition("token=")[2]) >= 16
 
 
-@pytest.mark.parametrize("text", ["no json", "[1]", '{"do": "fly"}', '{"do": "speed", "times": "fast"}', '{"x": 1}'])
+NONSENSE = [
+    "no json", "[1]", "3", "null", '{"x": 1}', '{"do": "fly"}', '{"do": "' + "\u00e9" * 200 + '"}', "[" * 60_000,
+    b"\x00\xff", '{"do": "speed"}', '{"do": "speed", "times": "fast"}', '{"do": "speed", "times": NaN}', '{"do": {}}',
+    '{"do": "watch", "particle": 1e999}', '{"do": "watch", "particle": "0"}', '{"do": "watch", "particle": -1}',
+    '{"do": "seek", "at": 1e999}',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", NONSENSE, ids=lambda text: str(text)[:30])
 def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
     with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
         receive(socket, onlooker)
@@ -209,6 +217,29 @@ def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
             with pytest.raises(ConnectionClosed) as closed:
                 drain(other)
             assert closed.value.rcvd.code == 4400
+        receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
+
+
+def flood(socket):
+    for _ in range(10):
+        socket.send(json.dumps({"do": "got"}))
+    drain(socket)
+
+
+def test_who_confirms_what_was_never_sent_is_sent_away():
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, _):
+        with pytest.raises(ConnectionClosed) as closed:
+            flood(socket)
+        assert closed.value.rcvd.code == 4400
+
+
+def test_a_message_that_is_too_long_ends_the_line_and_nothing_else():
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
+        receive(socket, onlooker)
+        with viewing(page.url) as (other, _):
+            other.send(json.dumps({"do": "x" * 100_000}))
+            with pytest.raises(ConnectionClosed):
+                drain(other)
         receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import time
 
@@ -138,8 +139,9 @@ def test_a_chosen_particle_keeps_its_line(replay):
     assert np.array_equal(onlooker.past_of(onlooker.status["watched"]), past[:21])
     with pytest.raises(ArgumentError, match="below 5"):
         viewer.command({"do": "watch", "particle": 5})
-    with pytest.raises(ArgumentError, match="seek"):
-        viewer.command({"do": "dance"})
+    for wrong in ({"do": "dance"}, {"do": "watch", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):
+        with pytest.raises((ArgumentError, KeyError, OverflowError)):
+            viewer.command(wrong)
 
 
 def broken(out, tmp_path, name, text):

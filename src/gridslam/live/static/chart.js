@@ -127,8 +127,10 @@ export class Strip {
   }
 
   draw(world, colours) {
-    const [context, width, height] = prepared(this.canvas), { particles, status } = world;
+    const { particles, status } = world;
     this.count = particles.length / 4;
+    this.canvas.hidden = !this.count;
+    const [context, width, height] = prepared(this.canvas);
     let most = 0;
     for (let k = 0; k < this.count; k++) most = Math.max(most, particles[4 * k + 3]);
     const step = width / this.count;
