@@ -75,7 +75,8 @@ def test_landmarks_of_a_log_that_sees_none(call, tmp_path, method):
     assert not (tmp_path / "out").exists()
 
 
-def test_landmarks_needs_a_particle(call, tmp_path):
-    status, out, err = call("landmarks", tmp_path / "log.txt", "-o", tmp_path / "out", "--particles", 0)
+@pytest.mark.parametrize("particles", [0, 10**9])
+def test_landmarks_by_particles_that_there_can_be(call, tmp_path, particles):
+    status, out, err = call("landmarks", tmp_path / "log.txt", "-o", tmp_path / "out", "--particles", particles)
     assert (status, out) == (2, "")
-    assert "'--particles': 0 is not in the range x>=1" in err
+    assert f"'--particles': {particles} is not in the range 1<=x<=100000" in err
