@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -126,7 +127,22 @@ def test_what_is_no_scan_is_named_and_the_node_lives(running, drive):
 def test_another_node_that_says_where_odometry_lies_is_named(running):
     link = StampedTransform(1, "map", "odom", IDENTITY)
     running.robot.moving.write(transforms(running.peer, [link]))
-    assert running.node.says("transform of another node: it says where odom lies in map"), running.node.log.read_text()
+    assert running.node.says("says where odom lies in map, and this one where in map"), running.node.log.read_text()
+
+
+def test_two_programs_that_tell_of_one_transform_are_named(running):
+    """As wheels and a filter of them may, where both are told to publish."""
+    other = running.peer.writer("rt/tf", "tf2_msgs/TFMessage")
+    assert until(lambda: bool(other.get_matched_subscriptions()))
+
+    def named() -> bool:  # the other side may have found it later
+        stamp_ns = time.time_ns()
+        for writer in (running.robot.moving, other):
+            writer.write(transforms(running.peer, [StampedTransform(stamp_ns, "odom", "base_link", IDENTITY)]))
+            stamp_ns += 1000
+        return running.node.says("two transforms: base_link is told to lie in odom by publisher ", 1.0)
+
+    assert until(named), running.node.log.read_text()
 
 
 def test_a_quality_of_service_that_does_not_fit_is_named(running):

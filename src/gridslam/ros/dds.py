@@ -18,13 +18,14 @@ from xml.sax.saxutils import quoteattr
 from gridslam.errors import ConfigurationError
 from gridslam.ros.cdr import fields_of
 
-__all__ = ["DdsParticipant"]
+__all__ = ["DdsParticipant", "Handler"]
 
 _KNOWN = "11."
 _POLL_NS = 200_000_000
 _MOST_TAKEN = 64
 
-Handler: TypeAlias = Callable[[bytes], None]
+Handler: TypeAlias = Callable[[bytes, str], None]
+"""Takes the bytes of a message, and a name of who sent it."""
 
 
 def _library() -> Any:  # noqa: ANN401
@@ -121,7 +122,8 @@ class DdsParticipant:
             for reader, take in self._readers:
                 for message in reader.take(_MOST_TAKEN):
                     if message.sample_info.valid_data:  # else it only says that a writer has gone
-                        take(message.serialize(use_version_2=False))
+                        sender = f"publisher {message.sample_info.publication_handle:x}"
+                        take(message.serialize(use_version_2=False), sender)
 
     def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
         policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")

@@ -15,7 +15,7 @@ from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
 from gridslam.ros.cdr import decoded, encoded
 from gridslam.ros.core import NodeCore
-from gridslam.ros.dds import DdsParticipant
+from gridslam.ros.dds import DdsParticipant, Handler
 from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
@@ -101,17 +101,21 @@ class DdsNode:
     def _listen(self) -> None:
         sensor = self._arguments.resolve("scan")
 
-        def on_scan(data: bytes) -> None:
+        def on_scan(data: bytes, sender: str) -> None:
             self.core.on_scan(decode_scan(data, wire_of_cdr(data)), sensor)
 
-        def on_transforms(static: bool) -> Callable[[bytes], None]:
-            return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
+        def on_transforms(static: bool) -> Handler:
+            def take(data: bytes, sender: str) -> None:
+                found = decode_transforms(data, wire_of_cdr(data))
+                self.core.on_transforms(found, static=static, publisher=sender)
 
-        def on_clock(data: bytes) -> None:
+            return take
+
+        def on_clock(data: bytes, sender: str) -> None:
             seconds, nanoseconds = decoded("rosgraph_msgs/Clock", data)
             self._clock_ns = seconds * 1_000_000_000 + nanoseconds
 
-        def on_pose(data: bytes) -> None:
+        def on_pose(data: bytes, sender: str) -> None:
             place_by_message(self.core, data, wire_of_cdr(data))
 
         if self.core.localizes:
@@ -122,12 +126,12 @@ class DdsNode:
         if self._clock_ns is not None:
             self._read("/clock", "rosgraph_msgs/Clock", on_clock, reliable=False, depth=1)
 
-    def _read(self, topic: str, kind: str, take: Callable[[bytes], None], **qos: Any) -> None:  # noqa: ANN401
+    def _read(self, topic: str, kind: str, take: Handler, **qos: Any) -> None:  # noqa: ANN401
         name = self._arguments.resolve(topic)
 
-        def heard(data: bytes) -> None:
+        def heard(data: bytes, sender: str) -> None:
             try:
-                take(data)
+                take(data, sender)
             except (MessageError, ValueError) as error:
                 self.core.refuse("message", f"{name}: {error}")
 
@@ -163,7 +167,7 @@ class DdsNode:
         def answered(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
             self._participant.publish(reply, encoded(f"{kind}_Response", (guid, sequence, *serve(value))))
 
-        def asked(data: bytes) -> None:
+        def asked(data: bytes, sender: str) -> None:
             try:
                 request = decoded(f"{kind}_Request", data)
             except ValueError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -29,7 +31,7 @@ def scan(beams):
 
 def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
     node = DdsNode(RosArguments(), node_parameters({}, "default"), domain=free_domain(), interfaces=["127.0.0.1"])
-    take = {reader.topic.name: take for reader, take in node._participant._readers}
+    take = {reader.topic.name: partial(take, sender="test") for reader, take in node._participant._readers}
     node.start()
     try:
         take["rt/scan"](scan(26_214_400))
@@ -60,7 +62,7 @@ def test_bytes_arrive_as_they_were_sent_by_any_version(monkeypatch, known):
     outputs.map(GridMessage(5, "map", 0.05, (1.0, 2.0), np.arange(-1, 5, dtype=np.int8).reshape(2, 3)))
     participant.add_writer("rt/map", TOPICS["map"], latched=True)
     participant.publish("rt/map", sent["map"])
-    participant.add_reader("rt/map", TOPICS["map"], got.append, latched=True)
+    participant.add_reader("rt/map", TOPICS["map"], lambda data, sender: got.append(data), latched=True)
     participant.start()
     try:
         assert until(lambda: bool(got))
