@@ -37,11 +37,11 @@ def load_on_dds(seconds: float, rate_hz: float, beams: int, particles: int) -> L
         robot.add_writer(topic, kind)
     robot.add_writer("rt/tf_static", "tf2_msgs/TFMessage", latched=True)
 
-    def told(data: bytes) -> None:
+    def told(data: bytes, sender: str) -> None:
         told_s[_stamp_ns(data)] = time.perf_counter()
 
     robot.add_reader("rt/gridslam/pose", "geometry_msgs/PoseWithCovarianceStamped", told, depth=1000)
-    robot.add_reader("rt/diagnostics", "diagnostic_msgs/DiagnosticArray", diagnostics.append)
+    robot.add_reader("rt/diagnostics", "diagnostic_msgs/DiagnosticArray", lambda data, sender: diagnostics.append(data))
     robot.start()
     robot.publish("rt/tf_static", _transforms(MOUNTING))
     command = [*GRIDSLAM, "ros2", "--transport", "dds", "--interface", _LOOPBACK, "--particles", str(particles)]
@@ -144,7 +144,7 @@ def grid_ms(times: int = 20) -> list[tuple[str, float]]:
         return 1e3 * min(begun)
 
     alone = least()
-    robot.add_reader("rt/map", "nav_msgs/OccupancyGrid", got.append, latched=True)
+    robot.add_reader("rt/map", "nav_msgs/OccupancyGrid", lambda data, sender: got.append(data), latched=True)
     robot.start()
     heard = least()
     _wait(lambda: bool(got))
