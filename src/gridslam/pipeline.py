@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
-from typing import Any, Protocol, final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol, TypeVar, final, overload
 
 import numpy as np
 
@@ -13,7 +13,27 @@ from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport
 
-__all__ = ["Observer", "Stopwatch", "run"]
+__all__ = ["Filter", "Observer", "Reported", "Stopwatch", "run"]
+
+State = TypeVar("State")
+Report = TypeVar("Report", bound="Reported", covariant=True)
+
+
+class Reported(Protocol):
+    """What a filter tells of a scan."""
+
+    @property
+    def skipped(self) -> object | None:
+        """Why the particles were not updated; None where they were."""
+
+
+class Filter(Protocol[State, Report]):
+    """An algorithm that takes one measurement after the other: localization in a known map, or SLAM."""
+
+    def step(
+        self, state: State, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[State, Report]:
+        """Take one measurement; consumes `state`."""
 
 
 class Observer(Protocol):
@@ -76,39 +96,64 @@ class Stopwatch:
         return {"wall_s": wall, "cpu_s": cpu, "stages": stages}
 
 
+@overload
 def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
-    slam: GridFastSlam,
+    algorithm: GridFastSlam,
     *,
     particles: int = 30,
     rng: np.random.Generator,
     observers: Sequence[Observer] = (),
     state: GridFastSlamState | None = None,
     stopwatch: Stopwatch | None = None,
-) -> GridFastSlamState:
+) -> GridFastSlamState: ...
+
+
+@overload
+def run(
+    source: Iterable[tuple[Odometry | None, LaserScan]],
+    algorithm: Filter[State, Report],
+    *,
+    rng: np.random.Generator,
+    observers: Sequence[Callable[[Report, State, float], None]] = (),
+    state: State,
+    stopwatch: Stopwatch | None = None,
+) -> State: ...
+
+
+def run(
+    source: Iterable[tuple[Odometry | None, LaserScan]],
+    algorithm: Any,
+    *,
+    particles: int = 30,
+    rng: np.random.Generator,
+    observers: Sequence[Callable[[Any, Any, float], None]] = (),
+    state: Any = None,
+    stopwatch: Stopwatch | None = None,
+) -> Any:
     """Take all measurements of a source, one after the other.
 
     Parameters
     ----------
     source : iterable of (Odometry or None, LaserScan)
         Measurements in their true order; None where a scan has no odometry.
-    slam : GridFastSlam
-        The filter.
+    algorithm : Filter
+        `GridFastSlam`, or any other, of which a `state` is given to begin with.
     particles : int
-        How many particles begin, where no `state` is given.
+        How many particles GridFastSlam begins with, where no `state` is given.
     rng : numpy.random.Generator
         Where all randomness comes from.
     observers : sequence of Observer
         Called after each step, in this order.
-    state : GridFastSlamState, optional
-        Continue from here, consuming it, instead of beginning with the first measurement.
+    state : optional
+        The algorithm's: continue from here, consuming it, instead of beginning with the first measurement.
     stopwatch : Stopwatch, optional
         Gets the stages "read" (the source), "track" (scans that did not step the particles), "step" (key scans) and
         "observe".
 
     Returns
     -------
-    GridFastSlamState
+    GridFastSlamState, or the algorithm's own
         After the last measurement.
 
     Raises
@@ -120,9 +165,9 @@ def run(
     for odometry, scan in source:
         watch.lap("read")
         if state is None:
-            state, report = slam.init(odometry, scan, particles)
+            state, report = algorithm.init(odometry, scan, particles)
         else:
-            state, report = slam.step(state, odometry, scan, rng)
+            state, report = algorithm.step(state, odometry, scan, rng)
         seconds = watch.lap("track" if report.skipped else "step")
         for observe in observers:
             observe(report, state, seconds)

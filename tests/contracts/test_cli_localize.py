@@ -19,7 +19,10 @@ from gridslam.io.digest import digest_of
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import write_map
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
-from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from gridslam.sim.floor_plan import box
+from gridslam.sim.scan_faults import reflected_laser
+from gridslam.types import OccupancyGrid
 
 FILES = {"trajectory.tum", "trajectory.csv", "belief.csv", "localization.png", "run.json"}
 
@@ -206,3 +209,35 @@ def test_strict_thresholds(place, tmp_path, capsys):
     assert "--strict-thresholds" in warned
     _, _, quiet = run(capsys, place / "flat.clf", "--map", tmp_path / "loose.yaml", "--strict-thresholds")
     assert "205" not in quiet
+
+
+def test_a_laser_that_is_upside_down(place, tmp_path, capsys):
+    """As for mapping: what would put the robot anywhere is taken out, unless it is not to be."""
+    log = tmp_path / "mirrored.clf"
+    write_carmen(log, reflected_laser(drive(1, OdometryNoise()).measurements))
+    status, text, said = run(capsys, log, "--map", place / "flat.yaml", "--json")
+    assert status == 0
+    assert "run the other way" in said
+    document = json.loads(text)
+    assert document["input"]["repair"]["reflected"] is True
+    assert document["scans"]["lost"] < 0.2 * document["scans"]["read"]
+    result = localize(log, place / "flat.yaml")
+    assert np.hypot(*(result.trajectory.poses - drive(1).truth.poses)[-20:, :2].T).max() < 0.3
+    status, _, said = run(capsys, log, "--map", place / "flat.yaml", "--repair", "none")
+    assert status == 2
+    assert "does not fit flat.yaml" in said
+
+
+def test_a_room_whose_ends_are_alike_is_no_error(tmp_path, capsys):
+    """It fits the map, though nobody can tell which of the two places it is."""
+    cells = np.full((100, 160), -4.0, np.float32)
+    cells[[0, -1]] = cells[:, [0, -1]] = 4.0
+    write_map(tmp_path / "room.yaml", OccupancyGrid(cells, np.ones(cells.shape, bool), 0.05, (0.0, 0.0)))
+    world = World.of("room", box(0.05, 0.05, 7.95, 4.95), [(1.5, 1.5), (6.5, 1.0), (6.5, 3.5), (1.5, 4.0)])
+    log = simulate(world, RobotConfig(), OdometryNoise(), LidarConfig(rate_hz=3.0), np.random.default_rng(0))
+    write_carmen(tmp_path / "room.clf", log.measurements)
+    status, text, said = run(capsys, tmp_path / "room.clf", "--map", tmp_path / "room.yaml", "--json")
+    assert status == 0
+    assert "look alike" in said
+    scans = json.loads(text)["scans"]
+    assert scans["lost"] == scans["read"]

@@ -6,12 +6,15 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.api.source import opened_log
+from gridslam.doctor.repair import Repair
+from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions
@@ -21,15 +24,15 @@ from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
 from gridslam.localization.parts import MonteCarloParts
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
-from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.pipeline import Stopwatch, run
+from gridslam.types import FloatArray, OccupancyGrid, Odometry
 
 __all__ = ["INITIAL_COVARIANCE", "known_map", "localize"]
 
 INITIAL_COVARIANCE: FloatArray = np.diag([0.25, 0.25, (math.pi / 12) ** 2])
 """Of an initial pose of which nothing is said: half a metre and 15 degrees, as AMCL takes it."""
 
-_FOUND, _TRIED_M = 0.1, 5.0  # found at a smaller share of the scans on so long a way: the log is of somewhere else
+_FOUND, _TRIED_M = 0.2, 5.0  # found at a smaller share of the scans on so long a way: the log is of somewhere else
 
 
 def localize(
@@ -43,6 +46,7 @@ def localize(
     parts: MonteCarloParts | None = None,
     threads: int = 1,
     strict_thresholds: bool = False,
+    repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[LocalizationObserver] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     stopwatch: Stopwatch | None = None,
@@ -69,6 +73,9 @@ def localize(
         Threads of the kernels; their number never changes a result.
     strict_thresholds : bool
         Read the thresholds of the map's file literally (see `gridslam.io.map_server.load_map`).
+    repair : "needed", "all" or "none"
+        As for `gridslam.map_log`: what is taken out of the log. Between updates the robot is where odometry says, so
+        clocks that differ matter more here than there ("all").
     observers : sequence of LocalizationObserver
         Called after each scan.
     gate : callable
@@ -95,16 +102,20 @@ def localize(
     if threads < 1:
         raise ArgumentError("threads", "at least one", threads)
     watch, parts = stopwatch or Stopwatch(), parts or MonteCarloParts()
-    source = opened_log(log, options)
+    read = opened_log(log, options)
+    source = read if repair == "none" else RepairedLog(read, repair)
     path, loaded, known = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
     rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, parts)
     state = mcl.init() if pose is None else mcl.around(pose, covariance, rng)
     watch.lap("start")
-    state, reports, driven = _run(gate(source), mcl, state, rng, observers, watch)
-    _check(source, path, reports, driven, parts.lost_below)
+    told = _Told()
+    state = run(gate(source), mcl, rng=rng, observers=[*observers, told], state=state, stopwatch=watch)
+    driven, taken_out = np.array(told.driven_m), source.repair if isinstance(source, RepairedLog) else None
+    _check(source, path, told.reports, driven, parts)
     result = LocalizationResult(
-        reports, driven, loaded.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed, threads,
-        source.statistics, source.path, path, digest_of(source.path), loaded.remarks, watch,
+        told.reports, driven, loaded.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed,
+        threads, source.statistics, source.path, path, digest_of(source.path), loaded.remarks, taken_out or Repair(),
+        watch,
     )  # fmt: skip
     watch.lap("finish")
     return result
@@ -129,36 +140,35 @@ def known_map(
         raise InputError(source, str(error).removeprefix("map: ")) from None
 
 
-def _run(
-    source: Iterable[Measurement], mcl: MonteCarloLocalization, state: MonteCarloState, rng: np.random.Generator,
-    observers: Sequence[LocalizationObserver], watch: Stopwatch,
-) -> tuple[MonteCarloState, list[LocalizationReport], FloatArray]:  # fmt: skip
-    """Take all measurements, one after the other; reports without particles, and the way (N,) up to each."""
-    reports, driven, last = list[LocalizationReport](), [0.0], None
-    for odometry, scan in source:
-        watch.lap("read")
-        state, report = mcl.step(state, odometry, scan, rng)
-        seconds = watch.lap("skip" if report.skipped else "update")
-        for observe in observers:
-            observe(report, state, seconds)
-        reports.append(replace(report, poses=None, log_weights=None, parents=None))
-        way = 0.0 if odometry is None or last is None else float(np.hypot(*(odometry.pose - last.pose)[:2]))
-        driven.append(driven[-1] + way)
-        last = odometry or last
-        watch.lap("observe")
-    watch.lap("read")
-    return state, reports, np.array(driven[1:])
+class _Told:
+    """Observer that keeps reports, without particles, and the way (m) up to each."""
+
+    def __init__(self) -> None:
+        self.reports, self.driven_m = list[LocalizationReport](), list[float]()
+        self._last: Odometry | None = None
+
+    def __call__(self, report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
+        """Keep a report."""
+        last, self._last = self._last, state.last
+        way = 0.0 if last is None or state.last is None else float(np.hypot(*(state.last.pose - last.pose)[:2]))
+        self.reports.append(replace(report, poses=None, log_weights=None, parents=None))
+        self.driven_m.append(way + (self.driven_m[-1] if self.driven_m else 0.0))
 
 
-def _check(log: Log, path: Path, reports: list[LocalizationReport], driven_m: FloatArray, lost_below: float) -> None:
-    """Refuse a log of which nothing can be told."""
+def _check(
+    log: Log, path: Path, reports: list[LocalizationReport], driven_m: FloatArray, parts: MonteCarloParts
+) -> None:
+    """Refuse a log of which nothing can be told, but not one of a place that is only told apart from none like it."""
     updates = [report for report in reports if report.skipped is None]
     if not updates:
         lacks = "odometry, which localization needs" if log.statistics.without_odometry else "scan with a usable beam"
         raise InputError(log.path, f"has no {lacks}")
     best, found = max(report.agreement for report in updates), np.mean([not report.lost for report in reports])
-    if best < lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M):
-        where, usual = path.name or "the map", float(np.median([report.agreement for report in updates]))
+    usual = float(np.median([report.agreement for report in updates]))
+    sought = np.mean([report.augmented > 0 for report in updates])  # all over the map, again and again
+    fits = usual >= parts.recovery.expected and sought < 0.5
+    if best < parts.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
+        where = path.name or "the map"
         raise InputError(
             log.path, f"does not fit {where}: {usual:.0%} of a scan's beams agree with it, the robot is never found"
         )

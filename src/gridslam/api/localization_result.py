@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, final
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.config.tables import to_table
+from gridslam.doctor.repair import Repair
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectory import write_trajectory_csv, write_tum
@@ -74,6 +75,8 @@ class LocalizationResult:
         SHA-256 of the log.
     remarks : tuple of str
         What is odd about the map's file.
+    repair : Repair
+        What was taken out of the log.
     stopwatch : Stopwatch
         Time spent; saving goes on counting.
     """
@@ -91,6 +94,7 @@ class LocalizationResult:
     map_path: Path
     digest: str
     remarks: tuple[str, ...]
+    repair: Repair
     stopwatch: Stopwatch
 
     @property
@@ -176,6 +180,7 @@ class LocalizationResult:
             "selection": self.log.selection,
             "duration_s": self.log.duration_s,
             "odometry_length_m": float(self.driven_m[-1]),
+            "repair": asdict(self.repair) if self.repair else None,
         }
 
     def _scans(self) -> dict[str, Any]:

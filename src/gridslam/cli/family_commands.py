@@ -106,6 +106,10 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 )  # fmt: skip
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one, by its name here or in AMCL.")
 @click.option("--strict-thresholds", is_flag=True, help="Read the map's thresholds literally, even for the pixel 205.")
+@click.option(
+    "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
+    help="What is taken out of the log first, as for gridslam map.",
+)  # fmt: skip
 @log_options
 @live_options
 @rerun_option

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import numpy as np
@@ -48,6 +48,7 @@ def localize_to_folder(
     preset: str,
     assignments: Sequence[str],
     strict_thresholds: bool,
+    repair: Literal["needed", "all", "none"],
     options: LogOptions,
     live: LiveOptions | None,
     rerun: str | None,
@@ -61,26 +62,34 @@ def localize_to_folder(
     name, range_max_m, known = source.path.name, read.parts.range_max_m, None
     if live is not None or rerun is not None:
         known = load_map(map_path, strict_thresholds=strict_thresholds).grid
-    with (
-        rerun_recording(rerun, name, range_max_m, known) as recording,
-        live_page(live, name, range_max_m, known) as page,
-    ):
+    with ExitStack() as onlookers:
+        recording = onlookers.enter_context(rerun_recording(rerun, name, range_max_m, known))
+        page = onlookers.enter_context(live_page(live, name, range_max_m, known))
         with nullcontext() if out is None else opened(out) as folder:
             result = _shown(
-                source, map_path, pose, read, seed, threads, strict_thresholds, not as_json, watch, page, recording
-            )
+                source, map_path, pose, read, seed, threads, strict_thresholds, repair, not as_json, watch, page,
+                recording,
+            )  # fmt: skip
             document = result.document() if folder is None else result.write(folder)
-        for warning in _warnings(result, read.ignored):
-            click.echo(f"gridslam: {warning}", err=True)
-        if as_json:
-            print_json(document)
-        else:
-            click.echo("\n".join(_summary(document, result, out)))
+        _say(document, result, read.ignored, out, as_json)
+
+
+def _say(
+    document: dict[str, Any], result: LocalizationResult, ignored: Sequence[str], out: Path | None, as_json: bool
+) -> None:
+    """Warnings, and the document or a summary of it."""
+    for warning in _warnings(result, ignored):
+        click.echo(f"gridslam: {warning}", err=True)
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(_summary(document, result, out)))
 
 
 def _shown(
     source: Log, map_path: Path, pose: FloatArray | None, read: AmclParameters, seed: int, threads: int,
-    strict_thresholds: bool, shown: bool, watch: Stopwatch, page: LivePage | None, recording: RerunRecording | None,
+    strict_thresholds: bool, repair: Literal["needed", "all", "none"], shown: bool, watch: Stopwatch,
+    page: LivePage | None, recording: RerunRecording | None,
 ) -> LocalizationResult:  # fmt: skip
     """Localize while progress is shown, the particles on a page if there is one, and all of it recorded."""
     onlookers: list[LocalizationObserver] = [] if page is None else [page.observer]
@@ -95,7 +104,7 @@ def _shown(
 
         return localize(
             source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
-            strict_thresholds=strict_thresholds, observers=[observe, *onlookers], stopwatch=watch,
+            strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers], stopwatch=watch,
             gate=lambda source: watched(source, page, recording, watch),
         )  # fmt: skip
 
@@ -158,9 +167,14 @@ _TOLD = 8
 
 
 def _warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
-    """What is odd about the map, and what was not heeded."""
+    """What is odd about the log and the map, and what was not heeded."""
+    for fault in result.repair.says():
+        yield f"{result.source}: {fault}: taken out (--repair none leaves it; gridslam doctor tells more)"
     yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
     if ignored:
         yield f"{', '.join(ignored)}: means nothing here, ignored"
     if result.lost.all():
-        yield f"{result.source}: the robot was never found for certain; it was not driven far enough"
+        yield (
+            f"{result.source}: the robot was never found for certain: it was not driven far enough, or places of the "
+            "map look alike"
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,12 +11,19 @@ import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
-from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts, MonteCarloState
+from gridslam.localization import (
+    KnownMap,
+    LocalizationReport,
+    MonteCarloLocalization,
+    MonteCarloParts,
+    MonteCarloState,
+)  # fmt: skip
+from gridslam.pipeline import run
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.messages import GridMessage
 from gridslam.ros.recording import ScanRecorder
 from gridslam.ros.rendering import cells_of_map
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, LaserScan, Odometry
 
 __all__ = ["KnownMapTeller", "Localization", "LocalizationSession"]
 
@@ -67,7 +73,6 @@ class LocalizationSession:
     begins = "localization begins anew"
 
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
-        self.state: MonteCarloState | None = None
         self._localization = localization
         self._rng = np.random.default_rng(seed)
         self._mcl = MonteCarloLocalization(localization.known, localization.parts)
@@ -76,7 +81,7 @@ class LocalizationSession:
 
     def place(self, place: Place) -> None:
         """Let the robot be somewhere else from the next scan on; nowhere that is known, if None."""
-        self.state = self._mcl.init() if place is None else self._mcl.around(*place, self._rng)
+        self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.around(*place, self._rng)
 
     def add(self, accepted: Accepted) -> None:
         """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
@@ -85,13 +90,14 @@ class LocalizationSession:
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Callable[[Any, Any, float], None]]) -> None:
         """Take all measurements of a source, one after the other."""
-        for odometry, scan in source:
-            begin = time.perf_counter()
-            assert self.state is not None
-            self.state, report = self._mcl.step(self.state, odometry, scan, self._rng)
-            seconds = time.perf_counter() - begin
-            for observe in observers:
-                observe(report, self.state, seconds)
+        run(source, self, rng=self._rng, observers=observers, state=self.state)
+
+    def step(
+        self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[MonteCarloState, LocalizationReport]:
+        """Take one measurement from the session's own state, which `place` may have changed since the last one."""
+        self.state, report = self._mcl.step(self.state, odometry, scan, rng)
+        return self.state, report
 
     def taken(self) -> None:
         """Raise ArgumentError: there is no map of one's own to be saved."""
