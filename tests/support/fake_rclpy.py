@@ -159,6 +159,7 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
         world.signals = signal_handler_options.name
 
     module("rclpy", init=init, ok=lambda: world.running, try_shutdown=lambda: None)
+    module("rclpy.utilities", remove_ros_args=lambda args: args[: [*args, "--ros-args"].index("--ros-args")])
     module("rclpy.node", Node=Node)
     module("rclpy.signals", SignalHandlerOptions=Enum("SignalHandlerOptions", "NO SIGINT SIGTERM ALL"))
     module(

@@ -22,6 +22,7 @@ from gridslam.ros.core import NodeCore
 from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.parameters import NodeParameters, node_parameters
+from gridslam.ros.ros1_arguments import check_ros1_arguments
 from gridslam.ros.ros1_messages import cloud_class, grid_class, response_class
 from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
 
@@ -270,11 +271,12 @@ def run_ros1(
     Raises
     ------
     ConfigurationError
-        ROS 1 is not there, or a parameter is out of range.
+        ROS 1 is not there, or an argument or parameter is wrong.
     GridslamError
         The node cannot be started, or its filter has failed.
     """
     rospy = _modules()["rospy"]
+    check_ros1_arguments(arguments)
     _await_master(tick)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)

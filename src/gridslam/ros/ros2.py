@@ -241,6 +241,9 @@ def run_ros2(
         There is no ROS 2, or a parameter is wrong.
     """
     rclpy = _module("rclpy")
+    unknown = _module("rclpy.utilities").remove_ros_args(["gridslam", *arguments])[1:]
+    if unknown:
+        raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
     ours_alone = _module("rclpy.signals").SignalHandlerOptions.NO  # rclpy's would end it before the last map is told
     rclpy.init(args=["gridslam", *arguments], signal_handler_options=ours_alone)
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}

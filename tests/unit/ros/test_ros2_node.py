@@ -170,6 +170,12 @@ def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
     assert world.nodes[0].destroyed
 
 
+def test_what_ros_would_not_understand_is_refused(monkeypatch):
+    fake_rclpy.installed(monkeypatch, {})
+    with pytest.raises(ConfigurationError, match="after --ros-args, got --particle 3"):
+        run_ros2(["--particle", "3", "--ros-args", "-p", "seed:=1"])
+
+
 def test_without_ros_the_other_way_is_named():
     with pytest.raises(ConfigurationError, match=r"ROS 2 is not there .*--transport dds"):
         run_ros2()

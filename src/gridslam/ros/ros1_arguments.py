@@ -1,0 +1,20 @@
+"""Arguments as ROS 1 takes them: rospy reads them itself, and leaves alone what it does not understand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gridslam.errors import ConfigurationError
+from gridslam.ros.parameters import GMAPPING, OWN
+
+__all__ = ["check_ros1_arguments"]
+
+
+def check_ros1_arguments(arguments: Sequence[str]) -> None:
+    """Raise ConfigurationError for what is no ``name:=value``, and for a parameter without its underscore."""
+    for argument in arguments:
+        name, sign, _ = argument.partition(":=")
+        if not sign or not name or name.startswith("-"):
+            raise ConfigurationError(f"expected an option, _PARAMETER:=VALUE or TOPIC:=OTHER, got {argument!r}")
+        if name in GMAPPING or name in OWN:
+            raise ConfigurationError(f"{argument}: this would remap a topic; a parameter is given as _{argument}")

@@ -1,0 +1,28 @@
+"""What rospy would leave alone without a word is named."""
+
+from __future__ import annotations
+
+import pytest
+
+from gridslam.errors import ConfigurationError
+from gridslam.ros.ros1_arguments import check_ros1_arguments
+
+
+def test_arguments_of_ros_are_let_through():
+    check_ros1_arguments(["scan:=base_scan", "_particles:=80", "__name:=mapper", "__log:=a.log", "map:=/robot1/map"])
+
+
+@pytest.mark.parametrize(
+    ("argument", "says"),
+    [
+        ("particles:=80", "a parameter is given as _particles:=80"),
+        ("preset:=fast", "a parameter is given as _preset:=fast"),
+        ("--particle", "got '--particle'"),
+        ("--particle:=3", "got '--particle:=3'"),
+        ("base_scan", "got 'base_scan'"),
+        (":=base_scan", "got ':=base_scan'"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(argument, says):
+    with pytest.raises(ConfigurationError, match=says):
+        check_ros1_arguments(["scan:=base_scan", argument])
