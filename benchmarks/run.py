@@ -19,6 +19,8 @@ from graphs import graphs
 from gridslam import preset
 from gridslam.config import dumps
 from kernels import kernel_times, record
+from landmarks import landmarks
+from localization import localization
 from measure import provenance
 from places import place_search
 from reading import reading
@@ -28,6 +30,7 @@ __all__ = ["main"]
 
 _SECTIONS = (
     "accuracy", "start", "particles", "size", "threads", "beams", "kernels", "places", "graphs", "closures", "reading",
+    "localization", "landmarks",
 )  # fmt: skip
 _WORLDS = ("demo", "rooms", "loop", "hall")
 _ROOT = Path(__file__).resolve().parent.parent
@@ -84,6 +87,10 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
         closures(report, range(given.seeds))
     if "reading" in sections:
         reading(report, 2000 if quick else 10_000)
+    if "localization" in sections:
+        localization(report, given.data, range(given.seeds), folder, 20 if quick else 100)
+    if "landmarks" in sections:
+        landmarks(report, given.data, range(given.seeds), 10 if quick else 100)
 
 
 def _parser() -> argparse.ArgumentParser:

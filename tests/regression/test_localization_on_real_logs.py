@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from meeting_rooms import MeetingRooms
 from real_localization import Mapped, follow, found_after_m, metres, way
 
-from gridslam.io.log import LogOptions, open_log
+from gridslam.api.localization import localize
+from gridslam.evaluation.trajectory import absolute_errors
+from gridslam.io.log import open_log
 from gridslam.io.map_server import read_map
 from gridslam.localization import KnownMap
-
-MEETING_OFF_M = 0.8
-"""By how much the map of the meeting rooms lies: its 30 m are 31 m in the simulator that recorded the log."""
-MEETING_FROM_TRUTH = np.array([15.0, 15.0, 0.0])
+from gridslam.types import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -20,17 +20,57 @@ def intel(data_dir, tmp_path_factory):
     return Mapped.of(data_dir / "intel.clf.bz2", tmp_path_factory.mktemp("intel"))
 
 
+@pytest.fixture(scope="module")
+def meeting(data_dir):
+    return MeetingRooms.of(data_dir)
+
+
+def test_the_map_of_the_meeting_rooms_is_smaller_than_the_simulators_world(meeting):
+    """Laser and truth agree with each other, and with the map only once it is stretched as the simulator does it."""
+
+    def cells(scale: float) -> int:
+        ends = meeting.ends(meeting.truth.poses * [scale, scale, 1])
+        return len(np.unique(np.floor(ends / 0.05), axis=0))
+
+    assert cells(1.0) < 0.9 * min(cells(0.99), cells(1.01))  # one per cent off, and each wall is drawn beside itself
+    known = KnownMap(meeting.grid, reach_m=0.5)
+    ends = meeting.ends(meeting.truth.poses, depth_m=0.05)  # walls are two cells thick and more
+
+    def on_walls(points: np.ndarray) -> float:
+        return float((known.distances(np.zeros(1), np.zeros((1, 3)), points) < 0.05).mean())
+
+    stretched = on_walls(meeting.into_map(ends))
+    assert stretched > 0.8
+    shifts = np.stack(np.meshgrid(np.arange(14.7, 15.6, 0.05), np.arange(14.7, 15.6, 0.05)), axis=-1).reshape(-1, 2)
+    assert max(on_walls(ends[::7] + shift) for shift in shifts) < 0.6 * stretched
+
+
+@pytest.mark.parametrize("repair", ["needed", "all"])
+def test_meeting_rooms_tracked(meeting, repair):
+    """Odometry's stamps are 0.1 s late: each pose is the true one of the scan before."""
+    odometry = np.array([m.odometry.pose for m in meeting.measurements])
+    np.testing.assert_allclose(odometry[1:], meeting.truth.poses[:-1], atol=1e-9)
+    truth = Trajectory(meeting.truth.stamps_ns, meeting.into_map(meeting.truth.poses))
+    result = localize(meeting.bag, meeting.yaml, pose=truth.poses[0], repair=repair)
+    assert not result.lost.any()
+    rmse = {True: 0.0, False: 0.0}
+    for aligned in rmse:
+        rmse[aligned] = absolute_errors(result.trajectory, truth, aligned=aligned, tolerance_ns=0).trans_rmse_m
+    if repair == "all":
+        assert result.repair.skew_s == pytest.approx(-0.1, abs=0.005)
+        assert max(rmse.values()) < 0.05
+    else:
+        assert max(rmse.values()) < 0.07
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_meeting_rooms_from_nothing(data_dir, seed):
-    bag = data_dir / "bags" / "p3dx_sim_truth.bag"
-    measurements = list(open_log(bag))
-    truth = np.array([m.odometry.pose for m in open_log(bag, LogOptions(odometry_topic="/base_pose_ground_truth"))])
-    reports = follow(KnownMap(read_map(data_dir / "maps" / "meeting.yaml")), measurements, seed)
-    errors, driven = metres(reports, truth + MEETING_FROM_TRUTH), way(measurements)
-    assert found_after_m(errors, driven, MEETING_OFF_M) < 10
+def test_meeting_rooms_from_nothing(meeting, seed):
+    reports = follow(KnownMap(meeting.grid), meeting.measurements, seed)
+    errors, driven = metres(reports, meeting.into_map(meeting.truth.poses)), way(meeting.measurements)
+    assert found_after_m(errors, driven, 0.3) < 10
     told = next(k for k, report in enumerate(reports) if not report.lost)
     assert driven[told] < 10
-    assert errors[driven > 10].max() < MEETING_OFF_M
+    assert errors[told:].max() < 0.3
 
 
 @pytest.mark.parametrize("seed", [0, 1])
