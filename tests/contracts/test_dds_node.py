@@ -155,6 +155,13 @@ def test_a_quality_of_service_that_does_not_fit_is_named(running):
     del kept, late
 
 
+def test_a_publisher_of_another_type_is_named(running):
+    kept = running.peer.writer("rt/scan", "std_msgs/Float64")
+    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, and this node takes"
+    assert running.node.says(says), running.node.log.read_text()
+    del kept
+
+
 def test_services_answer(running):
     peer = running.peer
     grid = asked(peer, "dynamic_map", "nav_msgs/GetMap", 0).map

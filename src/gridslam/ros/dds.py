@@ -30,7 +30,7 @@ Handler: TypeAlias = Callable[[bytes, str], None]
 
 def _library() -> Any:  # noqa: ANN401
     try:
-        names = ("core", "domain", "idl", "idl.types", "pub", "qos", "sub", "topic", "util")
+        names = ("builtin", "core", "domain", "idl", "idl.types", "pub", "qos", "sub", "topic", "util")
         for name in names:
             importlib.import_module(f"cyclonedds.{name}")
         return importlib.import_module("cyclonedds")
@@ -50,7 +50,8 @@ class DdsParticipant:
     interfaces : sequence of str
         Addresses or names of the network interfaces to use; those that the library chooses if empty.
     mismatched : callable
-        Told of a topic on which another program's quality of service does not fit, and of what that is.
+        Told what of another program does not fit, so that nothing passes: "quality of service" or "message type",
+        of which topic, and in a sentence.
 
     Raises
     ------
@@ -59,7 +60,10 @@ class DdsParticipant:
     """
 
     def __init__(
-        self, domain: int, interfaces: Sequence[str] = (), mismatched: Callable[[str, str], None] = lambda *told: None
+        self,
+        domain: int,
+        interfaces: Sequence[str] = (),
+        mismatched: Callable[[str, str, str], None] = lambda *told: None,
     ) -> None:
         self._dds = dds = _library()
         self._mismatched = mismatched
@@ -75,6 +79,8 @@ class DdsParticipant:
             where = ", ".join(interfaces) or "any interface"
             raise ConfigurationError(f"DDS cannot start in domain {domain} on {where}: {error.msg}") from None
         self._waiting = dds.core.WaitSet(self._participant)
+        self._publishers = dds.builtin.BuiltinDataReader(self._participant, dds.builtin.BuiltinTopicDcpsPublication)
+        self._attach(self._publishers)
         self._thread = threading.Thread(target=self._listen, name="gridslam-dds", daemon=True)
 
     def add_writer(self, topic: str, message_type: str, *, latched: bool = False, depth: int = 10) -> None:
@@ -96,9 +102,7 @@ class DdsParticipant:
             on_requested_incompatible_qos=lambda reader, status: self._mismatch(topic, "publisher offers less", status)
         )
         reader = dds.sub.DataReader(self._participant, self._topic(topic, message_type), qos, listener)
-        states = dds.core.ViewState.Any | dds.core.InstanceState.Any | dds.core.SampleState.NotRead
-        condition = dds.core.ReadCondition(reader, states)
-        self._waiting.attach(condition)
+        self._attach(reader)
         self._readers.append((reader, take))
 
     def start(self) -> None:
@@ -125,9 +129,25 @@ class DdsParticipant:
                         sender = f"publisher {message.sample_info.publication_handle:x}"
                         take(message.serialize(use_version_2=False), sender)
 
+            for publisher in self._publishers.take(_MOST_TAKEN):
+                if publisher.sample_info.valid_data:
+                    self._compare(publisher.topic_name, publisher.type_name)
+
+    def _attach(self, reader: Any) -> None:  # noqa: ANN401
+        core = self._dds.core
+        states = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
+        self._waiting.attach(core.ReadCondition(reader, states))
+
+    def _compare(self, topic: str, typename: str) -> None:
+        """Tell of a publisher whose messages are of another type than a reader's: the library says nothing."""
+        for reader, _ in self._readers:
+            expected = reader.topic.typename
+            if reader.topic.name == topic and typename != expected:
+                self._mismatched("message type", topic, f"a publisher sends {typename}, and this node takes {expected}")
+
     def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
         policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")
-        self._mismatched(topic, f"a {who} {policy} than this node, and nothing passes")
+        self._mismatched("quality of service", topic, f"a {who} {policy} than this node, and nothing passes")
 
     def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
         return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))

@@ -95,8 +95,8 @@ class DdsNode:
     def _say(self, level: Level, text: str) -> None:
         print(f"[{_LEVELS[level]}] [{time.time():.3f}] [{self._arguments.node}]: {text}", file=sys.stderr, flush=True)
 
-    def _mismatched(self, topic: str, problem: str) -> None:
-        self.core.refuse(f"quality of service of {topic[2:]}", problem)
+    def _mismatched(self, what: str, topic: str, problem: str) -> None:
+        self.core.refuse(f"{what} of {topic[2:]}", problem)
 
     def _listen(self) -> None:
         sensor = self._arguments.resolve("scan")
