@@ -17,6 +17,7 @@ FREE_THRESH = 0.196
 
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _MODES = ("trinary", "scale", "raw")
+_FINEST_M, _COARSEST_M = 0.001, 10.0  # what lies outside is another unit, or a slip
 _Entries = dict[str, tuple[str, int]]
 
 
@@ -73,8 +74,9 @@ def read_map_description(path: str | Path) -> MapDescription:
     if missing:
         raise InputError(path, f"expected the keys {', '.join(_REQUIRED)}, got none named {', '.join(missing)}")
     resolution = _number(path, entries, "resolution")
-    if resolution <= 0:
-        raise InputError(path, f"expected a resolution > 0 m, got {resolution:g}", entries["resolution"][1])
+    if not _FINEST_M <= resolution <= _COARSEST_M:
+        problem = f"expected a resolution from {_FINEST_M:g} to {_COARSEST_M:g} m, got {resolution:g}"
+        raise InputError(path, problem, entries["resolution"][1])
     low, high = _number(path, entries, "free_thresh"), _number(path, entries, "occupied_thresh")
     if not 0 <= low < high <= 1:
         problem = f"expected 0 <= free_thresh < occupied_thresh <= 1, got {low:g} and {high:g}"

@@ -116,7 +116,9 @@ def test_ways_to_say_the_same(tmp_path, yaml):
     ("yaml", "line", "problem"),
     [
         (YAML.replace("resolution: 0.05\n", ""), None, "resolution"),
-        (YAML.replace("0.05", "0"), 2, "resolution > 0"),
+        (YAML.replace("0.05", "0"), 2, "resolution from 0.001 to 10 m"),
+        (YAML.replace("0.05", "1e-9"), 2, "resolution from 0.001 to 10 m"),
+        (YAML.replace("0.05", "50"), 2, "resolution from 0.001 to 10 m"),
         (YAML.replace("0.05", "wide"), 2, "number for resolution"),
         (YAML.replace("[-1.5, 2, 0]", "[-1.5, 2]"), 3, "origin"),
         (YAML.replace("2, 0]", "2, 0.5]"), 3, "rotated"),
