@@ -80,3 +80,19 @@ def test_landmarks_by_particles_that_there_can_be(call, tmp_path, particles):
     status, out, err = call("landmarks", tmp_path / "log.txt", "-o", tmp_path / "out", "--particles", particles)
     assert (status, out) == (2, "")
     assert f"'--particles': {particles} is not in the range 1<=x<=100000" in err
+
+
+def test_an_empty_path_is_no_path(call, tmp_path, monkeypatch):
+    """A shell's variable that is not set; the current folder would be filled."""
+    monkeypatch.chdir(tmp_path)
+    status, _, error = call("simulate", "demo", "-o", "")
+    assert (status, error) == (2, "gridslam: Invalid value for '-o' / '--out': expected a path, got an empty string "
+                                  "(see gridslam simulate --help)\n")  # fmt: skip
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("pose", ["1,2", "1,2,x", "1,2,inf", "1,2,3,4", ""])
+def test_a_pose_is_three_numbers(call, tmp_path, pose):
+    status, _, error = call("landmarks", tmp_path / "log.txt", "-o", tmp_path / "out", "--initial-pose", pose)
+    assert status == 2
+    assert f"--initial-pose': expected X,Y,THETA (m, rad), got {pose!r}" in error

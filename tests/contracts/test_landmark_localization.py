@@ -87,7 +87,7 @@ def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
 def test_the_command(park, tmp_path, capsys):
     log, landmarks, _ = park
     how = ["landmarks", str(log), "-o", str(tmp_path / "out"), "--method", "ekf-localization"]
-    assert main([*how, "--landmarks", str(landmarks), "--start", "0", "0", "0.0", "--unknown", "--json"]) == 0
+    assert main([*how, "--landmarks", str(landmarks), "--initial-pose", "0,0,0.0", "--unknown", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["correspondences"], document["not_believed"]) == ("unknown", 0)
     for more, said in (
@@ -114,8 +114,8 @@ def test_what_is_refused(park, tmp_path):
         localize_by_landmarks(log, bad)
     with pytest.raises(InputError, match=r"ring.txt: expected sightings of the landmarks in the map"):
         localize_by_landmarks(log, KnownLandmarks.of([1], [[0.0, 0.0]]))
-    with pytest.raises(ArgumentError, match="start: expected finite x, y, theta"):
-        localize_by_landmarks(log, landmarks, start=(0, 0, np.nan))
-    with pytest.raises(click.ClickException, match="--start"):
+    with pytest.raises(ArgumentError, match="pose: expected finite x, y, theta"):
+        localize_by_landmarks(log, landmarks, pose=(0, 0, np.nan))
+    with pytest.raises(click.ClickException, match="--initial-pose"):
         localize_to_folder(log, tmp_path / "out", landmarks, (0.0, 0.0, np.inf), False, False)
     assert not (tmp_path / "out").exists()

@@ -66,10 +66,10 @@ def test_the_frame_of_the_map_does_not_matter(data_dir):
     """The same map from elsewhere: the way is the same one, seen from there. The start is as uncertain in x as in y."""
     mrclam = open_landmark_log(data_dir / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz")
     there = np.array([2.0, -3.0, 0.8])
-    here = localize_by_landmarks(mrclam, start=[1.0, 2.0, 0.1])
+    here = localize_by_landmarks(mrclam, pose=[1.0, 2.0, 0.1])
     places = transform_points(inverse(there), mrclam.truth.positions)
     moved = localize_by_landmarks(
-        mrclam, KnownLandmarks.of(mrclam.truth.landmarks, places), start=compose(inverse(there), [1.0, 2.0, 0.1])
+        mrclam, KnownLandmarks.of(mrclam.truth.landmarks, places), pose=compose(inverse(there), [1.0, 2.0, 0.1])
     )
     np.testing.assert_allclose(compose(there, moved.trajectory.poses)[:, :2], here.trajectory.poses[:, :2], atol=1e-6)
     assert (here.in_true_frame, moved.in_true_frame) == (True, False)

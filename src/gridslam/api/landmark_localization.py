@@ -38,8 +38,8 @@ def localize_by_landmarks(
     log: str | Path | LandmarkLog,
     landmarks: str | Path | KnownLandmarks | None = None,
     *,
-    start: ArrayLike | None = None,
-    start_covariance: ArrayLike = _NEAR,
+    pose: ArrayLike | None = None,
+    covariance: ArrayLike = _NEAR,
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
     motion: MotionModel = MOTION,
@@ -55,11 +55,11 @@ def localize_by_landmarks(
     landmarks : str, Path or KnownLandmarks, optional
         The map; a path names a landmarks.csv, as `gridslam landmarks` writes it, whose positions are held for exact. If
         not given, the true landmarks that the log has beside it.
-    start : (3,), optional
+    pose : (3,), optional
         The robot's pose [x m, y m, theta rad] before the first step, in the frame of the landmarks. If not given it is
         the true pose in the map of the true landmarks, and the origin in any other, for there a map of `gridslam
         landmarks` begins.
-    start_covariance : (3, 3), m and rad
+    covariance : (3, 3), m and rad
         How well it is known.
     unknown : bool
         Take no notice of what the log tells of which landmark is seen: find the correspondences (Table 7.3).
@@ -75,7 +75,7 @@ def localize_by_landmarks(
     Raises
     ------
     ArgumentError
-        The start is no pose, or its covariance is none.
+        The pose is none, or its covariance is none.
     InputError
         The log or the landmarks cannot be read, the log has no true landmarks where they are asked for, or it sees none
         of the map.
@@ -89,7 +89,7 @@ def localize_by_landmarks(
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
-    belief = ekf.init(_start(source, steps, landmarks) if start is None else start, start_covariance)
+    belief = ekf.init(_start(source, steps, landmarks) if pose is None else pose, covariance)
     reports = list[EkfLocalizationReport]()
     for step in steps:
         seen = step.sightings.anonymous() if unknown else step.sightings
@@ -129,7 +129,7 @@ def _start(
     if landmarks is not None:
         return np.zeros(3)
     if log.truth is None or log.truth.trajectory is None or not steps:
-        raise ArgumentError("start", "a pose, as the true one is not known", None)
+        raise ArgumentError("pose", "a pose, as the true one is not known", None)
     truth = log.truth.trajectory
     first = np.clip(steps[0].stamp_ns, truth.stamps_ns.min(), truth.stamps_ns.max())
     poses, _ = interpolate(truth, [int(first)])

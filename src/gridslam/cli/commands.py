@@ -168,7 +168,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("out", type=PATH)
 @place_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
-    """Show OUT, the results of `gridslam map`, in the browser, with a time line."""
+    """Show the results in OUT in the browser, with a time line."""
     from gridslam.cli.view import view
 
     view(**options)

@@ -9,7 +9,7 @@ import click
 
 from gridslam.cli.live import live_options
 from gridslam.cli.log_options import log_options
-from gridslam.cli.options import PATH, SEED, json_option
+from gridslam.cli.options import PATH, SEED, Pose, json_option
 from gridslam.cli.rerun import rerun_option
 
 __all__ = ["FAMILY_COMMANDS"]
@@ -28,11 +28,13 @@ __all__ = ["FAMILY_COMMANDS"]
 @click.option("--unknown", is_flag=True, help="Find out which landmark was seen, even where LOG tells it.")
 @click.option("--landmarks", type=PATH, help="What to localize by: a landmarks.csv.  [default: LOG's true ones]")
 @click.option(
-    "--start", type=(float, float, float), metavar="X Y THETA",
+    "--initial-pose", type=Pose(),
     help="Where to begin to localize, m and rad.  [default: the true pose; with --landmarks the origin]",
 )  # fmt: skip
 @json_option
-def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] | None, **options: Any) -> None:  # noqa: ANN401
+def landmarks_command(
+    landmarks: Path | None, initial_pose: tuple[float, float, float] | None, **options: Any  # noqa: ANN401
+) -> None:
     """Map the landmarks that LOG tells of, and where the robot was.
 
     LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat, its other files beside it), or the lines ODOMETRY and
@@ -44,12 +46,12 @@ def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] 
     if options["method"] == "ekf-localization":
         from gridslam.cli.landmark_localization import localize_to_folder
 
-        localize_to_folder(landmarks=landmarks, start=start, **options)
+        localize_to_folder(landmarks=landmarks, initial_pose=initial_pose, **options)
         return
     from gridslam.cli.landmarks import landmarks_to_folder
 
-    if landmarks is not None or start is not None:
-        raise click.ClickException("--landmarks and --start: expected with --method ekf-localization alone")
+    if landmarks is not None or initial_pose is not None:
+        raise click.ClickException("--landmarks and --initial-pose: expected with --method ekf-localization alone")
     landmarks_to_folder(**options)
 
 
@@ -78,9 +80,10 @@ def landmarks_command(landmarks: Path | None, start: tuple[float, float, float] 
 @log_options
 @json_option
 def grid_command(**options: Any) -> None:  # noqa: ANN401
-    """Map LOG with known poses: scans are drawn where the trajectory says, and nothing is matched.
+    """Map LOG with known poses.
 
-    Each scan gets the pose at its own stamp, interpolated; scans outside the trajectory are left out and counted.
+    Scans are drawn where the trajectory says, and nothing is matched. Each scan gets the pose at
+    its own stamp, interpolated; scans outside the trajectory are left out and counted.
 
     OUT gets map.yaml, map.pgm, map.png and run.json.
     """
@@ -94,7 +97,7 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--map", "map_path", type=PATH, required=True, help="The map's YAML file, of map_server or nav2.")
 @click.option("-o", "--out", type=PATH, help="Folder for the results; made if need be.")
 @click.option(
-    "--initial-pose", default="global", show_default=True, metavar="X,Y,THETA",
+    "--initial-pose", type=Pose("global"), default="global", show_default=True,
     help="Where the robot is at first, m and rad, or global: anywhere.",
 )  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
@@ -115,9 +118,9 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @rerun_option
 @json_option
 def localize_command(**options: Any) -> None:  # noqa: ANN401
-    """Localize the robot of LOG in a known map, by Monte Carlo localization.
+    """Localize a robot in a known map.
 
-    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans, with odometry.
+    Monte Carlo localization: by particles. LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans, with odometry.
 
     OUT gets trajectory.tum (a pose for every scan, as it was told at the time), trajectory.csv (with covariances),
     belief.csv (at which scans the robot was lost, and how sure that is), localization.png and run.json.

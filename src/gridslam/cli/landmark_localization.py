@@ -22,7 +22,7 @@ def localize_to_folder(
     log: Path,
     out: Path,
     landmarks: Path | None,
-    start: tuple[float, float, float] | None,
+    initial_pose: tuple[float, float, float] | None,
     unknown: bool,
     as_json: bool,
     method: str = "ekf-localization",
@@ -37,10 +37,10 @@ def localize_to_folder(
     with opened(out) as folder:
         try:
             result = localize_by_landmarks(
-                source, landmarks, start=start, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
+                source, landmarks, pose=initial_pose, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
             )
         except ArgumentError as error:
-            raise click.ClickException(f"--{error}") from None
+            raise click.ClickException(f"--initial-{error}") from None
         document = result.write(folder)
     if as_json:
         print_json(document)

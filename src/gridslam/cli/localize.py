@@ -41,7 +41,7 @@ def localize_to_folder(
     log: Path,
     map_path: Path,
     out: Path | None,
-    initial_pose: str,
+    initial_pose: tuple[float, float, float] | None,
     seed: int,
     particles: int | None,
     threads: int,
@@ -57,7 +57,7 @@ def localize_to_folder(
     """Localize a log in a map, into a folder where one is given, and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     read = _parameters(preset, assignments, particles)
-    pose = _pose(initial_pose, read.pose)
+    pose = read.pose if initial_pose is None else np.array(initial_pose)
     source = checked(open_log(log, options), options)
     name, range_max_m, known = source.path.name, read.parts.range_max_m, None
     if live is not None or rerun is not None:
@@ -116,19 +116,6 @@ def _parameters(preset: str, assignments: Sequence[str], particles: int | None) 
     if particles is not None and particles < parts.kld.particles_min:
         most.append(f"kld.particles_min={particles}")
     return override_parts(parts, [*assignments, *most])
-
-
-def _pose(text: str, given: FloatArray | None) -> FloatArray | None:
-    """Where to begin, X,Y,THETA in m and rad; where the option is not used, AMCL's initial pose, or None: anywhere."""
-    if text == "global":
-        return given
-    try:
-        pose = np.array([float(number) for number in text.split(",")])
-    except ValueError:
-        pose = np.empty(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise click.ClickException(f"--initial-pose: expected X,Y,THETA (m, rad) or global, got {text!r}")
-    return pose
 
 
 def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:

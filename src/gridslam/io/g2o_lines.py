@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gridslam.errors import InputError
+from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, IntArray
 
@@ -21,6 +22,7 @@ VERTEX, EDGE, FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
 _FIELDS = {VERTEX: "id x y theta", EDGE: "from to x y theta I_xx I_xy I_xt I_yy I_yt I_tt", FIX: "id"}
 _WIDTHS = {tag: len(fields.split()) for tag, fields in _FIELDS.items()}
 _IDS = {VERTEX: 1, EDGE: 2, FIX: 1}
+_MOST = 1e30  # squares of errors, times this, are still numbers
 
 
 class Rows(NamedTuple):
@@ -89,7 +91,9 @@ def _parsed(path: str | Path, tag: str, words: list[str], line: str, number: int
 def _table(path: str | Path, tag: str, found: _Found) -> Rows:
     ids = np.array(found.ids, np.int64).reshape(-1, _IDS[tag])
     values = np.array(found.values, np.float64).reshape(len(ids), _WIDTHS[tag] - _IDS[tag])
-    if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
+    possible = (np.abs(values[:, :3]) <= FARTHEST_M).all(axis=1) & (np.abs(values[:, 3:]) <= _MOST).all(axis=1)
+    if len(bad := np.flatnonzero(~possible)):
         got = " ".join(f"{value:g}" for value in values[bad[0]])
-        raise InputError(path, f"expected finite numbers for {tag} {_FIELDS[tag]}, got {got}", found.lines[bad[0]])
+        most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == EDGE)
+        raise InputError(path, f"expected {most} for {tag} {_FIELDS[tag]}, got {got}", found.lines[bad[0]])
     return Rows(ids, values, found.lines)

@@ -106,15 +106,15 @@ class EkfLocalization:
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=Told)
 
-    def init(self, start: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
-        """Begin near a pose `start` (3,), as near as a covariance (3, 3) tells.
+    def init(self, pose: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
+        """Begin near a pose (3,), as near as a covariance (3, 3) tells.
 
         Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
         """
-        mean = frozen(start, np.float64, (3,), "start")
+        mean = frozen(pose, np.float64, (3,), "pose")
         spread = frozen(covariance, np.float64, (3, 3), "covariance")
         if not np.isfinite(mean).all():
-            raise ArgumentError("start", "finite x, y, theta", mean.tolist())
+            raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
             raise ArgumentError("covariance", "a symmetric matrix without negative eigenvalue", spread.tolist())
         return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2]))]), spread)
