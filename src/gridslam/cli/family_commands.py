@@ -9,7 +9,7 @@ import click
 
 from gridslam.cli.live import live_options
 from gridslam.cli.log_options import log_options
-from gridslam.cli.options import PATH, SEED, Pose, json_option
+from gridslam.cli.options import PATH, SEED, json_option, read_pose
 from gridslam.cli.rerun import rerun_option
 
 __all__ = ["FAMILY_COMMANDS"]
@@ -28,7 +28,7 @@ __all__ = ["FAMILY_COMMANDS"]
 @click.option("--unknown", is_flag=True, help="Find out which landmark was seen, even where LOG tells it.")
 @click.option("--landmarks", type=PATH, help="What to localize by: a landmarks.csv.  [default: LOG's true ones]")
 @click.option(
-    "--initial-pose", type=Pose(),
+    "--initial-pose", metavar="X,Y,THETA", callback=read_pose,
     help="Where to begin to localize, m and rad.  [default: the true pose; with --landmarks the origin]",
 )  # fmt: skip
 @json_option
@@ -97,7 +97,7 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--map", "map_path", type=PATH, required=True, help="The map's YAML file, of map_server or nav2.")
 @click.option("-o", "--out", type=PATH, help="Folder for the results; made if need be.")
 @click.option(
-    "--initial-pose", type=Pose("global"), default="global", show_default=True,
+    "--initial-pose", metavar="X,Y,THETA", callback=read_pose, default="global", show_default=True,
     help="Where the robot is at first, m and rad, or global: anywhere.",
 )  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")

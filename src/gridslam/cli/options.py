@@ -8,7 +8,7 @@ from typing import Any, final
 
 import click
 
-__all__ = ["PATH", "SEED", "SETTINGS", "Pose", "json_option"]
+__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "read_pose"]
 
 
 @final
@@ -21,32 +21,18 @@ class _Path(click.Path):
         return super().convert(value, param, ctx)
 
 
-@final
-class Pose(click.ParamType):
-    """A pose (x, y, theta); None for the word that means that it is not known, where there is one."""
-
-    name = "X,Y,THETA"
-
-    def __init__(self, unknown: str = "") -> None:
-        self.unknown = unknown
-
-    def convert(
-        self,
-        value: Any,
-        param: click.Parameter | None,
-        ctx: click.Context | None,  # noqa: ANN401
-    ) -> tuple[float, float, float] | None:
-        """Three numbers with commas between them, m and rad."""
-        if self.unknown and value == self.unknown:
-            return None
-        try:
-            x, y, theta = (float(number) for number in value.split(","))
-        except ValueError:
-            x = y = theta = math.nan
-        if not math.isfinite(x + y + theta):
-            other = f" or {self.unknown}" if self.unknown else ""
-            self.fail(f"expected X,Y,THETA (m, rad){other}, got {value!r}", param, ctx)
-        return x, y, theta
+def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
+    """Read an option's pose, X,Y,THETA in m and rad; its default means that there is none."""
+    if text is None or text == param.default:
+        return None
+    try:
+        x, y, theta = (float(number) for number in text.split(","))
+    except ValueError:
+        x = y = theta = math.nan
+    if not math.isfinite(x + y + theta):
+        other = f" or {param.default}" if isinstance(param.default, str) else ""
+        raise click.BadParameter(f"expected X,Y,THETA (m, rad){other}, got {text!r}", ctx, param)
+    return x, y, theta
 
 
 PATH = _Path(path_type=Path)
