@@ -32,14 +32,15 @@ def mapped(log, tmp_path_factory):
     return out
 
 
-def look(url, onlooker):
-    """Look until the server closes."""
+def look(url, onlooker, out):
+    """Look until the page says that all is done, and note whether the results are there then."""
     try:
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None, compression=None) as line:
             while True:
                 onlooker.receive(line.recv(20))
                 line.send(json.dumps({"do": "got"}))
                 if onlooker.status["stage"] == "done":
+                    onlooker.written = (out / "run.json").is_file()
                     return
     except ConnectionClosed:
         pass
@@ -68,6 +69,7 @@ def test_localization_is_seen_to_its_end_and_gives_the_same(call, tmp_path, monk
     assert status == 0
     assert "live at http://127.0.0.1:" in err
     assert (onlooker.status["stage"], onlooker.status["lost"]) == ("done", False)
+    assert onlooker.written
     assert onlooker.sees(read_map(tmp_path / "flat.yaml"))
     for name in ("trajectory.tum", "trajectory.csv", "belief.csv"):
         assert (out / name).read_bytes() == (tmp_path / "without" / name).read_bytes(), name
@@ -82,17 +84,18 @@ def test_a_map_that_is_none_opens_no_page(call, log, tmp_path):
 
 def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
     onlooker = Onlooker()
-    status, _, _ = watched(call, monkeypatch, onlooker, "map", log, "-o", tmp_path / "out", *FEW)
+    status, _, _ = watched(call, monkeypatch, onlooker, "map", log, *FEW, "-o", tmp_path / "out")
     assert status == 0
+    assert onlooker.written
     assert onlooker.status["stage"] == "done"
     assert onlooker.status["scans"] == 120
     assert (tmp_path / "out" / "map.png").is_file()
 
 
 def watched(call, monkeypatch, onlooker, *command):
-    """Run a command with a viewer, for whom it stays until the end is seen."""
+    """Run a command that ends with -o OUT with a viewer, for whom it stays until the end is seen."""
     port, served = free_port(), live_module.served
-    viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", onlooker))
+    viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", onlooker, command[-1]))
 
     @contextmanager
     def seen(page):

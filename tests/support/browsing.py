@@ -138,6 +138,7 @@ class Cable(threading.Thread):
         super().__init__(daemon=True)
         self._to, self._ends, self._server = port, [], socket.create_server(("127.0.0.1", 0))
         self.port, self.is_cut = self._server.getsockname()[1], False
+        self._quiet = threading.Event()
         self.start()
 
     def run(self) -> None:
@@ -159,9 +160,13 @@ class Cable(threading.Thread):
             with contextlib.suppress(OSError):
                 self._ends.pop().shutdown(socket.SHUT_RDWR)
 
+    def hush(self) -> None:
+        """Carry no more, and say so to nobody, as radio does."""
+        self._quiet.set()
+
     def mend(self) -> None:
-        """Let connections be made again."""
-        self.is_cut = False
+        """Let connections be made again; those that were hushed stay so."""
+        self.is_cut, self._quiet = False, threading.Event()
 
     def close(self) -> None:
         """Carry no more."""
@@ -169,6 +174,12 @@ class Cable(threading.Thread):
         self._server.close()
 
     def _carry(self, source: socket.socket, target: socket.socket) -> None:
-        with contextlib.suppress(OSError), source, target:
-            while data := source.recv(65536):
-                target.sendall(data)
+        """Carry one way, and end the other one with it; each closes what it reads from."""
+        quiet = self._quiet
+        with source, contextlib.suppress(OSError):
+            try:
+                while data := source.recv(65536):
+                    if not quiet.is_set():
+                        target.sendall(data)
+            finally:
+                target.shutdown(socket.SHUT_RDWR)

@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError
 from gridslam.io.map_server import write_map
+from gridslam.live.protocol import encode
 from gridslam.types import OccupancyGrid
 
 __all__ = ["BYTES_PER_S", "PERIOD_S", "Show", "Viewer", "application"]
@@ -32,6 +33,7 @@ PERIOD_S = 0.1
 BYTES_PER_S = 1e6
 """What a viewer is sent at most, but for single messages; a larger one is followed by a longer pause."""
 
+_HEARTBEAT_S = 3.0  # a viewer hears something at least as often, lest it take the line for dead
 _UNDERWAY = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
 _BAD_TOKEN, _BAD_COMMAND = 4401, 4400  # close codes of the socket
 _HERE = Path(__file__).parent / "static"
@@ -152,7 +154,11 @@ async def _send_all(websocket: WebSocket, viewer: Viewer, news: asyncio.Event, w
         await window.acquire()
         news.clear()
         while (message := viewer.message()) is None:
-            await news.wait()
+            try:
+                await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
+            except asyncio.TimeoutError:
+                message = encode({}, {})
+                break
             news.clear()
         due = clock() + max(PERIOD_S, len(message) / BYTES_PER_S)
         await websocket.send_bytes(message)

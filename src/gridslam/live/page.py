@@ -66,7 +66,7 @@ class LivePage:
         self.control = robot or Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
-        self._last_stage = "last word" if known is None else "done"
+        self._last_stage = "last word" if known is None else "writing"
         sight: Sight[Any, Any] = MapSight(range_max_m) if known is None else CloudSight(known)
         self.observer = LiveObserver(self._post, self.control, sight)
         self._run.observer = self.observer
@@ -123,7 +123,11 @@ class LivePage:
         return bool(self.viewers)
 
     def linger(self) -> None:
-        """Stay as long as someone looks; a lost connection has some seconds to come back."""
+        """Say that all is done and written, and stay as long as someone looks.
+
+        A lost connection has some seconds to come back.
+        """
+        self._server.call(self._run.enter, "done")
         alone_since = -math.inf if not self.viewers else time.perf_counter()
         while time.perf_counter() - alone_since < _MAY_COME_BACK_S:
             time.sleep(0.1)

@@ -131,10 +131,10 @@ class LiveRun:
         self._tree = NO_TREE
         self._closures = closures.astype(np.float32)
         self._particles, self._scan = NO_PARTICLES, NO_POINTS
-        self.enter("done")
+        self.enter("writing")
 
     def enter(self, stage: str) -> None:
-        """Go over to another stage: "running", "last word" or "done"."""
+        """Go over to another stage: "running", "last word", "writing" (what came of it) or "done"."""
         self._stage = stage
         self.tell_all()
 
@@ -193,7 +193,7 @@ class LiveRun:
         status = {
             **self._status, "stage": stage, "says": self._says, "speed": self.control.speed,
             "viewers": len(self._viewers), "channel": channel,
-            "watched": None if channel == BEST or stage == "done" else row,
+            "watched": None if channel == BEST or stage in ("writing", "done") else row,
         }  # fmt: skip
         return Scene(
             self._hello, status, self._mirrors.get(channel, self._mirrors[BEST]), self._path, self._tree,

@@ -60,7 +60,7 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
         assert text(browser, "[data-value=doubt]").endswith(" %")
         page.control.end()
         found.join(PATIENCE_S)
-        wait(lambda: told(browser)["stage"] == "done", "the end")
+        wait(lambda: told(browser)["stage"] == "writing", "the end")
         wait(lambda: pixels_of(browser, "path") > 100, "the way")
         assert spread >= 0
         screenshot("done")

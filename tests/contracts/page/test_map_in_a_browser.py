@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import zipfile
 
@@ -48,6 +49,8 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         mapping.join(PATIENCE_S)
         grid = mapping.state.maps.occupancy(mapping.state.best)
         page.finish(grid, mapping.state.ancestry.trajectory(mapping.state.best), np.zeros((0, 4)))
+        wait(lambda: told(browser)["stage"] == "writing", "it is not written yet")
+        threading.Thread(target=page.linger, daemon=True).start()
         wait(lambda: told(browser)["stage"] == "done", "done")
         screenshot("done")
 

@@ -188,7 +188,7 @@ def test_the_last_word_replaces_what_was_seen(drive):
     sight.live.finish(other.occupancy(0), poses + 1.0, np.array([[0.0, 0.0, 1.0, 1.0]]))
     onlooker.catch_up(viewer)
     assert onlooker.sees(other.occupancy(0))
-    assert onlooker.status["stage"] == "done"
+    assert onlooker.status["stage"] == "writing"
     assert np.array_equal(onlooker.path, (poses[:, :2] + 1.0).astype(np.float32))
     assert onlooker.arrays["closures"].tolist() == [[0, 0, 1, 1]]
 

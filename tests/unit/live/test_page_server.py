@@ -262,6 +262,14 @@ def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
         receive_until(socket, onlooker, lambda: onlooker.sees(state.maps.occupancy(state.best)))
 
 
+def test_a_viewer_hears_something_though_nothing_happens(monkeypatch):
+    monkeypatch.setattr(application, "_HEARTBEAT_S", 0.05)
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
+        for _ in range(5):
+            receive(socket, onlooker)
+        assert onlooker.bytes < 2000
+
+
 def test_a_port_that_is_taken_is_told_with_the_remedy():
     with LivePage("one", FREE) as page:
         port = int(page.url.rstrip("/").rpartition(":")[2])

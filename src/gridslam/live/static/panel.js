@@ -11,7 +11,7 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
-const WORDS = { "last word": "finding the final map", done: "finished" };
+const WORDS = { "last word": "finding the final map", writing: "writing the results", done: "finished" };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
 const share = (value) => `${(100 * value).toFixed(0)} %`;
 const few = (value) => value.toFixed(value < 100 ? 1 : 0);
@@ -117,10 +117,10 @@ export class Panel {
     put("latency", steps ? `${short(latency)} ms` : "");
     put("particles", status.particles || "");
     const replay = hello.mode === "replay", what = replay ? "past" : "map";
-    $("#watched span").textContent = status.stage === "done" ? "map as the end tells it"
+    $("#watched span").textContent = ["writing", "done"].includes(status.stage) ? "map as the end tells it"
       : status.watched < 0 ? "the chosen one has died out"
       : status.watched != null ? `${what} of number ${status.watched}`
-      : replay ? "map as the end tells it" : `map of the best, number ${status.best ?? "–"}`;
+      : replay ? "map as the end tells it" : status.best === undefined ? "" : `map of the best, number ${status.best}`;
     $("#best").hidden = status.watched == null;
   }
 

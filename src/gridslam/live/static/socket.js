@@ -1,6 +1,7 @@
 // The line to the server: messages in, commands out, and another try whenever it is lost.
 
 const FIRST_PAUSE_MS = 400, LONGEST_PAUSE_MS = 5000;
+const SILENCE_MS = 10000; // the server says something every 3 s: after so long the line is dead, though nobody said so
 
 async function inflated(data) {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -31,6 +32,7 @@ export class Line {
     this.changed = changed;
     this.pause = FIRST_PAUSE_MS;
     this.open();
+    setInterval(() => this.socket && performance.now() - this.heard > SILENCE_MS && this.drop(), 1000);
     addEventListener("online", () => this.hurry());
     document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
   }
@@ -47,14 +49,16 @@ export class Line {
       this.pause = FIRST_PAUSE_MS;
       this.changed(true, "");
     };
+    this.heard = performance.now();
     socket.onmessage = ({ data }) => {
+      this.heard = performance.now();
       queue = queue.then(() => decoded(data)).then((message) => {
         if (this.socket !== socket) return;
         this.received(message);
         this.send({ do: "got" });
       });
     };
-    socket.onclose = ({ code, reason }) => this.lost(code, reason);
+    socket.onclose = ({ code, reason }) => this.socket === socket && this.lost(code, reason);
     this.socket = socket;
   }
 
@@ -63,6 +67,12 @@ export class Line {
     this.changed(false, code >= 4000 ? reason : "");
     this.timer = setTimeout(() => this.open(), this.pause);
     this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
+  }
+
+  // Give a line up that is dead: closing it would wait for an answer.
+  drop() {
+    this.socket.close();
+    this.lost(0, "");
   }
 
   // Try again at once: the network is back, or somebody looks again.
