@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from gridslam.config import Configuration, dumps, loads
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.archive import read_arrays
+from gridslam.io.generator import generator_of, generator_text
 from gridslam.io.output import written_aside
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.state import GridFastSlamState
@@ -21,8 +21,6 @@ from gridslam.slam.state import GridFastSlamState
 __all__ = ["SavedRun", "read_state", "write_state"]
 
 _SCHEMA = "gridslam.saved_run/2"
-_GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
-"""Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 
 
 @final
@@ -61,9 +59,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
     OutputError
         The file cannot be written.
     """
-    generator = run.rng.bit_generator.state
-    if generator["bit_generator"] not in _GENERATORS:
-        raise ArgumentError("run.rng", f"a generator over {' or '.join(_GENERATORS)}", generator["bit_generator"])
+    generator = generator_text(run.rng)
     parts = {
         "state": run.state.to_arrays(),
         "trajectory": run.trajectory.to_arrays(),
@@ -72,7 +68,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
     arrays: dict[str, Any] = {f"{part}.{name}": array for part, own in parts.items() for name, array in own.items()}
     arrays["schema"] = np.array(_SCHEMA)
     arrays["configuration"] = np.array(dumps(run.configuration))
-    arrays["generator"] = np.array(json.dumps(generator))
+    arrays["generator"] = np.array(generator)
     with written_aside(path) as aside, aside.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
@@ -102,7 +98,7 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
         return SavedRun(
             configuration,
             GridFastSlamState.from_arrays(part("state"), configuration.mapper, threads),
-            _generator(_text(arrays, "generator")),
+            generator_of(_text(arrays, "generator")),
             TrajectoryRecorder.from_arrays(part("trajectory")),
             StatisticsRecorder.from_arrays(part("statistics")),
         )
@@ -114,13 +110,3 @@ def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
     if name not in arrays:
         raise ArgumentError("arrays", f"a text named {name}", sorted(arrays))
     return str(arrays[name])
-
-
-def _generator(text: str) -> np.random.Generator:
-    try:
-        state = json.loads(text)
-        bits = _GENERATORS[state["bit_generator"]]()
-        bits.state = state
-    except (ValueError, KeyError, TypeError) as error:
-        raise ArgumentError("generator", f"the state of {' or '.join(_GENERATORS)} as JSON", error) from None
-    return np.random.Generator(bits)

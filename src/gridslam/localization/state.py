@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
@@ -15,6 +17,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import Estimate, is_near
 from gridslam.localization.recovery import Averages
 from gridslam.localization.rivals import NO_RIVALS, Rivals
+from gridslam.scan import frozen
 from gridslam.types import FloatArray, IntArray, Odometry
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]
@@ -114,6 +117,40 @@ class MonteCarloState:
     updates: int = 0
     consumed: bool = False
 
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays, of which `from_arrays` makes a state that goes on to the same bytes."""
+        if self.consumed:
+            raise ConsumedStateError
+        numbers = {name: np.array(getattr(self, name)) for name in _NUMBERS}
+        optional = {"odometry": self.odometry, "last.pose": None if self.last is None else self.last.pose}
+        return {
+            "poses": self.poses, "log_weights": self.log_weights, "averages": np.array(self.averages),
+            "estimate.pose": self.estimate.pose, "estimate.covariance": self.estimate.covariance,
+            "estimate.mass": np.array(self.estimate.mass), "rivals.poses": self.rivals.poses,
+            "rivals.log_odds": self.rivals.log_odds, **numbers,
+            "last.stamp_ns": np.array(0 if self.last is None else self.last.stamp_ns, np.int64),
+            **{name: array for name, array in optional.items() if array is not None},
+        }  # fmt: skip
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
+        """Rebuild a state; ArgumentError where an array is missing or has another shape than the others tell."""
+
+        def take(name: str, *shape: int | None) -> FloatArray:
+            if name not in arrays:
+                raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
+            return frozen(arrays[name], np.float64, shape, name)
+
+        poses, rivals = take("poses", None, 3), take("rivals.poses", None, 3)
+        followed_m, agreement, updates = (float(take(name)) for name in _NUMBERS)
+        told = Estimate(take("estimate.pose", 3), take("estimate.covariance", 3, 3), float(take("estimate.mass")))
+        last = Odometry.at(int(arrays["last.stamp_ns"]), take("last.pose", 3)) if "last.pose" in arrays else None
+        return cls(
+            poses, take("log_weights", len(poses)), Averages(*take("averages", 2).tolist()), told, followed_m,
+            Rivals(rivals, take("rivals.log_odds", len(rivals))), agreement,
+            take("odometry", 3) if "odometry" in arrays else None, last, int(updates),
+        )  # fmt: skip
+
     def odometry_or(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""
         if self.odometry is None:
@@ -149,6 +186,9 @@ class MonteCarloState:
         if self.consumed:
             raise ConsumedStateError
         return replace(self)
+
+
+_NUMBERS = ("followed_m", "agreement", "updates")
 
 
 class LocalizationObserver(Protocol):

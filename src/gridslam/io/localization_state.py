@@ -1,0 +1,79 @@
+"""A localization between two scans as one file, so that it can be resumed to the same bytes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+
+from gridslam.config.tables import changed, to_table
+from gridslam.errors import ArgumentError, ConfigurationError, InputError
+from gridslam.io.archive import read_arrays
+from gridslam.io.generator import generator_of, generator_text
+from gridslam.io.output import written_aside
+from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.state import MonteCarloState
+
+__all__ = ["SavedLocalization", "read_localization", "write_localization"]
+
+_SCHEMA = "gridslam.saved_localization/1"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedLocalization:
+    """All that a localization is between two scans, but the map: go on with `pipeline.run`.
+
+    Attributes
+    ----------
+    parts : MonteCarloParts
+        What the filter is put together from.
+    state : MonteCarloState
+        The filter's state; a file is written from it without consuming it.
+    rng : numpy.random.Generator
+        Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
+    """
+
+    parts: MonteCarloParts
+    state: MonteCarloState
+    rng: np.random.Generator
+
+
+def write_localization(path: str | Path, saved: SavedLocalization) -> None:
+    """Write to an .npz file of plain arrays and text (no pickle); it appears under its name once it is whole.
+
+    Raises
+    ------
+    ArgumentError
+        The generator's state is not plain integers.
+    ConsumedStateError
+        The state was given to the filter.
+    OutputError
+        The file cannot be written.
+    """
+    arrays: dict[str, Any] = {f"state.{name}": array for name, array in saved.state.to_arrays().items()}
+    arrays["schema"] = np.array(_SCHEMA)
+    arrays["parts"] = np.array(json.dumps(to_table(saved.parts)))
+    arrays["generator"] = np.array(generator_text(saved.rng))
+    with written_aside(path) as aside, aside.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def read_localization(path: str | Path) -> SavedLocalization:
+    """Read what `write_localization` wrote; going on with it, in the same map, gives the same bytes.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another schema, or its arrays do not belong together.
+    """
+    arrays = read_arrays(path, _SCHEMA, "a saved localization")
+    own = {name.removeprefix("state."): array for name, array in arrays.items() if name.startswith("state.")}
+    try:
+        parts = changed(MonteCarloParts(), json.loads(str(arrays["parts"])))
+        return SavedLocalization(parts, MonteCarloState.from_arrays(own), generator_of(str(arrays["generator"])))
+    except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
+        raise InputError(path, f"expected a saved localization: {error}") from None
