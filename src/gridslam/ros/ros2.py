@@ -215,6 +215,14 @@ def _managed(base: Any) -> Any:  # noqa: ANN401
     return Managed
 
 
+def _begin(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
+    """Initialize rclpy, whose handlers of signals would end it before the last map is told."""
+    unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
+    if unknown:
+        raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
+    rclpy.init(args=arguments, signal_handler_options=_module("rclpy.signals").SignalHandlerOptions.NO)
+
+
 def run_ros2(
     arguments: Sequence[str] = (),
     *,
@@ -241,11 +249,7 @@ def run_ros2(
         There is no ROS 2, or a parameter is wrong.
     """
     rclpy = _module("rclpy")
-    unknown = _module("rclpy.utilities").remove_ros_args(["gridslam", *arguments])[1:]
-    if unknown:
-        raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
-    ours_alone = _module("rclpy.signals").SignalHandlerOptions.NO  # rclpy's would end it before the last map is told
-    rclpy.init(args=["gridslam", *arguments], signal_handler_options=ours_alone)
+    _begin(rclpy, ["gridslam", *arguments])
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
     node = _module("rclpy.node").Node(NODE_NAME, **options)
     managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
