@@ -49,8 +49,9 @@ def test_victoria_park(data_dir):
     assert len(graph.landmarks) == len(ekf.landmarks) == 151
     ours, theirs = pair_by_name(ekf.landmarks.names, graph.landmarks.names)
     a, b = ekf.landmarks.positions[ours], graph.landmarks.positions[theirs]
-    # The odometry turns by 1.9 mrad too little a metre, which no filter here knows: 2.3 m and 2.7 m, from 100 m.
-    assert np.median(np.hypot(*(transform_points(align(a, b), a) - b).T)) < 3.5
+    # Measured 0.95 m and 1.75 m, from 100 m away; 0.7 to 1.9 m and 1.5 to 2.0 m with half or twice the prior.
+    assert np.median(np.hypot(*(transform_points(align(a, b), a) - b).T)) < 2.0
     ways = ekf.estimate.poses, graph.estimate.poses
     moved = compose(align(ways[0][:, :2], ways[1][:, :2]), ways[0])
-    assert np.median(np.hypot(*(moved - ways[1])[:, :2].T)) < 4.0
+    assert np.median(np.hypot(*(moved - ways[1])[:, :2].T)) < 3.0
+    assert ekf.estimate.strange == 4  # trunks that are taken for others, 7 to 10 m away

@@ -151,6 +151,6 @@ class LandmarkLocalizationResult:
         exact = np.zeros((len(self.landmarks.names), 2, 2))
         picture = draw_landmarks(
             self.trajectory, self.landmarks.positions, exact, title=self.log.path.name, caption=self.caption(),
-            truth=truth, true_positions=self.landmarks.positions,
+            truth=truth, true_positions=self.landmarks.positions, stamped=self.log.stamped,
         )  # fmt: skip
         picture.save(path, optimize=False)

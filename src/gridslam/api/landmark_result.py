@@ -188,7 +188,7 @@ class LandmarkResult:
             points = transform_points(map_from_true, known.positions)
         picture = draw_landmarks(
             self.trajectory, self.landmarks.positions, self.landmarks.covariances, title=self.log.path.name,
-            caption=self.caption(), truth=way, true_positions=points,
+            caption=self.caption(), truth=way, true_positions=points, stamped=self.log.stamped,
         )  # fmt: skip
         picture.save(path, optimize=False)
 

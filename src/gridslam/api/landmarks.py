@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from gridslam.io.digest import digest_of
 from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
 from gridslam.models.association import AMBIGUOUS, Association, MaximumLikelihood, Told
 from gridslam.models.landmark import LandmarkModel
+from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.ekf_slam import EkfSlam
@@ -39,7 +40,14 @@ PARTICLES = {"fastslam1": 100, "fastslam2": 20}
 """How many particles each method has that has any, if nothing is said."""
 
 _COUNTS_LITTLE = 0.1  # a sighting of a smaller weight is held for misread
-_WHATEVER = 1e6  # a squared Mahalanobis distance that no sighting reaches, not even where a loop of kilometres closes
+_WHATEVER = Told(believed=1e6)
+"""No sighting is so far off, not even where a loop of kilometres closes that no particle has closed."""
+_NEARLY_ALL = Told(believed=50.0)
+"""7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
+
+_BIAS = OdometryBias()
+_CONSTANT_BIAS = OdometryBias(memory_m=1e6)
+"""For particles: those that share a past share its errors, and would take them for changes of the odometry."""
 
 
 def map_landmarks(
@@ -91,22 +99,25 @@ def map_landmarks(
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
+    models: dict[str, Any] = {"sensor": model, "motion": motion}
     if method == "graph":
         estimate = _by_graph(steps, model, motion)
     else:
-        association: Association = MaximumLikelihood() if unknown else _told(steps)
+        association: Association = MaximumLikelihood() if unknown else _told(steps, method)
         shown = [replace(step, sightings=step.sightings.anonymous()) for step in steps] if unknown else steps
         if method == "ekf":
-            estimate = _by_ekf(shown, EkfSlam(model, association), motion, tick)
+            models["bias"] = EXACT_ODOMETRY if unknown else _BIAS
+            estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, tick)
         else:
-            slam = (FastSlam1 if method == "fastslam1" else FastSlam2)(LandmarkFilters(model, association))
+            slam = _particle_filter(method, LandmarkFilters(model, association), _noise_is_told(steps))
+            models |= {"bias": slam.bias} if isinstance(slam, FastSlam2) else {}
             estimate = _by_particles(shown, slam, particles or PARTICLES[method], seed, motion, tick)
     watch.lap("solve")
     return LandmarkResult(
         method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
         particles=(particles or PARTICLES[method]) if method in PARTICLES else None,
-        models={"sensor": model, "motion": motion},
+        models=models,
         digest=digest_of(source.path),
     )  # fmt: skip
 
@@ -156,8 +167,16 @@ def _noise_is_told(steps: Sequence[LandmarkStep]) -> bool:
     return all(step.covariance is not None for step in steps)
 
 
-def _told(steps: Sequence[LandmarkStep]) -> Told:
-    return Told(believed=_WHATEVER) if _noise_is_told(steps) else Told()
+def _told(steps: Sequence[LandmarkStep], method: LandmarkMethod) -> Told:
+    if not _noise_is_told(steps):
+        return Told()
+    return _NEARLY_ALL if method == "ekf" else _WHATEVER
+
+
+def _particle_filter(method: LandmarkMethod, landmarks: LandmarkFilters, told: bool) -> FastSlam1 | FastSlam2:
+    if method == "fastslam1":
+        return FastSlam1(landmarks)
+    return FastSlam2(landmarks, bias=_CONSTANT_BIAS if told else EXACT_ODOMETRY)
 
 
 def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from gridslam.geometry.angles import wrap
 from gridslam.models.association import NEW, Association, Told
 from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
 from gridslam.slam.ekf_slam_state import EkfSlamState
 from gridslam.slam.landmark_existence import Existence
@@ -40,6 +41,8 @@ class EkfSlam:
     existence : Existence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
+    bias : OdometryBias
+        Systematic errors of the odometry, which are part of what is estimated.
 
     Source: Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). Where the tables correct by
     one sighting after the other, all of one step correct at once here: the same for a linear model, and one change of
@@ -49,10 +52,11 @@ class EkfSlam:
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=Told)
     existence: Existence = field(default_factory=Existence)
+    bias: OdometryBias = EXACT_ODOMETRY
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
         """Begin at a pose (3,) that is exact, without landmarks."""
-        return EkfSlamState.at(pose)
+        return EkfSlamState.at(pose, self.bias.covariance())
 
     def step(
         self, state: EkfSlamState, motion: MotionSampler, sightings: Sightings
@@ -92,14 +96,13 @@ class EkfSlam:
         return state.landmark_map(self.existence.confirmed)
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
-        """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves."""
-        (pose,), (motion_noise,) = motion.moments(state.pose[None])
-        G = np.eye(3)
-        G[:2, 2] = state.mean[1] - pose[1], pose[0] - state.mean[0]
-        state.mean[:3], P = pose, state.covariance
-        P[:3] = G @ P[:3]
-        P[:, :3] = P[:, :3] @ G.T
-        P[:3, :3] += motion_noise
+        """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""
+        own, P = slice(state.first), state.covariance
+        (moved,), (F,), (Q,) = self.bias.predict(motion, state.mean[None, own])
+        state.mean[own] = moved
+        P[own] = F @ P[own]
+        P[:, own] = P[:, own] @ F.T
+        P[own, own] += Q
 
     def _correspondences(self, state: EkfSlamState, sightings: Sightings, noise: FloatArray) -> IntArray:
         """Table 10.2, lines 9 to 16: the place of each sighting's landmark in the state."""
@@ -107,7 +110,7 @@ class EkfSlam:
         H = np.concatenate([H_x, H_m], axis=-1)
         P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
         P[:, :3, :3], P[:, 3:, 3:] = state.pose_covariance, state.position_covariances
-        P[:, :3, 3:] = state.covariance[:3, 3:].reshape(3, -1, 2).swapaxes(0, 1)
+        P[:, :3, 3:] = state.covariance[:3, state.first :].reshape(3, -1, 2).swapaxes(0, 1)
         P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
         residuals = self.sensor.residual(sightings.values[:, None], predicted)
         S = H @ P @ H.swapaxes(1, 2) + noise[:, None]
@@ -126,7 +129,7 @@ class EkfSlam:
     def _correct_provisional(self, state: EkfSlamState, place: int, measured: FloatArray, noise: FloatArray) -> None:
         """Correct one landmark alone: the gain of all else is 0 (Schmidt's consider filter)."""
         residual, HP, S = self._innovation(state, np.array([place]), measured[None], noise[None])
-        own = slice(3 + 2 * place, 5 + 2 * place)
+        own = slice(state.first + 2 * place, state.first + 2 * place + 2)
         gain = np.linalg.solve(S, HP[:, own]).T
         state.mean[own] += gain @ residual
         state.covariance[own] -= gain @ HP
@@ -138,7 +141,7 @@ class EkfSlam:
         """Residuals (2 K,), H P (2 K, n) and S = H P H' + Q (2 K, 2 K), of the few columns where H is not 0."""
         predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions[places])
         P, count = state.covariance, len(places)
-        columns = 3 + 2 * places[:, None] + np.arange(2)
+        columns = state.first + 2 * places[:, None] + np.arange(2)
         HP = H_x @ P[:3] + H_m @ P[columns]
         S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
         S[np.arange(count), :, np.arange(count)] += noise

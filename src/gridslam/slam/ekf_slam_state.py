@@ -23,8 +23,8 @@ class EkfSlamState:
 
     Attributes
     ----------
-    mean, covariance : (3 + 2 M,), (3 + 2 M, 3 + 2 M) float64
-        Of [x, y, theta, m_1x, m_1y, m_2x, ...], in m and rad, map frame.
+    mean, covariance : (3 + B + 2 M,), (3 + B + 2 M, 3 + B + 2 M) float64
+        Of [x, y, theta, b_1, ..., m_1x, m_1y, m_2x, ...], in m and rad, map frame.
     names : (M,) int64
         Signatures of the landmarks, or numbers in the order of first sight.
     evidence : (M,) float64, nats
@@ -33,6 +33,8 @@ class EkfSlamState:
         How often each was seen.
     next_name : int
         Number of the next landmark without a signature.
+    biases : int
+        The number B of the odometry's errors that are learned.
     """
 
     mean: FloatArray
@@ -41,13 +43,24 @@ class EkfSlamState:
     evidence: FloatArray
     sightings: IntArray
     next_name: int = 0
+    biases: int = 0
     consumed: bool = False
 
     @classmethod
-    def at(cls, pose: ArrayLike) -> EkfSlamState:
-        """Begin at a pose (3,) that is exact; raises ArgumentError where it is none."""
-        nothing = np.empty(0, np.int64)
-        return cls(at_pose(1, pose)[0], np.zeros((3, 3)), nothing, np.empty(0), nothing)
+    def at(cls, pose: ArrayLike, bias: FloatArray) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact, with errors of the odometry of covariance (B, B).
+
+        Raises ArgumentError where the pose is none.
+        """
+        nothing, size = np.empty(0, np.int64), 3 + len(bias)
+        mean, covariance = np.zeros(size), np.zeros((size, size))
+        mean[:3], covariance[3:, 3:] = at_pose(1, pose)[0], bias
+        return cls(mean, covariance, nothing, np.empty(0), nothing, biases=len(bias))
+
+    @property
+    def first(self) -> int:
+        """Row of the first landmark: 3 + B."""
+        return 3 + self.biases
 
     @property
     def pose(self) -> FloatArray:
@@ -62,13 +75,14 @@ class EkfSlamState:
     @property
     def positions(self) -> FloatArray:
         """Mean positions (M, 2) of the landmarks."""
-        return self.mean[3:].reshape(-1, 2)
+        return self.mean[self.first :].reshape(-1, 2)
 
     @property
     def position_covariances(self) -> FloatArray:
         """Covariance (M, 2, 2) of each landmark."""
         count = np.arange(len(self.names))
-        blocks: FloatArray = self.covariance[3:, 3:].reshape(len(count), 2, len(count), 2)[count, :, count]
+        of_landmarks = self.covariance[self.first :, self.first :].reshape(len(count), 2, len(count), 2)
+        blocks: FloatArray = of_landmarks[count, :, count]
         return blocks
 
     def landmark_map(self, least_evidence: float) -> LandmarkMap:
@@ -96,7 +110,7 @@ class EkfSlamState:
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget all landmarks but those `kept` (M,)."""
-        rows = np.flatnonzero(np.concatenate([np.ones(3, np.bool_), np.repeat(kept, 2)]))
+        rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, 2)]))
         self.mean, self.covariance = self.mean[rows], self.covariance[np.ix_(rows, rows)]
         self.names, self.evidence, self.sightings = self.names[kept], self.evidence[kept], self.sightings[kept]
 
@@ -111,7 +125,7 @@ class EkfSlamState:
         self._check()
         return EkfSlamState(
             self.mean.copy(), self.covariance.copy(), self.names.copy(), self.evidence.copy(), self.sightings.copy(),
-            next_name=self.next_name,
+            next_name=self.next_name, biases=self.biases,
         )  # fmt: skip
 
     def _check(self) -> None:

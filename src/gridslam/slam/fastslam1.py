@@ -80,7 +80,7 @@ class FastSlam1:
             self.landmarks.correct(state, seen)
         for k in range(len(sightings)):
             self.landmarks.add(state, columns[:, k], poses, sightings, k)
-        state.advance(poses, log_weights)
+        state.advance(poses, state.spread, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

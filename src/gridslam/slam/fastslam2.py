@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.geometry.angles import wrap
 from gridslam.models.association import NEW
+from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
@@ -40,6 +41,9 @@ class FastSlam2:
     ----------
     landmarks, resampler, when_to_resample
         As for `FastSlam1`.
+    bias : OdometryBias
+        Systematic errors of the odometry, of which each particle keeps a Gaussian: given its path they are a linear
+        regression, so that they need not be drawn.
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
     correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
@@ -49,32 +53,36 @@ class FastSlam2:
     landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
     resampler: Resampler = Systematic()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+    bias: OdometryBias = EXACT_ODOMETRY
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
-        return LandmarkParticles.at(particles, pose)
+        return LandmarkParticles.at(particles, pose, self.bias.covariance())
 
     def step(
         self, state: LandmarkParticles, motion: MotionSampler, sightings: Sightings, rng: np.random.Generator
     ) -> tuple[LandmarkParticles, LandmarkReport]:
         """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
         state = state.take()
-        mean, spread = _predict(state, motion)  # of p(x_t | x_t-1, u_t)
+        mean, F, Q = self.bias.predict(motion, state.known)  # of p(x_t, b | x_t-1, u_t)
+        spread = projected(F, state.spread) + Q
+        pose, of_pose = mean[:, :3], spread[:, :3, :3]
         if not len(sightings):
             state.wait(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))
         log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
-        for k in self.landmarks.order(state, sightings, mean).tolist():
-            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, mean, spread, columns, rng)
+        for k in self.landmarks.order(state, sightings, pose).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, pose, of_pose, columns, rng)
             log_weights += log_p  # w = p(z | x_t-1, u_t)
             _correct(mean, spread, seen)
-        poses = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
+        known, spread = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
+        poses = known[:, :3]
         for k in range(len(sightings)):
             rows = np.flatnonzero(columns[:, k] >= 0)
             seen = self.landmarks.innovation(state, rows, columns[rows, k], poses, None, sightings, k)
             self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], poses, sightings, k)
-        state.advance(poses, log_weights)
+        state.advance(known, spread, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):
@@ -87,24 +95,14 @@ class FastSlam2:
         return state.landmark_map(self.landmarks.existence.confirmed)
 
 
-def _predict(state: LandmarkParticles, motion: MotionSampler) -> tuple[FloatArray, FloatArray]:
-    """Move the poses' Gaussians: means (N, 3) and covariances (N, 3, 3)."""
-    mean, noise = motion.moments(state.poses)
-    if not state.spread.any():
-        return mean, noise
-    G = np.tile(np.eye(3), (len(state), 1, 1))
-    G[:, 0, 2], G[:, 1, 2] = state.poses[:, 1] - mean[:, 1], mean[:, 0] - state.poses[:, 0]
-    return mean, projected(G, state.spread) + noise
-
-
 def _correct(mean: FloatArray, spread: FloatArray, seen: Innovation) -> None:
-    """Condition the poses' Gaussians, mean (N, 3) and covariance (N, 3, 3), on a sighting, where it has a landmark.
+    """Condition the Gaussians, mean (N, 3 + B) and covariance (N, 3 + B, 3 + B), on a sighting that has a landmark.
 
     Equations 13.26 to 13.28 in the form of a Kalman gain, which needs no inverse of the motion's covariance: that may
     be singular.
     """
     before = spread[seen.rows]
-    gain = before @ transposed(seen.by_pose) @ inverse_2x2(seen.covariances)
+    gain = before[:, :, :3] @ transposed(seen.by_pose) @ inverse_2x2(seen.covariances)
     mean[seen.rows] += (gain @ seen.residuals[:, :, None])[:, :, 0]
     mean[:, 2] = wrap(mean[:, 2])
-    spread[seen.rows] = before - gain @ seen.by_pose @ before
+    spread[seen.rows] = before - gain @ seen.by_pose @ before[:, :3]

@@ -19,6 +19,7 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LandmarkParticles"]
 
+_NO_BIAS = np.empty((0, 0))
 _MORE = 8  # columns that are added where none is free
 
 
@@ -34,10 +35,10 @@ class LandmarkParticles:
 
     Attributes
     ----------
-    poses : (N, 3) float64
-        Map frame.
-    spread : (N, 3, 3) float64
-        Covariance of each pose since it was last drawn: 0, unless drawing waits for the next sighting.
+    known : (N, 3 + B) float64
+        The pose, map frame, and the B errors of the odometry that are learned.
+    spread : (N, 3 + B, 3 + B) float64
+        Their covariance given what was drawn: 0 of the pose, unless drawing waits for the next sighting.
     log_weights, log_ancestry : (N,) float64, nats
         Normalized; and accumulated along each particle's ancestry, relative to the greatest.
     names : (M,) int64
@@ -53,7 +54,7 @@ class LandmarkParticles:
         All particles' trajectories, step by step, the first pose included.
     """
 
-    poses: FloatArray
+    known: FloatArray
     spread: FloatArray
     log_weights: FloatArray
     log_ancestry: FloatArray
@@ -66,11 +67,16 @@ class LandmarkParticles:
     consumed: bool = False
 
     @classmethod
-    def at(cls, particles: int, pose: ArrayLike) -> LandmarkParticles:
-        """Begin with N particles at one pose (3,); raises ArgumentError where there is none, or no such pose."""
-        poses = at_pose(particles, pose)
+    def at(cls, particles: int, pose: ArrayLike, bias: FloatArray = _NO_BIAS) -> LandmarkParticles:
+        """Begin with N particles at one pose (3,), with errors of the odometry of covariance (B, B).
+
+        Raises ArgumentError where there is no particle, or no such pose.
+        """
+        poses, size = at_pose(particles, pose), 3 + len(bias)
+        known, spread = np.zeros((particles, size)), np.zeros((particles, size, size))
+        known[:, :3], spread[:, 3:, 3:] = poses, bias
         return cls(
-            poses, np.zeros((particles, 3, 3)), np.full(particles, -np.log(particles)), np.zeros(particles),
+            known, spread, np.full(particles, -np.log(particles)), np.zeros(particles),
             np.empty(0, np.int64),
             np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0)),
             np.empty((particles, 0), np.int64), Ancestry.start(poses),
@@ -78,7 +84,12 @@ class LandmarkParticles:
 
     def __len__(self) -> int:
         """Return the number N of particles."""
-        return len(self.poses)
+        return len(self.known)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (N, 3), map frame."""
+        return self.known[:, :3]
 
     @property
     def exists(self) -> NDArray[np.bool_]:
@@ -123,17 +134,17 @@ class LandmarkParticles:
         self.names[column] = name
         return np.full(len(particles), column)
 
-    def advance(self, poses: FloatArray, log_weights: FloatArray) -> None:
-        """Give every particle its new pose (N, 3) and importance weight (N,)."""
-        self.wait(poses, np.zeros_like(self.spread))
+    def advance(self, known: FloatArray, spread: FloatArray, log_weights: FloatArray) -> None:
+        """Give every particle its new pose, errors (N, 3 + B), their covariance, and its importance weight (N,)."""
+        self.wait(known, spread)
         self.log_weights = normalize(self.log_weights + log_weights)
         accumulated = self.log_ancestry + log_weights
         self.log_ancestry = accumulated - accumulated.max()
 
-    def wait(self, poses: FloatArray, spread: FloatArray) -> None:
-        """Move to poses (N, 3) of covariance (N, 3, 3), with no news to weigh."""
-        self.poses, self.spread = poses, spread
-        self.ancestry.extend(poses)
+    def wait(self, known: FloatArray, spread: FloatArray) -> None:
+        """Move to poses and errors (N, 3 + B) of covariance (N, 3 + B, 3 + B), with no news to weigh."""
+        self.known, self.spread = known, spread
+        self.ancestry.extend(known[:, :3])
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -156,7 +167,7 @@ class LandmarkParticles:
         """Tell of the step that led here; places (N, K) are the columns of the sightings' landmarks."""
         best = self.best
         weights = np.exp(self.log_weights)
-        covariance = weighted_covariance(self.poses, weights) + np.einsum("n,nij->ij", weights, self.spread)
+        covariance = weighted_covariance(self.poses, weights) + np.einsum("n,nij->ij", weights, self.spread[:, :3, :3])
         told = [self._name(place) for place in places[best].tolist()]
         n_eff = effective_sample_size(self.log_weights)
         return LandmarkReport(self.poses[best].copy(), covariance, np.array(told, np.int64), n_eff)
@@ -191,5 +202,5 @@ class LandmarkParticles:
             raise ConsumedStateError
 
 
-_OF_PARTICLES = "poses", "spread", "log_ancestry", "positions", "covariances", "evidence", "sightings"
+_OF_PARTICLES = "known", "spread", "log_ancestry", "positions", "covariances", "evidence", "sightings"
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

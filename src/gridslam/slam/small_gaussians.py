@@ -44,17 +44,22 @@ def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray
     return np.asarray(-0.5 * (squared + log_dets) - math.log(2 * math.pi))
 
 
-def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3), by Cholesky's factor; variances may be 0."""
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = covariances.transpose(1, 2, 0)
-    a = np.sqrt(np.maximum(xx, 0.0))
-    b, c = _quotient(xy, a), _quotient(xt, a)
-    d = np.sqrt(np.maximum(yy - b * b, 0.0))
-    e = _quotient(yt - b * c, d)
-    f = np.sqrt(np.maximum(tt - c * c - e * e, 0.0))
-    u, v, w = rng.standard_normal(means.shape).T
-    x, y, theta = means.T
-    return np.stack([x + a * u, y + b * u + d * v, wrap(theta + c * u + e * v + f * w)], axis=1)
+def draw_poses(
+    means: FloatArray, covariances: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draw a pose from each Gaussian (N, 3 + B), (N, 3 + B, 3 + B), and condition on it what else is in these.
+
+    Returns poses and conditional means (N, 3 + B), and covariances (N, 3 + B, 3 + B), those of the poses 0. Cholesky's
+    factor comes column by column, and each takes away what it explains; variances may be 0.
+    """
+    drawn, left = means.copy(), covariances.copy()
+    for i, number in enumerate(rng.standard_normal((len(means), 3)).T):
+        column = _quotient(left[:, i], np.sqrt(np.maximum(left[:, i, i, None], 0.0)))
+        drawn += number[:, None] * column
+        left -= column[:, :, None] * column[:, None, :]
+    drawn[:, 2] = wrap(drawn[:, 2])
+    left[:, :3], left[:, :, :3] = 0.0, 0.0
+    return drawn, left
 
 
 def _quotient(numbers: FloatArray, by: FloatArray) -> FloatArray:

@@ -46,8 +46,12 @@ def paint_footer(
     caption: Sequence[str],
     trajectory: Trajectory | None,
     keys: Sequence[Key],
+    stamped: bool = True,
 ) -> None:
-    """Paint the caption at the left and the keys to scale, time and lines at the right, under a thin line."""
+    """Paint the caption at the left and the keys to scale, time and lines at the right, under a thin line.
+
+    Where stamps only count the steps no time is told.
+    """
     u, draw = layout.unit, ImageDraw.Draw(page)
     margin = round(MARGIN * u)
     left, right, rule = margin, page.width - margin, layout.map_box[3] + margin
@@ -57,7 +61,7 @@ def paint_footer(
     paint_caption(draw, left, top, title, caption, u)
     paint_keys(draw, right, top, keys, u)
     if trajectory is not None and len(trajectory):
-        last = f"end, {_duration(float(np.ptp(trajectory.stamps_ns)) * 1e-9)}"
+        last = f"end, {_duration(float(np.ptp(trajectory.stamps_ns)) * 1e-9)}" if stamped else "end"
         paint_time_key(page, right, top, ("start", last), u)
         right -= round((TIME_WIDTH + KEY_GAP) * u)
     paint_scale(draw, right, top, layout.px_per_m, u)

@@ -33,6 +33,7 @@ def draw_landmarks(
     caption: Sequence[str] = (),
     truth: Trajectory | None = None,
     true_positions: FloatArray | None = None,
+    stamped: bool = True,
 ) -> Image.Image:
     """Draw a trajectory and landmarks with their covariance ellipses over the truth, a scale bar and a caption below.
 
@@ -50,6 +51,8 @@ def draw_landmarks(
         In the frame of the other.
     true_positions : (L, 2) float64, m, optional
         True landmarks in that frame, drawn as crosses.
+    stamped : bool
+        Whether stamps are times; else they only count the steps.
 
     Returns
     -------
@@ -81,7 +84,7 @@ def draw_landmarks(
     (start, end), (first, last) = layout.pixels(trajectory.poses[[0, -1], :2]).tolist(), TIME_ENDS
     disc(page, start, 8.0 * _UNIT, FREE, first)
     disc(page, end, 8.0 * _UNIT, last, OCCUPIED)
-    paint_footer(page, layout, title, caption, trajectory, keys)
+    paint_footer(page, layout, title, caption, trajectory, keys, stamped)
     return page
 
 
