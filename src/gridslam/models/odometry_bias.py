@@ -75,19 +75,18 @@ class OdometryBias:
         """
         count, size = known.shape
         told, noise = motion.moments(known[:, :3])
-        F, Q = np.tile(np.eye(size), (count, 1, 1)), np.zeros((count, size, size))
-        moved = known.copy()
-        moved[:, :3], Q[:, :3, :3] = told, noise
+        F = np.repeat(np.eye(size)[None], count, axis=0)
         F[:, 0, 2], F[:, 1, 2] = known[:, 1] - told[:, 1], told[:, 0] - known[:, 0]
-        if size > 3:
-            increment = between(known[0, :3], told[0])
-            by_bias = increment[[0, 2]][self._sought]
-            moved[:, 2] = wrap(told[:, 2] + known[:, 3:] @ by_bias)
-            kept = math.exp(-math.hypot(*increment[:2]) / self.memory_m)
-            moved[:, 3:] *= kept
-            F[:, 2, 3:] = by_bias
-            F[:, 3:, 3:] *= kept
-            Q[:, 3:, 3:] = (1 - kept**2) * self.covariance()
+        if size == 3:
+            return told, F, noise
+        increment = between(known[0, :3], told[0])
+        by_bias = increment[[0, 2]][self._sought]
+        kept = math.exp(-math.hypot(*increment[:2]) / self.memory_m)
+        moved, Q = np.concatenate([told, kept * known[:, 3:]], axis=1), np.zeros((count, size, size))
+        moved[:, 2] = wrap(told[:, 2] + known[:, 3:] @ by_bias)
+        F[:, 2, 3:] = by_bias
+        F[:, 3:, 3:] *= kept
+        Q[:, :3, :3], Q[:, 3:, 3:] = noise, (1 - kept**2) * self.covariance()
         return moved, F, Q
 
     @property

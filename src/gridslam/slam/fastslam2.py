@@ -65,7 +65,7 @@ class FastSlam2:
         """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
         state = state.take()
         mean, F, Q = self.bias.predict(motion, state.known)  # of p(x_t, b | x_t-1, u_t)
-        spread = projected(F, state.spread) + Q
+        spread = Q + projected(F, state.spread) if state.spread.any() else Q  # drawn poses have none
         pose, of_pose = mean[:, :3], spread[:, :3, :3]
         if not len(sightings):
             state.wait(mean, spread)

@@ -52,14 +52,14 @@ def draw_poses(
     Returns poses and conditional means (N, 3 + B), and covariances (N, 3 + B, 3 + B), those of the poses 0. Cholesky's
     factor comes column by column, and each takes away what it explains; variances may be 0.
     """
-    drawn, left = means.copy(), covariances.copy()
+    drawn, left = means.T.copy(), covariances.transpose(1, 2, 0).copy()  # loops run along particles
     for i, number in enumerate(rng.standard_normal((len(means), 3)).T):
-        column = _quotient(left[:, i], np.sqrt(np.maximum(left[:, i, i, None], 0.0)))
-        drawn += number[:, None] * column
-        left -= column[:, :, None] * column[:, None, :]
-    drawn[:, 2] = wrap(drawn[:, 2])
-    left[:, :3], left[:, :, :3] = 0.0, 0.0
-    return drawn, left
+        column = _quotient(left[i], np.sqrt(np.maximum(left[i, i], 0.0)))
+        drawn += number * column
+        left -= column[:, None] * column
+    drawn[2] = wrap(drawn[2])
+    left[:3], left[:, :3] = 0.0, 0.0
+    return np.ascontiguousarray(drawn.T), np.ascontiguousarray(left.transpose(2, 0, 1))
 
 
 def _quotient(numbers: FloatArray, by: FloatArray) -> FloatArray:
