@@ -23,7 +23,7 @@ __all__ = ["FAMILY_COMMANDS"]
     show_default=True, help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM; or localization where the landmarks are known.",
 )  # fmt: skip
 @click.option("--particles", type=click.IntRange(1, 100_000), metavar="N",
-              help="Number of particles, for FastSLAM.  [default: 100 for 1.0, 20 for 2.0]")  # fmt: skip
+              help="Of FastSLAM.  [default: 100 for 1.0, 20 for 2.0, 200 with --unknown]")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
 @click.option("--unknown", is_flag=True, help="Find out which landmark was seen, even where LOG tells it.")
 @click.option("--landmarks", type=PATH, help="What to localize by: a landmarks.csv.  [default: LOG's true ones]")

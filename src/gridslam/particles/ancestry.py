@@ -32,6 +32,8 @@ class Ancestry:
     for each node since the last common ancestor of all; that lies of the order of N resamplings back, however long
     the run. Where nothing is ever resampled nothing can be forgotten.
 
+    What else belongs to a pose for good may stand behind it: then there are W > 3 numbers where 3 are spoken of.
+
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
     """
 
@@ -47,10 +49,10 @@ class Ancestry:
     @classmethod
     def start(cls, poses: ArrayLike) -> Ancestry:
         """Begin with step 0: N particles at poses (N, 3) [m, m, rad]. Raises ArgumentError for another shape."""
-        count = np.asarray(poses).shape[0] if np.ndim(poses) else 0
-        if count == 0:
+        count, width = np.shape(poses) if np.ndim(poses) == 2 else (0, 0)
+        if count == 0 or width < 3:
             raise ArgumentError("poses", "shape (N, 3) with N >= 1", np.shape(poses))
-        ancestry = cls(np.zeros(count, dtype=np.int64), [], np.empty((0, 3)))
+        ancestry = cls(np.zeros(count, dtype=np.int64), [], np.empty((0, width)))
         ancestry.extend(poses)
         return ancestry
 
@@ -65,8 +67,9 @@ class Ancestry:
         Raises ArgumentError if there is not one pose for each particle.
         """
         copy = np.array(poses, dtype=np.float64)
-        if copy.shape != (len(self), 3):
-            raise ArgumentError("poses", f"shape ({len(self)}, 3)", copy.shape)
+        expected = len(self), self._trunk.shape[1]
+        if copy.shape != expected:
+            raise ArgumentError("poses", f"shape {expected}", copy.shape)
         self._levels.append(_Level(copy, self._leaves))
         self._leaves = np.arange(len(copy), dtype=np.int64)
         self._coalesce()
@@ -144,7 +147,7 @@ class Ancestry:
         return {
             "trunk": self._trunk[: self._trunk_length].copy(),
             "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
-            "poses": np.concatenate([np.empty((0, 3)), *(level.poses for level in self._levels)]),
+            "poses": np.concatenate([self._trunk[:0], *(level.poses for level in self._levels)]),
             "parents": np.concatenate([np.empty(0, dtype=np.int64), *(level.parents for level in self._levels)]),
             "leaves": self._leaves.copy(),
         }
@@ -197,7 +200,7 @@ class Ancestry:
             return
         length = self._trunk_length + lone
         if length > len(self._trunk):
-            longer = np.empty((max(length, 2 * len(self._trunk)), 3))
+            longer = np.empty((max(length, 2 * len(self._trunk)), self._trunk.shape[1]))
             longer[: self._trunk_length] = self._trunk[: self._trunk_length]
             self._trunk = longer
         self._trunk[self._trunk_length : length] = np.concatenate([level.poses for level in self._levels[:lone]])
@@ -206,7 +209,7 @@ class Ancestry:
 
     def _trajectories(self, places: IntArray) -> FloatArray:
         """Poses (len(places), T, 3) along the pasts of nodes of the newest level."""
-        past = np.empty((len(places), self.steps, 3))
+        past = np.empty((len(places), self.steps, self._trunk.shape[1]))
         past[:, : self._trunk_length] = self._trunk[: self._trunk_length]
         for k in range(len(self._levels) - 1, -1, -1):
             poses, parents = self._levels[k]

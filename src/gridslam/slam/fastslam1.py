@@ -90,4 +90,4 @@ class FastSlam1:
 
     def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
         """Return the landmarks that the best particle holds for real."""
-        return state.landmark_map(self.landmarks.existence.confirmed)
+        return state.landmark_map()

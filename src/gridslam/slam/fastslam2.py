@@ -12,17 +12,17 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.geometry.angles import wrap
 from gridslam.models.association import NEW
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmark_filters import Innovation, LandmarkFilters
+from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.landmark_raft import PoseAndRaft
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
-from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, transposed
-from gridslam.types import FloatArray, MotionSampler, Resampler
+from gridslam.slam.small_gaussians import projected
+from gridslam.types import MotionSampler, Resampler
 
 __all__ = ["FastSlam2"]
 
@@ -37,6 +37,9 @@ class FastSlam2:
     weight is p(z_t | x_t-1, u_t, c_t), in which neither the drawn pose nor the landmarks that it then corrects have a
     part: what the proposal takes into account is not weighed again.
 
+    Where nothing is seen that is known, the pose is not drawn either: what is new is put on a raft, whose place is a
+    Gaussian, too (see `gridslam.slam.landmark_raft`). So particles do not die over what nobody can tell yet.
+
     Attributes
     ----------
     landmarks, resampler, when_to_resample
@@ -47,7 +50,7 @@ class FastSlam2:
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
     correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
-    each landmark and compares their likelihoods; and the tables resample at every step.
+    each landmark and compares their likelihoods; and the tables resample at every step and draw every pose.
     """
 
     landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
@@ -66,23 +69,29 @@ class FastSlam2:
         state = state.take()
         mean, F, Q = self.bias.predict(motion, state.known)  # of p(x_t, b | x_t-1, u_t)
         spread = Q + projected(F, state.spread) if state.spread.any() else Q  # drawn poses have none
-        pose, of_pose = mean[:, :3], spread[:, :3, :3]
         if not len(sightings):
             state.wait(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))
         log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
-        for k in self.landmarks.order(state, sightings, pose).tolist():
-            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, pose, of_pose, columns, rng)
+        belief = PoseAndRaft.of(state, mean, spread)
+        for k in self.landmarks.order(state, sightings, belief.poses).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(
+                state, sightings, k, belief.poses, belief, columns, rng
+            )
             log_weights += log_p  # w = p(z | x_t-1, u_t)
-            _correct(mean, spread, seen)
-        known, spread = draw_poses(mean, spread, rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
+            belief.correct(seen)
+        unknown = np.flatnonzero((columns == NEW).all(axis=1))
+        belief.launch(unknown[self.landmarks.outweighs(belief.poses[unknown], spread[unknown], sightings)], rng)
+        known, spread = belief.draw(rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
         poses = known[:, :3]
         for k in range(len(sightings)):
             rows = np.flatnonzero(columns[:, k] >= 0)
-            seen = self.landmarks.innovation(state, rows, columns[rows, k], poses, None, sightings, k)
+            seen = self.landmarks.innovation(
+                state, rows, columns[rows, k], poses, belief.apart(rows, columns[rows, k]), sightings, k
+            )
             self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], poses, sightings, k)
-        state.advance(known, spread, log_weights)
+        state.advance(known, spread, log_weights, belief.replaced)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):
@@ -92,17 +101,4 @@ class FastSlam2:
 
     def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
         """Return the landmarks that the best particle holds for real."""
-        return state.landmark_map(self.landmarks.existence.confirmed)
-
-
-def _correct(mean: FloatArray, spread: FloatArray, seen: Innovation) -> None:
-    """Condition the Gaussians, mean (N, 3 + B) and covariance (N, 3 + B, 3 + B), on a sighting that has a landmark.
-
-    Equations 13.26 to 13.28 in the form of a Kalman gain, which needs no inverse of the motion's covariance: that may
-    be singular.
-    """
-    before = spread[seen.rows]
-    gain = before[:, :, :3] @ transposed(seen.by_pose) @ inverse_2x2(seen.covariances)
-    mean[seen.rows] += (gain @ seen.residuals[:, :, None])[:, :, 0]
-    mean[:, 2] = wrap(mean[:, 2])
-    spread[seen.rows] = before - gain @ seen.by_pose @ before[:, :3]
+        return state.landmark_map()

@@ -24,6 +24,8 @@ class Existence:
 
     A landmark begins with the evidence of having been seen once. It is provisional until its log odds reach
     `confirmed`, and dropped where they fall below 0. They saturate, so that what a wrong correspondence made can fade.
+    In EKF SLAM it is provisional again when they fall below `confirmed`; FastSLAM holds it for real until it is
+    dropped, for what is hidden for a while is still there, and a wrong one ends with the particle that made it.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.sightings import Sightings
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.landmark_raft import PoseAndRaft
 from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, transposed
 from gridslam.types import FloatArray, IntArray
 
@@ -87,15 +88,17 @@ class LandmarkFilters:
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
 
     def correspond(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
         taken: IntArray, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Find the landmark of sighting k in each particle.
 
         Parameters
         ----------
-        poses, spread : (N, 3), (N, 3, 3) float64
-            From where it is seen, and that pose's covariance; None where the pose is given.
+        poses : (N, 3) float64
+            From where it is seen.
+        belief : PoseAndRaft or None
+            Of these poses; None where they are given.
         taken : (N, K) int64
             Columns of the sightings before, below 0 where there is none: a landmark is seen once at a time.
         rng : numpy.random.Generator
@@ -112,10 +115,10 @@ class LandmarkFilters:
         """
         strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
         if isinstance(self.association, MaximumLikelihood):
-            return self._drawn(state, sightings, k, poses, spread, taken, self.association, float(strange), rng)
+            return self._drawn(state, sightings, k, poses, belief, taken, self.association, float(strange), rng)
         column = state.column(int(signatures(sightings)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
-        seen = self.innovation(state, rows, np.full(len(rows), column), poses, spread, sightings, k)
+        seen = self._predicted(state, rows, np.full(len(rows), column), poses, belief, sightings, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.believed
         columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(strange))
@@ -127,12 +130,19 @@ class LandmarkFilters:
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
         spread: FloatArray | None, sightings: Sightings, k: int,
     ) -> Innovation:  # fmt: skip
-        """Predict sighting k of landmarks (rows, columns) from poses (N, 3) of covariance `spread` (N, 3, 3)."""
+        """Predict sighting k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
         predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
         L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(sightings)[k]
         if spread is not None:
-            L += projected(H_x, spread[rows])
+            L += projected(H_x, spread)
         return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
+
+    def outweighs(self, poses: FloatArray, spread: FloatArray, sightings: Sightings) -> NDArray[np.bool_]:
+        """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than what the sightings tell."""
+        _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, sightings.values[0]))
+        of_pose = projected(H_x, np.ascontiguousarray(spread[:, :3, :3]))
+        ratio = np.linalg.inv(self.sensor.noise(sightings)[0]) @ of_pose
+        return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Let a sighting correct the landmarks that it is of, seen from poses that are given.
@@ -145,9 +155,7 @@ class LandmarkFilters:
         state.positions[of] += (gain @ seen.residuals[:, :, None])[:, :, 0]
         state.covariances[of] = covariances - gain @ seen.by_landmark @ covariances
 
-    def add(
-        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int
-    ) -> None:
+    def add(self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int) -> None:
         """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2: mean h^-1(z, x), covariance H^-1 Q H^-1'.
@@ -161,7 +169,7 @@ class LandmarkFilters:
         state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
         root = inverse_2x2(self.sensor.linearize(poses[rows], state.positions[of])[2])
         state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(sightings)[k], root.shape))
-        state.evidence[of], state.sightings[of] = 0.0, 0
+        state.evidence[of], state.sightings[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
         """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
@@ -172,20 +180,28 @@ class LandmarkFilters:
         of = rows, columns[rows, k]
         state.sightings[of] += 1
         if self.association.told:
-            state.evidence[of] = math.inf
+            state.evidence[of], state.firm[of] = math.inf, True
         elif columns.shape[1]:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
             seen[of] = True
             evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
+            state.firm = (state.firm | (evidence >= self.existence.confirmed)) & (evidence >= 0)
+
+    def _predicted(
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
+        belief: PoseAndRaft | None, sightings: Sightings, k: int,
+    ) -> Innovation:  # fmt: skip
+        spread = None if belief is None else belief.spread(rows, columns)
+        return self.innovation(state, rows, columns, poses, spread, sightings, k)
 
     def _drawn(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
         taken: IntArray, within: MaximumLikelihood, strange: float, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
-        rows, columns = np.nonzero(self._near(state, sightings, k, poses, spread, within.other))
-        seen = self.innovation(state, rows, columns, poses, spread, sightings, k)
+        rows, columns = np.nonzero(self._near(state, sightings, k, poses, belief, within.other))
+        seen = self._predicted(state, rows, columns, poses, belief, sightings, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         free = (taken[rows] != columns[:, None]).all(axis=1)
         near = np.zeros(len(state), np.bool_)
@@ -202,13 +218,13 @@ class LandmarkFilters:
         return drawn, likelihood, seen.of(chosen & (squared <= within.same))
 
     def _near(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, spread: FloatArray | None,
+        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
         distance: float,
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
         at = self.sensor.locate(poses, sightings.values[k])
         _, H_x, H_m = self.sensor.linearize(poses, at)
-        L = self.sensor.noise(sightings)[k] + (0.0 if spread is None else projected(H_x, spread))
+        L = self.sensor.noise(sightings)[k] + (0.0 if belief is None else projected(H_x, belief.reach()))
         reach = np.trace(projected(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))

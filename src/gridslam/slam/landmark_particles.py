@@ -14,7 +14,9 @@ from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import at_pose
 from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.slam.landmark_raft import lever
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
+from gridslam.slam.small_gaussians import projected
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LandmarkParticles"]
@@ -29,7 +31,7 @@ class LandmarkParticles:
     """Everything that the filter knows between two steps; it has one owner, who changes it.
 
     The landmarks lie in dense arrays, a row for each particle and a column for each landmark. Copying a particle costs
-    56 bytes for each column, and only those that replace a dead one are copied (see `resample`): with 1000 particles,
+    58 bytes for each column, and only those that replace a dead one are copied (see `resample`): with 1000 particles,
     100 landmarks and a third of the particles dead that is 2 MB, less than a millisecond. A tree whose parts are
     shared (Montemerlo et al. 2002) would copy less and could not be computed on as one array.
 
@@ -48,10 +50,18 @@ class LandmarkParticles:
         Of the landmarks, given the particle's path.
     evidence : (N, M) float64, nats
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
+    firm : (N, M) bool
+        Which of them are held for real.
     sightings : (N, M) int64
         How often each was seen.
+    rafts, drift, aboard, launched : (N, 3), (N, 3, 3) float64, (N,) bool, (N,) int64
+        Where each particle's raft lies, map frame, the covariance of that, whether the robot is on it, and the step
+        at which it came to be, 0 where there is none: see `gridslam.slam.landmark_raft`.
+    adrift : (N, M) bool
+        Which landmarks are on the raft.
     ancestry : Ancestry
-        All particles' trajectories, step by step, the first pose included.
+        All particles' pasts, step by step, the first pose included: what `landmark_path.path` tells the trajectories
+        from.
     """
 
     known: FloatArray
@@ -62,7 +72,13 @@ class LandmarkParticles:
     positions: FloatArray
     covariances: FloatArray
     evidence: FloatArray
+    firm: NDArray[np.bool_]
     sightings: IntArray
+    rafts: FloatArray
+    drift: FloatArray
+    aboard: NDArray[np.bool_]
+    launched: IntArray
+    adrift: NDArray[np.bool_]
     ancestry: Ancestry
     consumed: bool = False
 
@@ -79,7 +95,10 @@ class LandmarkParticles:
             known, spread, np.full(particles, -np.log(particles)), np.zeros(particles),
             np.empty(0, np.int64),
             np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0)),
-            np.empty((particles, 0), np.int64), Ancestry.start(poses),
+            np.zeros((particles, 0), np.bool_), np.empty((particles, 0), np.int64),
+            np.zeros((particles, 3)), np.zeros((particles, 3, 3)), np.zeros(particles, np.bool_),
+            np.zeros(particles, np.int64), np.zeros((particles, 0), np.bool_),
+            Ancestry.start(np.pad(poses, ((0, 0), (0, 6)))),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -101,20 +120,21 @@ class LandmarkParticles:
         """Index of the particle of greatest log weight accumulated along its ancestry."""
         return int(self.log_ancestry.argmax())
 
-    def landmark_map(self, least_evidence: float) -> LandmarkMap:
-        """Return the landmarks whose log odds are at least so great.
+    def landmark_map(self) -> LandmarkMap:
+        """Return the landmarks that are held for real.
 
         Where correspondences are told, these are mean and covariance of each landmark over all particles. Where each
         particle has its own, they are the best particle's, and the covariances hold given its path.
         """
+        spread = self._landmark_covariances()
         if (self.names < 0).all():
-            best, kept = self.best, np.flatnonzero(self.evidence[self.best] >= least_evidence)
-            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, self.covariances, self.sightings)))
+            best, kept = self.best, np.flatnonzero(self.firm[self.best])
+            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.sightings)))
         kept = np.flatnonzero(self.names >= 0)
         weights, positions = np.exp(self.log_weights), self.positions[:, kept]
         means = np.einsum("n,nmi->mi", weights, positions)
         apart = positions - means
-        covariances = np.einsum("n,nmij->mij", weights, self.covariances[:, kept])
+        covariances = np.einsum("n,nmij->mij", weights, spread[:, kept])
         covariances += np.einsum("n,nmi,nmj->mij", weights, apart, apart)
         return LandmarkMap(self.names[kept], means, covariances, self.sightings[self.best, kept])
 
@@ -134,17 +154,30 @@ class LandmarkParticles:
         self.names[column] = name
         return np.full(len(particles), column)
 
-    def advance(self, known: FloatArray, spread: FloatArray, log_weights: FloatArray) -> None:
-        """Give every particle its new pose, errors (N, 3 + B), their covariance, and its importance weight (N,)."""
-        self.wait(known, spread)
+    def advance(
+        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, rafts: FloatArray | None = None
+    ) -> None:
+        """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
+
+        `rafts` (N, 5) goes into the past instead of `rafts_now()` where rafts are replaced.
+        """
+        self._go(known, spread, True, rafts)
         self.log_weights = normalize(self.log_weights + log_weights)
         accumulated = self.log_ancestry + log_weights
         self.log_ancestry = accumulated - accumulated.max()
 
     def wait(self, known: FloatArray, spread: FloatArray) -> None:
         """Move to poses and errors (N, 3 + B) of covariance (N, 3 + B, 3 + B), with no news to weigh."""
+        self._go(known, spread, False, None)
+
+    def rafts_now(self) -> FloatArray:
+        """Of each particle (N, 5): where its raft lies, when it came to be, and whether the robot is aboard."""
+        return np.column_stack([self.rafts, self.launched, self.aboard])
+
+    def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
         self.known, self.spread = known, spread
-        self.ancestry.extend(known[:, :3])
+        rafts = self.rafts_now() if rafts is None else rafts
+        self.ancestry.extend(np.column_stack([self.poses, rafts, np.full(len(self), drawn)]))
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -167,7 +200,8 @@ class LandmarkParticles:
         """Tell of the step that led here; places (N, K) are the columns of the sightings' landmarks."""
         best = self.best
         weights = np.exp(self.log_weights)
-        covariance = weighted_covariance(self.poses, weights) + np.einsum("n,nij->ij", weights, self.spread[:, :3, :3])
+        covariance = weighted_covariance(self.poses, weights)
+        covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
         told = [self._name(place) for place in places[best].tolist()]
         n_eff = effective_sample_size(self.log_weights)
         return LandmarkReport(self.poses[best].copy(), covariance, np.array(told, np.int64), n_eff)
@@ -184,6 +218,16 @@ class LandmarkParticles:
         arrays = {name: getattr(self, name).copy() for name in _ARRAYS}
         return LandmarkParticles(**arrays, ancestry=self.ancestry.snapshot())
 
+    def _pose_covariances(self) -> FloatArray:
+        """Of each particle's pose (N, 3, 3), that of its raft included where the robot is aboard."""
+        of_raft = projected(lever(self.rafts, self.poses), self.drift)
+        return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
+
+    def _landmark_covariances(self) -> FloatArray:
+        """Of each particle's landmarks (N, M, 2, 2), that of the raft included for those adrift."""
+        moved = projected(lever(self.rafts[:, None], self.positions), self.drift[:, None])[..., :2, :2]
+        return self.covariances + self.adrift[..., None, None] * moved
+
     def _name(self, column: int) -> int:
         """Name of the landmark in a column; what is no column stays what it is."""
         return int(self.names[column]) if column >= 0 and self.names[column] >= 0 else column
@@ -192,7 +236,7 @@ class LandmarkParticles:
         """Add free columns."""
         count = len(self)
         self.names = np.concatenate([self.names, np.full(_MORE, -1)])
-        for name, empty in (("positions", 0.0), ("covariances", 0.0), ("evidence", -np.inf), ("sightings", 0)):
+        for name, empty in _OF_LANDMARKS.items():
             array = getattr(self, name)
             more = np.full((count, _MORE, *array.shape[2:]), empty, array.dtype)
             setattr(self, name, np.concatenate([array, more], axis=1))
@@ -202,5 +246,9 @@ class LandmarkParticles:
             raise ConsumedStateError
 
 
-_OF_PARTICLES = "known", "spread", "log_ancestry", "positions", "covariances", "evidence", "sightings"
+# What there is of each landmark of each particle, and what stands there where there is none.
+_OF_LANDMARKS = {
+    "positions": 0.0, "covariances": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0, "adrift": False
+}  # fmt: skip
+_OF_PARTICLES = "known", "spread", "log_ancestry", "rafts", "drift", "aboard", "launched", *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

@@ -1,0 +1,197 @@
+"""The raft of a FastSLAM 2.0 particle: landmarks first seen from a pose that was known badly.
+
+After a spell without a sighting the pose is uncertain by decimetres, and landmarks that are then seen for the first
+time lie where the pose does. To draw that pose is to decide, for good, where all of them lie: the particles that drew
+otherwise are resampled away by the noise of the sightings to come, long before the robot is back among the landmarks
+that it knew and could tell. So it is not drawn. The new landmarks lie on a raft, exact to each other as ever, and
+where the raft lies is a Gaussian that each sighting from the raft to the map, or back, corrects as a Kalman filter.
+The rest of the particle is drawn: the robot's pose on the raft while the robot is aboard, in the map while it is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose, inverse, transform_points
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, transposed
+from gridslam.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from gridslam.slam.landmark_filters import Innovation
+    from gridslam.slam.landmark_particles import LandmarkParticles
+
+__all__ = ["PoseAndRaft", "lever"]
+
+_EXACT = 1e-6  # m^2 and rad^2: what is known to 1 mm and 1 mrad is not known better by less
+
+
+def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
+    """How poses or points (..., 2 and more) move as rafts (..., 3) do: Jacobians (..., 3, 3), for points two rows."""
+    moves = np.zeros((*points.shape[:-1], 3, 3))
+    moves[..., 0, 0] = moves[..., 1, 1] = moves[..., 2, 2] = 1.0
+    moves[..., 0, 2], moves[..., 1, 2] = rafts[..., 1] - points[..., 1], points[..., 0] - rafts[..., 0]
+    return moves
+
+
+@final
+@dataclass(slots=True, eq=False)
+class PoseAndRaft:
+    """What each particle believes, within one step, of its pose and of where its raft lies: one Gaussian.
+
+    With the pose's own error e and the raft's error d, the pose errs by e + s L d, where s is 1 aboard and 0 else and L
+    is the lever. What lies on the same side as the robot, both aboard or both not, tells of e alone; else of e + (s -
+    f) L d, where f is 1 for landmarks that are adrift.
+
+    Attributes
+    ----------
+    state : LandmarkParticles
+        Its raft and the landmarks on it move as they are corrected.
+    mean : (N, 3 + B) float64
+        Poses, map frame, and the errors of the odometry that are learned; where any are (B > 0) there are no rafts.
+    covariance : (N, 3 + B, 3 + B) or (N, 6, 6) float64
+        Of e, or of e and d where any particle has a raft.
+    replaced : (N, 5) float64 or None
+        `state.rafts_now()` with those rafts that were replaced as they lay at last.
+    """
+
+    state: LandmarkParticles
+    mean: FloatArray
+    covariance: FloatArray
+    replaced: FloatArray | None = None
+
+    @classmethod
+    def of(cls, state: LandmarkParticles, mean: FloatArray, spread: FloatArray) -> PoseAndRaft:
+        """Begin a step with means (N, 3 + B) and covariances (N, 3 + B, 3 + B)."""
+        if not state.drift.any():
+            return cls(state, mean, spread)
+        covariance = np.zeros((len(mean), 6, 6))
+        covariance[:, :3, :3], covariance[:, 3:, 3:] = spread, state.drift
+        return cls(state, mean, covariance)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Mean poses (N, 3)."""
+        return self.mean[:, :3]
+
+    @property
+    def floats(self) -> bool:
+        """Whether any particle has a raft."""
+        return bool(self.covariance.shape[1] > self.mean.shape[1])
+
+    def spread(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
+        if not self.floats:
+            return self.covariance[rows, :3, :3]
+        return projected(self._errors(self.state.adrift[rows, columns], rows), self.covariance[rows])
+
+    def reach(self) -> FloatArray:
+        """Covariance (N, 3, 3) of the poses as seen from whatever side sees them worse."""
+        if not self.floats:
+            return self.covariance[:, :3, :3]
+        L = lever(self.state.rafts, self.mean)
+        # Of e +- L d, whose covariance between the two is at most what they have by themselves.
+        return np.asarray(2 * (self.covariance[:, :3, :3] + projected(L, self.covariance[:, 3:, 3:])))
+
+    def correct(self, seen: Innovation) -> None:
+        """Condition on a sighting, where it has a landmark.
+
+        Equations 13.26 to 13.28 in the form of a Kalman gain, which needs no inverse of the motion's covariance: that
+        may be singular.
+        """
+        rows, before = seen.rows, self.covariance[seen.rows]
+        H = seen.by_pose @ self._errors(self.state.adrift[rows, seen.columns], rows) if self.floats else seen.by_pose
+        width = H.shape[2]
+        gain = before[:, :, :width] @ transposed(H) @ inverse_2x2(seen.covariances)
+        shift = (gain @ seen.residuals[:, :, None])[:, :, 0]
+        self.covariance[rows] = before - gain @ H @ before[:, :width]
+        self.mean[rows] += shift[:, : self.mean.shape[1]]
+        self.mean[:, 2] = wrap(self.mean[:, 2])
+        if self.floats:
+            self._move(rows, shift[:, 3:])
+
+    def launch(self, only_new: IntArray, rng: np.random.Generator) -> None:
+        """Put the robot on a new raft, as uncertain as its pose, in particles (R,) that have seen nothing they know.
+
+        It replaces a raft that is less uncertain, which is drawn: each particle has one.
+        """
+        if self.mean.shape[1] > 3:
+            return
+        own = self.covariance[only_new, :3, :3]
+        rows = only_new[_volume(own) > _volume(self.state.drift[only_new])]
+        if not len(rows):
+            return
+        state = self.state
+        if self.floats:
+            still = np.zeros((len(rows), 3))
+            self._move(rows, draw_poses(still, self.covariance[rows, 3:, 3:], rng)[0])
+        else:
+            self.covariance = np.pad(self.covariance, ((0, 0), (0, 3), (0, 3)))
+        self.covariance[rows, 3:, 3:] = self.covariance[rows, :3, :3]
+        self.covariance[rows, :3, :3] = 0.0
+        state.aboard[rows] = False
+        self.replaced = state.rafts_now()
+        state.rafts[rows], state.aboard[rows], state.adrift[rows] = self.mean[rows], True, False
+        state.launched[rows] = state.ancestry.steps  # the step that is being taken
+
+    def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draw the poses, on the raft or in the map, wherever each is known better, and condition all else on them.
+
+        Returns poses and errors of the odometry (N, 3 + B), and what covariance (N, 3 + B, 3 + B) is left.
+        """
+        if not self.floats:
+            return draw_poses(self.mean, self.covariance, rng)
+        state = self.state
+        seen_from = [self._errors(np.full(len(state), side)) for side in (False, True)]
+        in_map, on_raft = (projected(errors, self.covariance) for errors in seen_from)
+        better = _volume(on_raft) - _volume(in_map)
+        aboard = (better < 0) | (state.aboard & (better == 0))
+        own, errors = (np.where(aboard[:, None, None], b, a) for a, b in ((in_map, on_raft), seen_from))
+        poses, left = draw_poses(self.mean, own, rng)
+        drawn = poses - self.mean
+        drawn[:, 2] = wrap(drawn[:, 2])
+        shared = self.covariance[:, 3:] @ transposed(errors)
+        gain = shared @ np.linalg.pinv(own, hermitian=True)
+        state.drift = self.covariance[:, 3:, 3:] - gain @ transposed(shared)
+        state.aboard, self.mean = aboard, poses
+        self._move(np.arange(len(state)), (gain @ drawn[:, :, None])[:, :, 0])
+        return self.mean, left
+
+    def apart(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
+        """Covariance (R, 3, 3) that drawn poses have as seen from landmarks (rows, columns) on the other side."""
+        if not self.floats:
+            return None
+        other = self.state.aboard[rows] != self.state.adrift[rows, columns]
+        L = lever(self.state.rafts[rows], self.mean[rows])
+        return np.asarray(projected(L, self.state.drift[rows]) * other[:, None, None])
+
+    def _errors(self, sides: NDArray[np.bool_], rows: IntArray | slice = slice(None)) -> FloatArray:
+        """Jacobians (R, 3, 6) of the poses' errors by e and d, seen from the raft where `sides` (R,), else the map."""
+        state = self.state
+        errors = np.zeros((len(sides), 3, 6))
+        errors[:, :, :3] = np.eye(3)
+        across = state.aboard[rows].astype(float) - sides
+        errors[:, :, 3:] = across[:, None, None] * lever(state.rafts[rows], self.mean[rows])
+        return errors
+
+    def _move(self, rows: IntArray, by: FloatArray) -> None:
+        """Move rafts by (R, 3), about where each lies, and all that is on them."""
+        state, before = self.state, self.state.rafts[rows]
+        after = before + by
+        after[:, 2] = wrap(after[:, 2])
+        moved = compose(after, inverse(before))
+        state.rafts[rows] = after
+        points = state.positions[rows]
+        on = state.adrift[rows]
+        state.positions[rows] = np.where(on[:, :, None], transform_points(moved[:, None], points), points)
+        aboard = state.aboard[rows]
+        self.mean[rows] = np.where(aboard[:, None], compose(moved, self.mean[rows]), self.mean[rows])
+
+
+def _volume(covariances: FloatArray) -> FloatArray:
+    """Determinants (N,) of covariances (N, 3, 3), by which they compare whatever the units of their parts."""
+    return np.asarray(np.linalg.det(covariances + _EXACT * np.eye(3)))
