@@ -15,6 +15,7 @@ __all__ = ["circular_mean", "shares", "wrap"]
 FloatArray = NDArray[np.float64]
 
 TAU = 2.0 * math.pi
+_MANY = 500  # of which fmod takes longer than to look at them all
 
 
 @overload
@@ -25,7 +26,8 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     """Bring angles to [-pi, pi).
 
     `fmod` and a subtraction of nearby numbers are all it takes, both exact in floating point: an angle already in the
-    interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval.
+    interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval. Of many angles that
+    are all less than a turn out of it the subtraction is enough.
 
     Parameters
     ----------
@@ -42,7 +44,8 @@ def wrap(angle: float | NDArray[Any]) -> Any:
             return float(angle)
         rest = math.fmod(angle, TAU)
         return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
-    remainder = np.fmod(angle, TAU, dtype=np.float64)
+    near = angle.size > _MANY and np.abs(angle).max() < 1.5 * TAU
+    remainder = angle if near else np.fmod(angle, TAU, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - TAU * turns
 
