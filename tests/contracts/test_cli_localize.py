@@ -175,6 +175,7 @@ def test_a_log_without_odometry(place, tmp_path, capsys):
     [
         ("--initial-pose", "1,2", "X,Y,THETA"),
         ("--initial-pose", "1,2,nan", "X,Y,THETA"),
+        ("--initial-pose", "1e9,0,0", "--initial-pose: expected a place in the map, x from "),
         ("--set", "max_beams=0", "max_beams"),
         ("--set", "min_particle=3", "did you mean"),
         ("--preset", "magic", "magic"),

@@ -26,6 +26,9 @@ from gridslam.types import FloatArray, LaserScan, Trajectory
 
 __all__ = ["GridModel", "map_with_poses"]
 
+_MOST_CELLS = 2e9
+"""Ten gigabytes; 2 km x 2 km in cells of 5 cm."""
+
 GridModel: TypeAlias = Literal["bayes", "counting"]
 
 
@@ -101,7 +104,7 @@ def map_with_poses(
     read = opened_log(log, options)
     source = read if repair == "none" else RepairedLog(read, repair)
     path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
-    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+    given = _given(trajectory, config)
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
@@ -117,6 +120,19 @@ def map_with_poses(
     )  # fmt: skip
     watch.lap("map")
     return result
+
+
+def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajectory:
+    """Read a trajectory; refuse one whose map no memory holds: a pose in it is wrong, or cells are too small."""
+    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+    sides_m = (np.ptp(given.poses[:, :2], axis=0) if len(given) else np.zeros(2)) + 2 * config.range_max_m
+    if np.prod(sides_m / config.mapper.resolution_m) > _MOST_CELLS:
+        expected, cell_m = f"poses whose map has at most {_MOST_CELLS:.0e} cells", config.mapper.resolution_m
+        got = f"{sides_m[0]:.0f} m x {sides_m[1]:.0f} m in cells of {cell_m:g} m"
+        if isinstance(trajectory, Trajectory):
+            raise ArgumentError("trajectory", expected, got)
+        raise InputError(trajectory, f"expected {expected}, got {got}")
+    return given
 
 
 def _count(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, backend
@@ -75,6 +75,14 @@ class KnownMap:
     def free_area_m2(self) -> float:
         """Area of all free cells, m^2."""
         return len(self._free_cells) * self.resolution_m**2
+
+    def require(self, pose: ArrayLike) -> None:
+        """Raise ArgumentError for a pose (3,) outside the map's borders."""
+        place, low = np.asarray(pose, dtype=np.float64)[:2], np.array(self.grid.origin)
+        high = low + self.resolution_m * np.array(self.free.shape[::-1])
+        if (place < low).any() or (place > high).any():
+            sides = (f"{c} from {a:g} to {b:g} m" for c, a, b in zip("xy", low, high, strict=True))
+            raise ArgumentError("pose", f"a place in the map, {' and '.join(sides)}", f"{place[0]:g}, {place[1]:g}")
 
     def is_free(self, poses: FloatArray) -> NDArray[np.bool_]:
         """Whether each of poses (N, 3) stands on a free cell."""

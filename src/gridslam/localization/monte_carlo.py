@@ -71,9 +71,11 @@ class MonteCarloLocalization:
         """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
 
         The first scan knows far more than whoever gave the pose, and few of the particles will be where it says.
-        Raises ArgumentError for anything that is no pose or covariance.
+        Raises ArgumentError for anything that is no pose or covariance, and for a pose outside the map.
         """
-        return self.init(spread(self.parts.kld.particles_max, pose, covariance, rng))
+        poses = spread(self.parts.kld.particles_max, pose, covariance, rng)
+        self.map.require(pose)
+        return self.init(poses)
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator

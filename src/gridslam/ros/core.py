@@ -168,12 +168,13 @@ class NodeCore:
     def place(self, place: Place) -> None:
         """Let the robot be at a pose (3,) with a covariance (3, 3) in the known map; nowhere known, if None.
 
-        Raises ArgumentError where no map is known, and for what is no pose and covariance.
+        Raises ArgumentError where no map is known, and for what is no pose in the map, or no covariance.
         """
-        if not self.localizes:
+        if not isinstance(self.configuration, Localization):
             raise ArgumentError("place", "a node that localizes", "one that maps")
-        if place is not None:
-            spread(1, *place, np.random.default_rng(0))  # what is wrong with it is said here
+        if place is not None:  # what is wrong with it is said here
+            spread(1, *place, np.random.default_rng(0))
+            self.configuration.known.require(place[0])
 
         def put() -> None:
             assert isinstance(self._session, LocalizationSession)

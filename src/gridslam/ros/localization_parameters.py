@@ -8,7 +8,7 @@ from typing import Any, Final
 from gridslam.api.amcl import AMCL_NAMES, from_amcl
 from gridslam.api.localization import known_map
 from gridslam.api.localization_parameters import override_parts
-from gridslam.errors import ConfigurationError
+from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.localization import Localization
 
 __all__ = ["NODE_NAMES", "localization_of"]
@@ -44,5 +44,10 @@ def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
     parts = changed.parts
     known = known_map(str(path), parts, int(given.get("threads", 1)))[2]
     place = None if placed.pose is None else (placed.pose, placed.covariance)
+    if place is not None:
+        try:
+            known.require(place[0])
+        except ArgumentError as error:
+            raise ConfigurationError(f"initial_{error}") from None
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in NODE_NAMES]
     return Localization(known, parts, place), ignored
