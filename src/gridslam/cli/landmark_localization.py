@@ -10,8 +10,8 @@ import click
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
+from gridslam.cli.options import named
 from gridslam.cli.output import opened, print_json
-from gridslam.errors import ArgumentError
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
@@ -35,12 +35,10 @@ def localize_to_folder(
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with opened(out) as folder:
-        try:
+        with named(pose="--initial-pose"):
             result = localize_by_landmarks(
                 source, landmarks, pose=initial_pose, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
             )
-        except ArgumentError as error:
-            raise click.ClickException(f"--initial-{error}") from None
         document = result.write(folder)
     if as_json:
         print_json(document)

@@ -19,10 +19,10 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import live_page, watched
+from gridslam.cli.options import named
 from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.cli.rerun import rerun_recording
-from gridslam.errors import ArgumentError
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.map_server import load_map
 from gridslam.live.options import LiveOptions
@@ -103,16 +103,12 @@ def _shown(
             stop_if_interrupted()
             show()
 
-        try:
+        with named(pose="--initial-pose"):
             return localize(
                 source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
                 strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers], stopwatch=watch,
                 gate=lambda source: watched(source, page, recording, watch),
             )  # fmt: skip
-        except ArgumentError as error:
-            if error.argument != "pose":
-                raise
-            raise click.ClickException(f"--initial-{error}") from None
 
 
 def _parameters(preset: str, assignments: Sequence[str], particles: int | None) -> AmclParameters:

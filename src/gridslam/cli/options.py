@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, final
 
 import click
 
-__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "read_pose"]
+from gridslam.errors import ArgumentError
+
+__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "named", "read_pose"]
 
 
 @final
@@ -33,6 +37,17 @@ def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> t
         other = f" or {param.default}" if isinstance(param.default, str) else ""
         raise click.BadParameter(f"expected X,Y,THETA (m, rad){other}, got {text!r}", ctx, param)
     return x, y, theta
+
+
+@contextmanager
+def named(**options: str) -> Iterator[None]:
+    """Where an argument is wrong, say so of the option that it came by: `pose="--initial-pose"`."""
+    try:
+        yield
+    except ArgumentError as error:
+        if error.argument not in options:
+            raise
+        raise click.ClickException(str(error).replace(error.argument, options[error.argument], 1)) from None
 
 
 PATH = _Path(path_type=Path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import InputError
+from gridslam.io.output import written_aside
 from gridslam.io.text_source import open_for_reading
 
-__all__ = ["read_arrays"]
+__all__ = ["read_arrays", "write_arrays"]
 
 
 def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
@@ -30,3 +32,12 @@ def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[A
     if got != schema:
         raise InputError(path, f"expected schema {schema}, got {got}")
     return arrays
+
+
+def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
+    """Write an archive, its schema among the arrays; it appears under its name once it is whole.
+
+    Raises OutputError where it cannot be written.
+    """
+    with written_aside(path) as aside, aside.open("wb") as file:
+        np.savez_compressed(file, **arrays)

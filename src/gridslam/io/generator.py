@@ -18,7 +18,7 @@ def generator_text(rng: np.random.Generator) -> str:
     """State of a generator as JSON; raises ArgumentError where it is not plain integers."""
     state = rng.bit_generator.state
     if state["bit_generator"] not in _GENERATORS:
-        raise ArgumentError("run.rng", f"a generator over {' or '.join(_GENERATORS)}", state["bit_generator"])
+        raise ArgumentError("rng", f"a generator over {' or '.join(_GENERATORS)}", state["bit_generator"])
     return json.dumps(state)
 
 

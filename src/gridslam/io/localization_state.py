@@ -11,9 +11,8 @@ import numpy as np
 
 from gridslam.config.tables import changed, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
-from gridslam.io.archive import read_arrays
+from gridslam.io.archive import read_arrays, write_arrays
 from gridslam.io.generator import generator_of, generator_text
-from gridslam.io.output import written_aside
 from gridslam.localization.parts import MonteCarloParts
 from gridslam.localization.state import MonteCarloState
 
@@ -58,8 +57,7 @@ def write_localization(path: str | Path, saved: SavedLocalization) -> None:
     arrays["schema"] = np.array(_SCHEMA)
     arrays["parts"] = np.array(json.dumps(to_table(saved.parts)))
     arrays["generator"] = np.array(generator_text(saved.rng))
-    with written_aside(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def read_localization(path: str | Path) -> SavedLocalization:

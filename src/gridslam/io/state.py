@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from gridslam.config import Configuration, dumps, loads
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
-from gridslam.io.archive import read_arrays
+from gridslam.io.archive import read_arrays, write_arrays
 from gridslam.io.generator import generator_of, generator_text
-from gridslam.io.output import written_aside
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.state import GridFastSlamState
 
@@ -69,8 +68,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
     arrays["schema"] = np.array(_SCHEMA)
     arrays["configuration"] = np.array(dumps(run.configuration))
     arrays["generator"] = np.array(generator)
-    with written_aside(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def read_state(path: str | Path, threads: int = 1) -> SavedRun:

@@ -50,7 +50,7 @@ def estimate(poses: FloatArray, weights: FloatArray) -> Estimate:
         centre = centre + away @ shares / shares.sum()
         centre[2] = wrap(float(centre[2]))
         away = _away(x, y, theta, centre)
-        near = (away[0] ** 2 + away[1] ** 2 < NEAR_M**2) & (np.abs(away[2]) < NEAR_RAD)
+        near = _within(away)
     mass = float(weights[near].sum())
     covariance = _second_moment(away[:, near], weights[near]) if mass > 0.5 else _second_moment(away, weights)
     return Estimate(centre, covariance, min(mass, 1.0))
@@ -68,7 +68,11 @@ def bins(x: FloatArray, y: FloatArray, theta: FloatArray) -> IntArray:
 def is_near(poses: FloatArray, centre: FloatArray) -> NDArray[np.bool_]:
     """Which of poses (N, 3) are as near to a centre (3,) as belongs to one cluster."""
     x, y, theta = poses.T.copy()
-    away = _away(x, y, theta, centre)
+    return _within(_away(x, y, theta, centre))
+
+
+def _within(away: FloatArray) -> NDArray[np.bool_]:
+    """Which of coordinates (3, N), as seen from a centre, belong to its cluster."""
     return np.asarray((away[0] ** 2 + away[1] ** 2 < NEAR_M**2) & (np.abs(away[2]) < NEAR_RAD))
 
 
