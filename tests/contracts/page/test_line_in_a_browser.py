@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait
+from browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait, wait_for_all
 from loops import PROVOKED
 
 from gridslam.config import build
@@ -43,17 +43,16 @@ def test_a_line_that_is_lost_comes_back_to_the_same_run(browser, drive, screensh
         cable = Cable(port_of(page))
         browser.get(f"http://127.0.0.1:{cable.port}/")
         Mapping(page, drive[:60]).join(PATIENCE_S)
-        session = wait(lambda: int(told(browser).get("keys", "0")) > 20 and told(browser)["session"], "a map")
+        wait_for_all(browser)
+        had = {key: told(browser)[key] for key in ("session", "keys", "tiles")}
         cable.cut()
         wait(lambda: told(browser)["stage"] == "offline", "the page notices")
         assert not browser.find_element("id", "pause").is_enabled()
         wait(lambda: page.viewers == 0, "so does the server")
-        keys, tiles = told(browser)["keys"], told(browser)["tiles"]
         cable.mend()
         wait(lambda: told(browser)["stage"] != "offline", "the page is back by itself")
         wait(lambda: not shown(browser, "notice"), "nothing is said any more")
-        wait(lambda: (told(browser)["keys"], told(browser)["tiles"]) == (keys, tiles), "and has what it had")
-        assert told(browser)["session"] == session
+        wait(lambda: had.items() <= told(browser).items(), "and has what it had")
         cable.close()
 
 

@@ -8,7 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from browsing import PATIENCE_S, Mapping, click, colours, on_screen, pixels_of, pressed, text, told, view, wait
+from browsing import PATIENCE_S, Mapping, click, colours, on_screen, pixels_of, pressed, text, told, view, wait, wait_for_all
 
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -99,8 +99,8 @@ def test_hands_move_the_map_and_save_it(browser, drive):
     with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
         browser.get(page.url)
         Mapping(page, drive[:60]).join(PATIENCE_S)
-        wait(lambda: told(browser).get("keys", "0") != "0", "a map")
-        wait(lambda: pressed(browser, "fit"), "all of the map is shown at first")
+        wait_for_all(browser)
+        assert pressed(browser, "fit"), "all of the map is shown at first"
         before = view(browser)
         ActionChains(browser).drag_and_drop_by_offset(browser.find_element("id", "map"), 60, 40).perform()
         wait(lambda: not pressed(browser, "fit"), "a drag leaves the whole map")

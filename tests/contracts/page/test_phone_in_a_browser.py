@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from browsing import PATIENCE_S, Mapping, click, move_fingers, on_screen, pressed, shown, told, view, wait
+from browsing import PATIENCE_S, Mapping, click, move_fingers, on_screen, pressed, shown, told, view, wait, wait_for_all
 
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -24,7 +24,8 @@ def test_nothing_overlaps_or_is_cut_off(phone, drive, screenshot):
     with LivePage(title, LiveOptions(port=0), range_max_m=30.0) as page:
         phone.get(page.url)
         Mapping(page, drive).join(PATIENCE_S)
-        wait(lambda: int(told(phone).get("tiles", 0)) > 50, "a map")
+        wait_for_all(phone)
+        assert int(told(phone)["tiles"]) > 50
         assert not shown(phone, "panel")
         screenshot("map")
         for opened in (False, True):
@@ -48,8 +49,8 @@ def test_fingers_move_and_stretch_the_map_and_choose_a_particle(phone, drive, sc
     with LivePage("loop.clf", LiveOptions(port=0), range_max_m=30.0) as page:
         phone.get(page.url)
         Mapping(page, drive[:60]).join(PATIENCE_S)
-        wait(lambda: int(told(phone).get("keys", "0")) > 20, "a map")
-        wait(lambda: pressed(phone, "fit"), "all of the map is shown at first")
+        wait_for_all(phone)
+        assert pressed(phone, "fit"), "all of the map is shown at first"
         before = view(phone)
         move_fingers(phone, [(150, 300)], [(210, 340)])
         wait(lambda: not pressed(phone, "fit"), "a finger moves the map")
