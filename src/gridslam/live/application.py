@@ -152,17 +152,24 @@ async def _send_all(websocket: WebSocket, viewer: Viewer, news: asyncio.Event, w
     clock = asyncio.get_running_loop().time
     while True:
         await window.acquire()
-        news.clear()
-        while (message := viewer.message()) is None:
-            try:
-                await asyncio.wait_for(news.wait(), _HEARTBEAT_S)
-            except asyncio.TimeoutError:
-                message = encode({}, {})
-                break
-            news.clear()
+        message = await _next_message(viewer, news)
         due = clock() + max(PERIOD_S, len(message) / BYTES_PER_S)
         await websocket.send_bytes(message)
         await asyncio.sleep(due - clock())
+
+
+async def _next_message(viewer: Viewer, news: asyncio.Event) -> bytes:
+    """What the viewer lacks, as soon as it lacks anything, or nothing in time for it to hear something."""
+    clock = asyncio.get_running_loop().time
+    due = clock() + _HEARTBEAT_S
+    news.clear()
+    while (message := viewer.message()) is None:
+        try:
+            await asyncio.wait_for(news.wait(), due - clock())
+        except asyncio.TimeoutError:
+            return encode({}, {})
+        news.clear()
+    return message
 
 
 def _zipped(grid: OccupancyGrid) -> bytes:

@@ -151,9 +151,10 @@ class LandmarkFilters:
         """
         of = seen.rows, seen.columns
         covariances = state.covariances[of]
-        gain = covariances @ transposed(seen.by_landmark) @ inverse_2x2(seen.covariances)
-        state.positions[of] += (gain @ seen.residuals[:, :, None])[:, :, 0]
-        state.covariances[of] = covariances - gain @ seen.by_landmark @ covariances
+        shared = covariances @ transposed(seen.by_landmark)
+        gain = shared @ inverse_2x2(seen.covariances)
+        state.positions[of] += times(gain, seen.residuals)
+        state.covariances[of] = covariances - gain @ transposed(shared)
 
     def add(self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int) -> None:
         """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.

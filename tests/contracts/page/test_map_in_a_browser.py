@@ -8,14 +8,27 @@ import zipfile
 
 import numpy as np
 import pytest
-from browsing import PATIENCE_S, Mapping, click, colours, on_screen, pixels_of, pressed, text, told, view, wait, wait_for_all
+from browsing import (
+    PATIENCE_S,
+    Mapping,
+    click,
+    colours,
+    on_screen,
+    pixels_of,
+    pressed,
+    text,
+    told,
+    view,
+    wait,
+    wait_for_all,
+)
 
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 
 
 def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot):
-    with LivePage("loop.clf", LiveOptions(port=0, speed=20.0), range_max_m=30.0) as page:
+    with LivePage("loop.clf", LiveOptions(port=0, speed=4.0), range_max_m=30.0) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("stage") == "waiting", "the page is connected")
         mapping = Mapping(page, drive)
@@ -136,7 +149,7 @@ def test_hands_move_the_map_and_save_it(browser, drive):
 
 def test_several_look_at_one_run_each_as_it_likes(browser, drive):
     """One pauses, and all see it; one chooses a particle, and the others do not."""
-    with LivePage("loop.clf", LiveOptions(port=0, speed=20.0), range_max_m=30.0) as page:
+    with LivePage("loop.clf", LiveOptions(port=0, speed=5.0), range_max_m=30.0) as page:
         browser.get(page.url)
         first = browser.current_window_handle
         mapping = Mapping(page, drive)

@@ -270,6 +270,27 @@ def test_a_viewer_hears_something_though_nothing_happens(monkeypatch):
         assert onlooker.bytes < 2000
 
 
+def test_a_viewer_hears_something_though_nothing_new_happens_again_and_again(monkeypatch):
+    """A robot's node that waits says so again and again."""
+    monkeypatch.setattr(application, "_HEARTBEAT_S", 0.2)
+    ended = threading.Event()
+
+    def repeat():
+        while not ended.wait(0.02):
+            page.say("")
+
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
+        receive(socket, onlooker)
+        repeating = threading.Thread(target=repeat)
+        repeating.start()
+        try:
+            for _ in range(3):
+                receive(socket, onlooker)
+        finally:
+            ended.set()
+            repeating.join()
+
+
 def test_a_port_that_is_taken_is_told_with_the_remedy():
     with LivePage("one", FREE) as page:
         port = int(page.url.rstrip("/").rpartition(":")[2])
