@@ -15,7 +15,7 @@ from gridslam.models.sightings import Sightings
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_raft import PoseAndRaft
-from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, transposed
+from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, times, transposed
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Innovation", "LandmarkFilters"]

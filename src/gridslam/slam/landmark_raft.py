@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, transposed
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, times, transposed
 from gridslam.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -105,10 +105,10 @@ class PoseAndRaft:
         """
         rows, before = seen.rows, self.covariance[seen.rows]
         H = seen.by_pose @ self._errors(self.state.adrift[rows, seen.columns], rows) if self.floats else seen.by_pose
-        width = H.shape[2]
-        gain = before[:, :, :width] @ transposed(H) @ inverse_2x2(seen.covariances)
-        shift = (gain @ seen.residuals[:, :, None])[:, :, 0]
-        self.covariance[rows] = before - gain @ H @ before[:, :width]
+        shared = before[:, :, : H.shape[2]] @ transposed(H)
+        gain = shared @ inverse_2x2(seen.covariances)
+        shift = times(gain, seen.residuals)
+        self.covariance[rows] = before - gain @ transposed(shared)
         self.mean[rows] += shift[:, : self.mean.shape[1]]
         self.mean[:, 2] = wrap(self.mean[:, 2])
         if self.floats:
@@ -158,7 +158,7 @@ class PoseAndRaft:
         gain = shared @ np.linalg.pinv(own, hermitian=True)
         state.drift = self.covariance[:, 3:, 3:] - gain @ transposed(shared)
         state.aboard, self.mean = aboard, poses
-        self._move(np.arange(len(state)), (gain @ drawn[:, :, None])[:, :, 0])
+        self._move(np.arange(len(state)), times(gain, drawn))
         return self.mean, left
 
     def apart(self, rows: IntArray, columns: IntArray) -> FloatArray | None:

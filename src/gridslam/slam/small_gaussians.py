@@ -9,7 +9,7 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "transposed"]
+__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "times", "transposed"]
 
 
 def transposed(matrices: FloatArray) -> FloatArray:
@@ -20,6 +20,11 @@ def transposed(matrices: FloatArray) -> FloatArray:
 def projected(jacobians: FloatArray, covariances: FloatArray) -> FloatArray:
     """J C J' (N, i, i) of Jacobians (N, i, j) and covariances (N, j, j)."""
     return np.asarray(jacobians @ covariances @ transposed(jacobians))
+
+
+def times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Products (N, i) of matrices (N, i, j) and vectors (N, j)."""
+    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
 def inverse_2x2(matrices: FloatArray) -> FloatArray:

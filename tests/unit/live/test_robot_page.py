@@ -119,7 +119,7 @@ def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
     log, heard, seen = localized_drive(3), Heard(), Onlooker()
     known = Localization(KnownMap(flat_map()), MonteCarloParts())
-    core = NodeCore(NodeSettings(), known, heard)
+    core = NodeCore(NodeSettings(queue_s=60.0), known, heard)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
     with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]

@@ -36,7 +36,8 @@ def drive():
 
 
 def node(heard, *, configuration=FEW, record=None, **settings):
-    core = NodeCore(NodeSettings(**{"map_update_interval_s": 0.2, **settings}), configuration, heard, record=record)
+    given = NodeSettings(**{"map_update_interval_s": 0.2, "queue_s": 60.0, **settings})
+    core = NodeCore(given, configuration, heard, record=record)
     core.on_transforms([mounting()], static=True)
     core.start()
     return core
