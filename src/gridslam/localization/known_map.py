@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import final
+from functools import cached_property
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.kernels import PAGE, TILE, backend
+from gridslam.grid.evidence import Evidence
+from gridslam.grid.tiles import TileMaps
+from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.localization.distance_transform import distance_transform
 from gridslam.localization.field_table import FieldTable
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyAgreement
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
@@ -25,6 +29,8 @@ PoseWeigher = Callable[[FloatArray], FloatArray]
 
 _OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
 _PAGE_CELLS = TILE * PAGE
+_CLOSE_CELLS = 15.5  # as far as tiles know distances
+_NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is written into a known map
 
 
 @final
@@ -68,8 +74,7 @@ class KnownMap:
         cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
         self._tabulated: dict[LikelihoodField | CauchyAgreement, FieldTable] = {}
-        self._occupied = occupied
-        self._tiles: tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]] | None = None
+        self._rim = rim
 
     @property
     def free_area_m2(self) -> float:
@@ -109,6 +114,10 @@ class KnownMap:
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
+    def blurred_m(self, sigma_m: float) -> float:
+        """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""
+        return math.hypot(sigma_m, self.resolution_m / math.sqrt(12))
+
     def weigher(self, sensor: SensorModel, beams: Beams) -> PoseWeigher:
         """Condition a measurement model on this map and one scan.
 
@@ -139,23 +148,32 @@ class KnownMap:
 
         `max_m` where there is none; directions have length 1; `rows` (K,) are all one map.
         """
-        if self._tiles is None:
-            self._tiles = _tiles_of(self._occupied)
-        roots, first, pages, field = self._tiles
-        shifted = poses - [*self.grid.origin, 0.0]
-        log_odds = np.zeros((1, TILE, TILE), np.int16)  # rays look at the field alone
-        ranges: NDArray[np.float32] = backend.cast_rays(
-            roots, first, pages, log_odds, field, np.zeros(len(poses), np.int32), shifted, origin, directions,
-            self.resolution_m, max_m, self.threads,
+        shifted = poses - [*self._corner, 0.0]
+        return self._tiles.cast_rays(np.zeros(len(poses), np.int32), shifted, origin, directions, max_m)
+
+    def match(self, matcher: GaussNewton, guess: FloatArray, prior: FloatArray, beams: Beams) -> FloatArray:
+        """Pose (3,) where a scan fits best, near a guess (3,) with prior information (3, 3) as for `GaussNewton`."""
+        shift = np.array([*self._corner, 0.0])
+        found = matcher(self._tiles, np.zeros(1, np.int32), (guess - shift)[None], prior[None], beams)
+        return np.asarray(found.poses[0] + shift)
+
+    @cached_property
+    def _tiles(self) -> TileMaps:
+        """The map as one of many would be, from its corner on: for kernels that look at it for themselves."""
+        reach_cells = min(max(self.reach_m / self.resolution_m, 1.0), _CLOSE_CELLS)
+        field = 255 * np.maximum(0, 1 - self._distances / np.float32(reach_cells * self.resolution_m))
+        known = np.pad(self.grid.known, self._rim)
+        return TileMaps.from_arrays(
+            _tiles_of(np.where(known, 0, UNKNOWN).astype(np.int16), np.rint(field).astype(np.uint8)),
+            resolution_m=self.resolution_m, reach_cells=reach_cells, evidence=_NONE, threads=self.threads,
         )  # fmt: skip
-        return ranges
 
     def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> FieldTable:
-        """What the sensor says of an end in each cell; the map's rounding to cells adds to the noise of a beam."""
+        """What the sensor says of an end in each cell."""
         if sensor not in self._tabulated:
             blurred = sensor
             if isinstance(sensor, LikelihoodField):
-                blurred = replace(sensor, sigma_hit_m=math.hypot(sensor.sigma_hit_m, self.resolution_m / math.sqrt(12)))
+                blurred = replace(sensor, sigma_hit_m=self.blurred_m(sensor.sigma_hit_m))
             field = sensor.tempering * blurred.log_likelihoods(self._distances)
             self._tabulated[sensor] = FieldTable.of(field, self._corner, self.resolution_m)
         return self._tabulated[sensor]
@@ -167,15 +185,19 @@ def _placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArr
     return poses[:, :1] + c * points[:, 0] - s * points[:, 1], poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
 
 
-def _tiles_of(
-    occupied: NDArray[np.bool_],
-) -> tuple[NDArray[np.int32], tuple[int, int], NDArray[np.int32], NDArray[np.uint8]]:
-    """Lay a map out as the kernels of `gridslam.kernels.reference` read it: 255 where occupied."""
-    rows, columns = (-(-side // _PAGE_CELLS) for side in occupied.shape)
-    whole = np.zeros((rows * _PAGE_CELLS, columns * _PAGE_CELLS), np.uint8)
-    whole[: occupied.shape[0], : occupied.shape[1]][occupied] = 255
-    tiles = whole.reshape(rows, PAGE, TILE, columns, PAGE, TILE).transpose(0, 3, 1, 4, 2, 5).reshape(-1, TILE, TILE)
-    pages = np.arange(1, len(tiles) + 1, dtype=np.int32).reshape(-1, PAGE, PAGE)
-    roots = np.arange(1, len(pages) + 1, dtype=np.int32).reshape(1, rows, columns)
-    empty = np.zeros((1, PAGE, PAGE), np.int32)
-    return roots, (0, 0), np.concatenate([empty, pages]), np.concatenate([tiles[:1] * 0, tiles])
+def _tiles_of(log_odds: NDArray[np.int16], field: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
+    """Lay out cells (H, W) as `TileMaps.to_arrays` does: pages of tiles, all of them there, the first ones empty."""
+    pages_up, pages_across = (-(-side // _PAGE_CELLS) for side in field.shape)
+    count = pages_up * pages_across
+    pages = np.arange((count + 1) * PAGE * PAGE, dtype=np.int32) - (PAGE * PAGE - 1)
+    arrays: dict[str, NDArray[Any]] = {
+        "roots": np.arange(1, count + 1, dtype=np.int32).reshape(1, pages_up, pages_across),
+        "first": np.zeros(2, np.int64),
+        "pages": np.maximum(pages, 0).reshape(-1, PAGE, PAGE),
+    }
+    for name, cells, empty in (("log_odds", log_odds, UNKNOWN), ("field", field, 0)):
+        whole = np.full((pages_up * _PAGE_CELLS, pages_across * _PAGE_CELLS), empty, cells.dtype)
+        whole[: cells.shape[0], : cells.shape[1]] = cells
+        tiles = whole.reshape(pages_up, PAGE, TILE, pages_across, PAGE, TILE).transpose(0, 3, 1, 4, 2, 5)
+        arrays[name] = np.concatenate([np.full((1, TILE, TILE), empty, cells.dtype), tiles.reshape(-1, TILE, TILE)])
+    return arrays

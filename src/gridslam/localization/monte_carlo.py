@@ -29,6 +29,7 @@ __all__ = ["MonteCarloLocalization"]
 
 _NOWHERE = Estimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 _AGREEMENT = CauchyAgreement(scale_m=0.1, tempering=1.0)
+_ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _ASKED = 500  # particles whose agreement with a scan stands for that of all
 
 
@@ -83,16 +84,16 @@ class MonteCarloLocalization:
         """Take one scan; consumes `state` (keep one for later with `state.snapshot()`)."""
         state = state.take()
         moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
-        if reason := self._skip(state, odometry, moved, scan):
-            return state, self._between_updates(state, odometry, scan, moved, reason)
         beams = self._beams(state.last, odometry, scan)
+        if reason := self._skip(state, odometry, moved, beams):
+            return state, self._fitted(self._between_updates(state, odometry, scan, moved, reason), beams)
         poses = self._motion(moved)(state.poses, rng)  # predict
         weigh = self._weigher(beams)
         log_weights = state.log_weights + weigh(poses)  # weigh
         if share := self._elsewhere(state, poses, beams):  # augment
             poses, log_weights = self._augmented(poses, log_weights, share, beams, weigh, rng)
         state.advance(poses, normalize(log_weights), odometry)
-        report = self._report(state, scan, moved, beams, share, rng)
+        report = self._fitted(self._report(state, scan, moved, beams, share, rng), beams)
         if self._resamples(state, report):  # resample
             parents = self.parts.kld(poses, np.exp(state.log_weights), self.resampler, rng)
             state.resample(parents)
@@ -104,25 +105,34 @@ class MonteCarloLocalization:
 
     def _beams(self, last: Odometry | None, odometry: Odometry | None, scan: LaserScan) -> Beams:
         """Usable beams, evenly thinned, as they were at the scan's stamp."""
-        beams = self._usable(scan)
-        if len(beams) > self.parts.max_beams:
-            chosen = np.arange(self.parts.max_beams) * len(beams) // self.parts.max_beams
+        beams, most = scan.beams(self.parts.range_min_m, self.parts.range_max_m), self.parts.max_beams
+        if len(beams) > most:
+            chosen = np.arange(most) * len(beams) // most
             beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
         if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
             return beams
         return beams.deskewed(log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns)))
 
     def _skip(
-        self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, scan: LaserScan
+        self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams
     ) -> LocalizationSkip | None:
         if odometry is None:
             return LocalizationSkip.NO_ODOMETRY
         if state.updates and not self.parts.when_to_update(math.hypot(moved[0], moved[1]), abs(float(moved[2]))):
             return LocalizationSkip.MOVED_TOO_LITTLE
-        return None if len(self._usable(scan)) else LocalizationSkip.NO_VALID_BEAM
+        return None if len(beams) else LocalizationSkip.NO_VALID_BEAM
 
-    def _usable(self, scan: LaserScan) -> Beams:
-        return scan.beams(self.parts.range_min_m, self.parts.range_max_m)
+    def _fitted(self, report: LocalizationReport, beams: Beams) -> LocalizationReport:
+        """Move the pose that is told to where p(z_t | x_t, m) N(x_t; pose, covariance) is greatest.
+
+        The mean of the particles lags: their weights count few of the beams, and between updates only odometry moves
+        them. The particles stay as they are, so this scan is not counted twice.
+        """
+        if not report.particles:
+            return report
+        variance = self.map.blurred_m(self.parts.sensor.sigma_hit_m) ** 2
+        prior = np.asarray(variance * np.linalg.inv(report.covariance + _ROUNDING), np.float64)
+        return replace(report, pose=self.map.match(self.parts.matcher, report.pose, prior, beams))
 
     def _weigher(self, beams: Beams) -> PoseWeigher:
         """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""

@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.rivals import RivalPlaces
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
@@ -22,6 +23,11 @@ __all__ = ["MonteCarloParts"]
 def _sensor() -> LikelihoodField:
     """Of 120 beams few count: they share the map's errors, by which places that look alike would be told apart."""
     return LikelihoodField(tempering=0.05)
+
+
+def _matcher() -> GaussNewton:
+    """Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a dot."""
+    return GaussNewton(sparse_m=0.0)
 
 
 def _when_to_update() -> MovedAtLeast:
@@ -46,6 +52,9 @@ class MonteCarloParts:
         Where it may be, then and at the start.
     rivals : RivalPlaces
         Which places that look like the one that is told keep it in doubt.
+    matcher : GaussNewton
+        Moves the pose that is told from the mean of the particles to where the scan fits best; max_passes=0: not at
+        all, as AMCL.
     kld : KldSampling
         How many particles survive.
     when_to_update : MovedAtLeast
@@ -84,6 +93,7 @@ class MonteCarloParts:
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     rivals: RivalPlaces = Field(default_factory=RivalPlaces)
+    matcher: GaussNewton = Field(default_factory=_matcher)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
     when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)

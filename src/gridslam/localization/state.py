@@ -41,14 +41,15 @@ class LocalizationReport:
     stamp_ns : int
         Stamp of the scan.
     pose, covariance : (3,), (3, 3) float64
-        Of the robot's base in the map: mean of the densest cluster of particles. The covariance is that cluster's;
-        where the robot is lost, it spans all places where it may be.
+        Of the robot's base in the map: where the scan fits best, given the densest cluster of particles (see
+        `MonteCarloParts.matcher`). The covariance is that cluster's; where the robot is lost, it spans all places where
+        it may be.
     lost_probability : float, [0, 1]
         How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
     lost : bool
         That is more probable than `MonteCarloParts.lost_above`.
     agreement : float, [0, 1]
-        Share of the beams that agree with the map at the pose of the last update.
+        Share of the beams that agreed with the map at the last update, at the cluster's mean.
     particles : int
         Number of particles after the step.
     n_eff : float

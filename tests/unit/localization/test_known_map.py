@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError
 from gridslam.localization import KnownMap
 from gridslam.localization.distance_transform import distance_transform
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyAgreement
 from gridslam.models.likelihood_field import LikelihoodField
-from gridslam.types import LaserScan, OccupancyGrid, ScanGeometry
+from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
 
 CELL = 0.1
 ORIGIN = (-1.0, 2.0)
@@ -107,6 +108,48 @@ def test_the_beam_model_prefers_the_true_pose():
     beams = LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
     poses = truth + np.array([[0, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [0, 0, 0.2]])
     assert known.weigher(BeamRangeFinder(), beams)(poses).argmax() == 0
+
+
+def seen_from(known: KnownMap, pose: np.ndarray) -> Beams:
+    """What a laser of 120 beams measures there, to the centres of the walls' cells."""
+    bearings = np.linspace(-2.5, 2.5, 120)
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ranges = known.cast_rays(np.zeros(1), pose[None], np.zeros(2), directions, 30.0)[0]
+    return LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
+
+
+LINES = GaussNewton(sparse_m=0.0)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_scan_is_matched_to_where_it_was_taken(seed):
+    """Rays end where they pass the centres of cells, up to half a cell aside: 120 beams average that out."""
+    known, rng = KnownMap(grid_of(room())), np.random.default_rng(seed)
+    truth = rng.uniform([0.6, 2.6, -3], [3.6, 4.6, 3])
+    guess = truth + rng.uniform(-1, 1, 3) * [0.1, 0.1, 0.05]
+    found = known.match(LINES, guess, np.zeros((3, 3)), seen_from(known, truth))
+    assert np.hypot(*(found - truth)[:2]) < CELL / 4
+    assert abs(found[2] - truth[2]) < 0.02
+
+
+def test_who_is_sure_of_the_guess_keeps_it():
+    known, truth = KnownMap(grid_of(room())), np.array([2.0, 3.5, 0.4])
+    guess, beams = truth + np.array([0.05, -0.04, 0.03]), seen_from(known, truth)
+    np.testing.assert_allclose(known.match(LINES, guess, 1e9 * np.eye(3), beams), guess, atol=1e-6)
+    none = replace(beams, indices=beams.indices[:0], ends=beams.ends[:0])
+    np.testing.assert_allclose(known.match(LINES, guess, np.zeros((3, 3)), none), guess, atol=1e-12)
+    off = known.match(GaussNewton(max_passes=0), guess, np.zeros((3, 3)), beams)
+    np.testing.assert_allclose(off, guess, atol=1e-12)
+
+
+def test_a_match_does_not_depend_on_where_the_map_lies():
+    grid, truth = grid_of(room()), np.array([2.0, 3.5, 0.4])
+    known, shift = KnownMap(grid), np.array([-7.123, 40.456, 0.0])
+    x, y = (np.array(grid.origin) + shift[:2]).tolist()
+    elsewhere = KnownMap(replace(grid, origin=(x, y)))
+    guess, beams = truth + np.array([0.05, -0.04, 0.03]), seen_from(known, truth)
+    here, there = (one.match(LINES, at, np.eye(3), beams) for one, at in ((known, guess), (elsewhere, guess + shift)))
+    np.testing.assert_allclose(there - shift, here, atol=1e-6)
 
 
 def test_free_space_is_only_what_is_known_to_be_free():

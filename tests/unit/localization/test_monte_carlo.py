@@ -13,6 +13,7 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap, LocalizationSkip, MonteCarloLocalization, MonteCarloParts
 from gridslam.localization.kld_sampling import KldSampling
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.motion import OdometryMotion
 from gridslam.sim import OdometryNoise
@@ -187,6 +188,51 @@ def test_between_updates_the_pose_goes_on_by_odometry_and_grows_less_sure(known,
         headings = [report.covariance[2, 2] for report in reports[k : k + 3]]
         assert headings[0] < headings[1] < headings[2]
         assert np.linalg.eigvalsh(reports[k + 2].covariance)[0] > 0
+
+
+MEAN = MonteCarloParts(matcher=GaussNewton(max_passes=0))
+"""Tells the mean of the particles."""
+
+
+def test_where_the_scan_fits_is_nearer_to_the_truth_than_the_mean_of_the_particles(known):
+    """Five drives. What is told is not gone by: the particles are the same to the byte."""
+    told, mean = [], []
+    for seed in range(1, 6):
+        log = drive(seed, OdometryNoise())
+        (fitted, state), (plain, twin) = (
+            follow(mcl, log.measurements, 0, log.truth.poses[0])
+            for mcl in (MonteCarloLocalization(known), MonteCarloLocalization(known, MEAN))
+        )
+        assert state.poses.tobytes() == twin.poses.tobytes()
+        assert [report.lost_probability for report in fitted] == [report.lost_probability for report in plain]
+        told.append(np.mean(np.square(errors(fitted, log.truth.poses)), axis=1))
+        mean.append(np.mean(np.square(errors(plain, log.truth.poses)), axis=1))
+    assert (np.sqrt(np.mean(told, axis=0)) < 0.8 * np.sqrt(np.mean(mean, axis=0))).all()
+
+
+def test_odometry_that_is_told_late_does_not_turn_the_pose(known):
+    """Odometry of 0.2 s before; at 1 rad/s it is 0.2 rad behind where the robot turns, and the mean with it."""
+    log = drive(1, rate_hz=5.0)
+    before = [log.measurements[0], *log.measurements[:-1]]
+    late = [now._replace(odometry=Odometry.at(now.scan.stamp_ns, then.odometry.pose))
+            for now, then in zip(log.measurements, before, strict=True)]  # fmt: skip
+    (told, _), (mean, _) = (
+        follow(mcl, late, 0, log.truth.poses[0])
+        for mcl in (MonteCarloLocalization(known), MonteCarloLocalization(known, MEAN))
+    )
+    told_rad, mean_rad = (np.sqrt(np.mean(errors(r, log.truth.poses)[1] ** 2)) for r in (told, mean))
+    assert mean_rad > 0.03
+    assert told_rad < 0.5 * mean_rad
+
+
+def test_particles_that_are_all_one_are_told_as_they_are(known, log):
+    """A belief without any spread is surer than any scan."""
+    pose = log.truth.poses[0] + np.array([0.05, -0.03, 0.02])
+    still = MonteCarloParts(motion=OdometryMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0))
+    mcl = MonteCarloLocalization(known, still)
+    _, report = mcl.step(mcl.init(np.repeat(pose[None], 50, axis=0)), *log.measurements[0], np.random.default_rng(0))
+    assert report.augmented == 0
+    np.testing.assert_allclose(report.pose, pose, atol=0.005)
 
 
 def test_states(known, log):
