@@ -105,6 +105,7 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None
     unknown = [name for name in parameters if name not in AMCL_NAMES]
     if unknown:
         raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{meant(unknown[0], AMCL_NAMES)}")
+    _check_numbers(parameters)
     given = {_NAV2.get(name, name): value for name, value in parameters.items()}
     parts = base or MonteCarloParts()
     if isinstance(most := given.get("max_particles"), int) and 0 < most < parts.kld.particles_min:
@@ -119,6 +120,18 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None
 
 
 _AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
+
+
+def _check_numbers(parameters: Mapping[str, Any]) -> None:
+    """Refuse what is no number among the parameters that are not handed on to a part, which checks its own."""
+    for name, value in parameters.items():
+        meaning = _NAV2.get(name, name)
+        least = -math.inf if meaning in _POSE else 0.0
+        if meaning not in (*_POSE, *_COVARIANCE, *_SHARES):
+            continue
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or value < least:
+            raise ConfigurationError(f"{name}: expected a number{'' if least else ' >= 0'}, got {value!r}")
 
 
 def _changes(given: Mapping[str, Any], parts: MonteCarloParts) -> Table:
@@ -159,6 +172,8 @@ def _sensor(given: Mapping[str, Any], parts: MonteCarloParts) -> Table:
         amcl = AMCL_DEFAULTS["amcl"]
         shares = {place: float(given.get(name, before.get(place, amcl[name]))) for name, place in _SHARES.items()}
         total = sum(shares[place] for place in used)
+        if not total:
+            raise ConfigurationError(f"{' and '.join(used)}: expected a sum above 0, got none")
         table |= {place: shares[place] / total for place in used} | ({} if "z_max" in used else {"z_max": 0.0})
     if "laser_lambda_short" in given and kind == "BeamRangeFinder":
         table["lambda_short_per_m"] = given["laser_lambda_short"]

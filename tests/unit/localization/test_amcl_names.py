@@ -80,6 +80,13 @@ def test_what_means_nothing_here_is_named():
         ({"laser_model_type": "magic"}, "likelihood_field or beam"),
         ({"laser_sigma_hit": -1.0}, "sensor.sigma_hit_m"),
         ({"min_particles": 9000, "max_particles": 100}, "particles_min must not exceed"),
+        ({"initial_pose_x": "abc"}, "initial_pose_x: expected a number, got 'abc'"),
+        ({"initial_pose.yaw": math.nan}, "initial_pose.yaw: expected a number, got nan"),
+        ({"initial_cov_xx": -1}, "initial_cov_xx: expected a number >= 0, got -1"),
+        ({"laser_z_hit": "abc"}, "laser_z_hit: expected a number >= 0, got 'abc'"),
+        ({"z_rand": True}, "z_rand: expected a number >= 0, got True"),
+        ({"laser_z_short": -0.1}, "laser_z_short: expected a number >= 0, got -0.1"),
+        ({"laser_z_hit": 0, "z_rand": 0}, "z_hit and z_rand: expected a sum above 0"),
     ],
 )
 def test_what_is_refused(parameters, said):
