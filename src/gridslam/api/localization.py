@@ -74,8 +74,7 @@ def localize(
     strict_thresholds : bool
         Read the thresholds of the map's file literally (see `gridslam.io.map_server.load_map`).
     repair : "needed", "all" or "none"
-        As for `gridslam.map_log`: what is taken out of the log. Between updates the robot is where odometry says, so
-        clocks that differ matter more here than there ("all").
+        As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver
         Called after each scan.
     gate : callable
