@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import final
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.localization.kld_sampling import KldSampling
@@ -85,7 +85,7 @@ class MonteCarloParts:
     Raises
     ------
     pydantic.ValidationError
-        A parameter is out of range.
+        A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
     motion: GMappingMotion | OdometryMotion | DiffusionMotion = Field(default_factory=GMappingMotion)
@@ -106,3 +106,11 @@ class MonteCarloParts:
     lost_below: float = Field(default=0.3, gt=0, le=1)
     lost_above: float = Field(default=0.2, gt=0, lt=1)
     follow_m: float = Field(default=1.0, gt=0)
+
+    @model_validator(mode="after")
+    def _beams_can_tell(self) -> MonteCarloParts:
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError("range_min_m must be less than range_max_m")
+        if self.reach_m < self.sensor.sigma_hit_m:
+            raise ValueError("reach_m must not be less than sensor.sigma_hit_m")
+        return self
