@@ -84,7 +84,7 @@ class MonteCarloLocalization:
         """Take one scan; consumes `state` (keep one for later with `state.snapshot()`)."""
         state = state.take()
         moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
-        beams = self._beams(state.last, odometry, scan)
+        beams = self._beams(state, odometry, moved, scan)
         if reason := self._skip(state, odometry, moved, beams):
             return state, self._fitted(self._between_updates(state, odometry, scan, moved, reason), beams)
         poses = self._motion(moved)(state.poses, rng)  # predict
@@ -103,15 +103,24 @@ class MonteCarloLocalization:
     def _motion(self, moved: FloatArray) -> MotionSampler:
         return (self.motion or self.parts.motion)(moved)
 
-    def _beams(self, last: Odometry | None, odometry: Odometry | None, scan: LaserScan) -> Beams:
+    def _beams(self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, scan: LaserScan) -> Beams:
         """Usable beams, evenly thinned, as they were at the scan's stamp."""
-        beams, most = scan.beams(self.parts.range_min_m, self.parts.range_max_m), self.parts.max_beams
+        beams, most, last = scan.beams(self.parts.range_min_m, self.parts.range_max_m), self.parts.max_beams, state.last
         if len(beams) > most:
             chosen = np.arange(most) * len(beams) // most
             beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
         if scan.beam_times_s is None or last is None or odometry is None or odometry.stamp_ns <= last.stamp_ns:
             return beams
-        return beams.deskewed(log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns)))
+        twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
+        if not len(state.poses):
+            return beams.deskewed(twist)
+        guess = compose(state.estimate.pose, moved)
+
+        def share(beams: Beams) -> float:
+            pose = self._matched(guess, state.estimate.covariance, beams)
+            return float(self._agreement(beams)(pose[None])[0])
+
+        return self.parts.deskew(beams, twist, share)
 
     def _skip(
         self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams
@@ -130,9 +139,12 @@ class MonteCarloLocalization:
         """
         if not report.particles:
             return report
+        return replace(report, pose=self._matched(report.pose, report.covariance, beams))
+
+    def _matched(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
         variance = self.map.blurred_m(self.parts.sensor.sigma_hit_m) ** 2
-        prior = np.asarray(variance * np.linalg.inv(report.covariance + _ROUNDING), np.float64)
-        return replace(report, pose=self.map.match(self.parts.matcher, report.pose, prior, beams))
+        prior = np.asarray(variance * np.linalg.inv(covariance + _ROUNDING), np.float64)
+        return self.map.match(self.parts.matcher, pose, prior, beams)
 
     def _weigher(self, beams: Beams) -> PoseWeigher:
         """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""

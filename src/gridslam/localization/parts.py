@@ -7,6 +7,7 @@ from typing import final
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.localization.deskew import Deskew
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.rivals import RivalPlaces
@@ -55,6 +56,8 @@ class MonteCarloParts:
     matcher : GaussNewton
         Moves the pose that is told from the mean of the particles to where the scan fits best; max_passes=0: not at
         all, as AMCL.
+    deskew : Deskew
+        How scans with beam times are straightened.
     kld : KldSampling
         How many particles survive.
     when_to_update : MovedAtLeast
@@ -94,6 +97,7 @@ class MonteCarloParts:
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     rivals: RivalPlaces = Field(default_factory=RivalPlaces)
     matcher: GaussNewton = Field(default_factory=_matcher)
+    deskew: Deskew = Field(default_factory=Deskew)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
     when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)

@@ -87,7 +87,10 @@ def test_what_means_nothing_here_is_named():
         ({"z_rand": True}, "z_rand: expected a number >= 0, got True"),
         ({"laser_z_short": -0.1}, "laser_z_short: expected a number >= 0, got -0.1"),
         ({"laser_min_range": 2, "laser_max_range": 1.5}, "range_min_m must be less than range_max_m"),
-        ({"laser_likelihood_max_dist": 0.1, "laser_sigma_hit": 0.2}, "reach_m must not be less than sensor.sigma_hit_m"),
+        (
+            {"laser_likelihood_max_dist": 0.1, "laser_sigma_hit": 0.2},
+            "reach_m must not be less than sensor.sigma_hit_m",
+        ),
         ({"laser_z_hit": 0, "z_rand": 0}, "z_hit and z_rand: expected a sum above 0"),
     ],
 )
