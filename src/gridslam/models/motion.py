@@ -79,7 +79,7 @@ class GaussianIncrement:
         world_from_body[:, 0, 1], world_from_body[:, 1, 0] = -sin, sin
         world_from_body[:, 2, 2] = 1.0
         root = world_from_body @ scaled
-        return compose(poses, self.increment), root @ root.transpose(0, 2, 1)
+        return compose(poses, self.increment), root @ np.ascontiguousarray(root.transpose(0, 2, 1))  # twice as fast so
 
 
 def _rotate_translate_rotate(values: FloatArray) -> FloatArray:

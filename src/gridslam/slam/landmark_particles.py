@@ -220,6 +220,8 @@ class LandmarkParticles:
 
     def _pose_covariances(self) -> FloatArray:
         """Of each particle's pose (N, 3, 3), that of its raft included where the robot is aboard."""
+        if not self.aboard.any():
+            return self.spread[:, :3, :3]
         of_raft = projected(lever(self.rafts, self.poses), self.drift)
         return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
 
