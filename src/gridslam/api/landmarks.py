@@ -54,8 +54,8 @@ _NEARLY_ALL = Told(believed=50.0)
 """7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
 
 _BIAS = OdometryBias()
-_CONSTANT_BIAS = OdometryBias(memory_m=1e6)
-"""For particles: those that share a past share its errors, and would take them for changes of the odometry."""
+_CONSTANT_BIAS = OdometryBias(memory_m=None)
+"""For particles, whose landmarks lean on errors that stay."""
 
 
 def map_landmarks(
@@ -153,7 +153,8 @@ def _by_particles(
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),
     }
-    full = path(state, state.best, [step.motion(motion) for step in steps])[1:]
+    bias = slam.bias if isinstance(slam, FastSlam2) else EXACT_ODOMETRY
+    full = path(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
     landmarks = slam.landmark_map(state)
     return Estimate(full, _poses(reports), _covariances(reports), landmarks, _strange(reports), figures)
 

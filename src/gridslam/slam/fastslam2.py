@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.errors import ArgumentError
 from gridslam.models.association import NEW
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
@@ -45,8 +46,14 @@ class FastSlam2:
     landmarks, resampler, when_to_resample
         As for `FastSlam1`.
     bias : OdometryBias
-        Systematic errors of the odometry, of which each particle keeps a Gaussian: given its path they are a linear
-        regression, so that they need not be drawn.
+        Systematic errors of the odometry, of which each particle keeps a Gaussian: they are never drawn, nor is what
+        they explain of the pose and of the landmarks, which lean on them linearly. So a loop that closes straightens
+        all that went before. They must stay as they are (`memory_m` is None).
+
+    Raises
+    ------
+    ArgumentError
+        These errors change.
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
     correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
@@ -57,6 +64,11 @@ class FastSlam2:
     resampler: Resampler = Systematic()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     bias: OdometryBias = EXACT_ODOMETRY
+
+    def __post_init__(self) -> None:
+        """Refuse what the particles cannot learn."""
+        if len(self.bias) and self.bias.memory_m is not None:
+            raise ArgumentError("bias", "errors that stay as they are (memory_m None)", f"{self.bias.memory_m} m")
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
@@ -82,16 +94,13 @@ class FastSlam2:
             belief.correct(seen)
         unknown = np.flatnonzero((columns == NEW).all(axis=1))
         belief.launch(unknown[self.landmarks.outweighs(belief.poses[unknown], spread[unknown], sightings)], rng)
-        known, spread = belief.draw(rng)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
-        poses = known[:, :3]
+        state.advance(*belief.draw(rng), log_weights, belief.replaced)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
         for k in range(len(sightings)):
             rows = np.flatnonzero(columns[:, k] >= 0)
-            seen = self.landmarks.innovation(
-                state, rows, columns[rows, k], poses, belief.apart(rows, columns[rows, k]), sightings, k
-            )
+            apart = belief.apart(rows, columns[rows, k])
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, apart, sightings, k)
             self.landmarks.correct(state, seen)
-            self.landmarks.add(state, columns[:, k], poses, sightings, k)
-        state.advance(known, spread, log_weights, belief.replaced)
+            self.landmarks.add(state, columns[:, k], state.poses, sightings, k)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

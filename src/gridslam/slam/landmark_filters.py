@@ -155,6 +155,9 @@ class LandmarkFilters:
         gain = shared @ inverse_2x2(seen.covariances)
         state.positions[of] += times(gain, seen.residuals)
         state.covariances[of] = covariances - gain @ transposed(shared)
+        if state.pose_by_bias.size:
+            by_pose = seen.by_pose @ state.pose_by_bias[seen.rows]
+            state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
 
     def add(self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int) -> None:
         """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.
@@ -168,7 +171,9 @@ class LandmarkFilters:
         columns[rows] = state.new_columns(rows, name)
         of = rows, columns[rows]
         state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
-        root = inverse_2x2(self.sensor.linearize(poses[rows], state.positions[of])[2])
+        _, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[of])
+        root = inverse_2x2(H_m)
+        state.positions_by_bias[of] = -root @ H_x @ state.pose_by_bias[rows]
         state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(sightings)[k], root.shape))
         state.evidence[of], state.sightings[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
 

@@ -31,23 +31,26 @@ class LandmarkParticles:
     """Everything that the filter knows between two steps; it has one owner, who changes it.
 
     The landmarks lie in dense arrays, a row for each particle and a column for each landmark. Copying a particle costs
-    58 bytes for each column, and only those that replace a dead one are copied (see `resample`): with 1000 particles,
-    100 landmarks and a third of the particles dead that is 2 MB, less than a millisecond. A tree whose parts are
-    shared (Montemerlo et al. 2002) would copy less and could not be computed on as one array.
+    66 bytes for each column, and 16 more for each error of the odometry that is learned; only those that replace a dead
+    one are copied (see `resample`): with 1000 particles, 100 landmarks and a third of the particles dead that is 2 MB,
+    less than a millisecond. A tree whose parts are shared (Montemerlo et al. 2002) would copy less and could not be
+    computed on as one array.
 
     Attributes
     ----------
     known : (N, 3 + B) float64
         The pose, map frame, and the B errors of the odometry that are learned.
     spread : (N, 3 + B, 3 + B) float64
-        Their covariance given what was drawn: 0 of the pose, unless drawing waits for the next sighting.
+        Their covariance given what was drawn: of the pose what these errors explain, and all as long as drawing waits.
+    pose_by_bias, positions_by_bias : (N, 3, B), (N, M, 2, B) float64
+        Derivatives of the pose and of the landmarks by these errors: what was drawn of the path is the rest.
     log_weights, log_ancestry : (N,) float64, nats
         Normalized; and accumulated along each particle's ancestry, relative to the greatest.
     names : (M,) int64
         Signature of the landmark in each column, where correspondences are told; else -1, and each particle uses its
         columns as it needs them.
     positions, covariances : (N, M, 2), (N, M, 2, 2) float64
-        Of the landmarks, given the particle's path.
+        Of the landmarks, given what was drawn and the errors of the odometry.
     evidence : (N, M) float64, nats
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
     firm : (N, M) bool
@@ -66,11 +69,13 @@ class LandmarkParticles:
 
     known: FloatArray
     spread: FloatArray
+    pose_by_bias: FloatArray
     log_weights: FloatArray
     log_ancestry: FloatArray
     names: IntArray
     positions: FloatArray
     covariances: FloatArray
+    positions_by_bias: FloatArray
     evidence: FloatArray
     firm: NDArray[np.bool_]
     sightings: IntArray
@@ -88,17 +93,18 @@ class LandmarkParticles:
 
         Raises ArgumentError where there is no particle, or no such pose.
         """
-        poses, size = at_pose(particles, pose), 3 + len(bias)
-        known, spread = np.zeros((particles, size)), np.zeros((particles, size, size))
+        poses, errors = at_pose(particles, pose), len(bias)
+        known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
         known[:, :3], spread[:, 3:, 3:] = poses, bias
         return cls(
-            known, spread, np.full(particles, -np.log(particles)), np.zeros(particles),
-            np.empty(0, np.int64),
-            np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0)),
+            known, spread, np.zeros((particles, 3, errors)),
+            np.full(particles, -np.log(particles)), np.zeros(particles), np.empty(0, np.int64),
+            np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0, 2, errors)),
+            np.empty((particles, 0)),
             np.zeros((particles, 0), np.bool_), np.empty((particles, 0), np.int64),
             np.zeros((particles, 3)), np.zeros((particles, 3, 3)), np.zeros(particles, np.bool_),
             np.zeros(particles, np.int64), np.zeros((particles, 0), np.bool_),
-            Ancestry.start(np.pad(poses, ((0, 0), (0, 6)))),
+            Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + 4 * errors)))),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -176,8 +182,10 @@ class LandmarkParticles:
 
     def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
         self.known, self.spread = known, spread
+        self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
         rafts = self.rafts_now() if rafts is None else rafts
-        self.ancestry.extend(np.column_stack([self.poses, rafts, np.full(len(self), drawn)]))
+        by_bias = self.pose_by_bias.reshape(len(self), -1)
+        self.ancestry.extend(np.column_stack([self.poses, rafts, np.full(len(self), drawn), known[:, 3:], by_bias]))
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -226,9 +234,10 @@ class LandmarkParticles:
         return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
 
     def _landmark_covariances(self) -> FloatArray:
-        """Of each particle's landmarks (N, M, 2, 2), that of the raft included for those adrift."""
+        """Of each particle's landmarks (N, M, 2, 2), with what the odometry's errors and the raft have part in."""
         moved = projected(lever(self.rafts[:, None], self.positions), self.drift[:, None])[..., :2, :2]
-        return self.covariances + self.adrift[..., None, None] * moved
+        turned = projected(self.positions_by_bias, self.spread[:, None, 3:, 3:])
+        return self.covariances + turned + self.adrift[..., None, None] * moved
 
     def _name(self, column: int) -> int:
         """Name of the landmark in a column; what is no column stays what it is."""
@@ -250,7 +259,9 @@ class LandmarkParticles:
 
 # What there is of each landmark of each particle, and what stands there where there is none.
 _OF_LANDMARKS = {
-    "positions": 0.0, "covariances": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0, "adrift": False
+    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0,
+    "adrift": False,
 }  # fmt: skip
-_OF_PARTICLES = "known", "spread", "log_ancestry", "rafts", "drift", "aboard", "launched", *_OF_LANDMARKS
+_OF_POSES = "known", "spread", "pose_by_bias", "log_ancestry", "rafts", "drift", "aboard", "launched"
+_OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

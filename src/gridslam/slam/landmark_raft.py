@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PoseAndRaft", "lever"]
 
+_ROUNDING = 1e-12  # of a variance: where less than that is left, its correlations are nonsense
 _EXACT = 1e-6  # m^2 and rad^2: what is known to 1 mm and 1 mrad is not known better by less
 
 
@@ -41,11 +42,12 @@ def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
 @final
 @dataclass(slots=True, eq=False)
 class PoseAndRaft:
-    """What each particle believes, within one step, of its pose and of where its raft lies: one Gaussian.
+    """What each particle believes, within one step, of its pose and of what is not drawn: one Gaussian.
 
     With the pose's own error e and the raft's error d, the pose errs by e + s L d, where s is 1 aboard and 0 else and L
     is the lever. What lies on the same side as the robot, both aboard or both not, tells of e alone; else of e + (s -
-    f) L d, where f is 1 for landmarks that are adrift.
+    f) L d, where f is 1 for landmarks that are adrift. Or, with errors of the odometry b that move a landmark by A b,
+    what is seen of it tells of e - A b.
 
     Attributes
     ----------
@@ -54,7 +56,7 @@ class PoseAndRaft:
     mean : (N, 3 + B) float64
         Poses, map frame, and the errors of the odometry that are learned; where any are (B > 0) there are no rafts.
     covariance : (N, 3 + B, 3 + B) or (N, 6, 6) float64
-        Of e, or of e and d where any particle has a raft.
+        Of e and b, or of e and d where any particle has a raft.
     replaced : (N, 5) float64 or None
         `state.rafts_now()` with those rafts that were replaced as they lay at last.
     """
@@ -79,20 +81,29 @@ class PoseAndRaft:
         return self.mean[:, :3]
 
     @property
+    def learns(self) -> bool:
+        """Whether errors of the odometry are learned."""
+        return bool(self.mean.shape[1] > 3)
+
+    @property
     def floats(self) -> bool:
         """Whether any particle has a raft."""
         return bool(self.covariance.shape[1] > self.mean.shape[1])
 
     def spread(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
-        if not self.floats:
-            return self.covariance[rows, :3, :3]
-        return projected(self._errors(self.state.adrift[rows, columns], rows), self.covariance[rows])
+        if not (self.learns or self.floats):
+            return self.covariance[rows]
+        return projected(self._errors_seen_from(rows, columns), self.covariance[rows])
 
     def reach(self) -> FloatArray:
-        """Covariance (N, 3, 3) of the poses as seen from whatever side sees them worse."""
+        """Covariance (N, 3, 3) of the poses as seen from whatever sees them worst."""
+        if self.learns:
+            turned = projected(self.state.positions_by_bias, self.covariance[:, None, 3:, 3:])
+            most = np.trace(turned, axis1=2, axis2=3).max(axis=1, initial=0.0)
+            return np.asarray(2 * (self.covariance[:, :3, :3] + most[:, None, None] * np.diag([1.0, 1.0, 0.0])))
         if not self.floats:
-            return self.covariance[:, :3, :3]
+            return self.covariance
         L = lever(self.state.rafts, self.mean)
         # Of e +- L d, whose covariance between the two is at most what they have by themselves.
         return np.asarray(2 * (self.covariance[:, :3, :3] + projected(L, self.covariance[:, 3:, 3:])))
@@ -104,8 +115,9 @@ class PoseAndRaft:
         may be singular.
         """
         rows, before = seen.rows, self.covariance[seen.rows]
-        H = seen.by_pose @ self._errors(self.state.adrift[rows, seen.columns], rows) if self.floats else seen.by_pose
-        shared = before[:, :, : H.shape[2]] @ transposed(H)
+        more = self.learns or self.floats
+        H = seen.by_pose @ self._errors_seen_from(rows, seen.columns) if more else seen.by_pose
+        shared = before @ transposed(H)
         gain = shared @ inverse_2x2(seen.covariances)
         shift = times(gain, seen.residuals)
         self.covariance[rows] = before - gain @ transposed(shared)
@@ -113,13 +125,16 @@ class PoseAndRaft:
         self.mean[:, 2] = wrap(self.mean[:, 2])
         if self.floats:
             self._move(rows, shift[:, 3:])
+        elif self.learns:
+            turned = self.state.positions_by_bias[rows] @ shift[:, None, 3:, None]
+            self.state.positions[rows] += turned[..., 0]
 
     def launch(self, only_new: IntArray, rng: np.random.Generator) -> None:
         """Put the robot on a new raft, as uncertain as its pose, in particles (R,) that have seen nothing they know.
 
         It replaces a raft that is less uncertain, which is drawn: each particle has one.
         """
-        if self.mean.shape[1] > 3:
+        if self.learns:
             return
         own = self.covariance[only_new, :3, :3]
         rows = only_new[_volume(own) > _volume(self.state.drift[only_new])]
@@ -128,7 +143,7 @@ class PoseAndRaft:
         state = self.state
         if self.floats:
             still = np.zeros((len(rows), 3))
-            self._move(rows, draw_poses(still, self.covariance[rows, 3:, 3:], rng)[0])
+            self._move(rows, draw_poses(still, self.covariance[rows, 3:, 3:], rng))
         else:
             self.covariance = np.pad(self.covariance, ((0, 0), (0, 3), (0, 3)))
         self.covariance[rows, 3:, 3:] = self.covariance[rows, :3, :3]
@@ -139,19 +154,28 @@ class PoseAndRaft:
         state.launched[rows] = state.ancestry.steps  # the step that is being taken
 
     def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw the poses, on the raft or in the map, wherever each is known better, and condition all else on them.
+        """Draw of the poses what is independent of all that is never drawn.
 
         Returns poses and errors of the odometry (N, 3 + B), and what covariance (N, 3 + B, 3 + B) is left.
         """
-        if not self.floats:
-            return draw_poses(self.mean, self.covariance, rng)
+        if self.floats:
+            return self._draw_by_raft(rng)
+        left = (self.covariance + transposed(self.covariance)) / 2  # rounding adds up in what is never drawn
+        whole, with_bias = left[:, :3, :3].copy(), left[:, :3, 3:]
+        left[:, :3, :3] = with_bias @ np.linalg.inv(left[:, 3:, 3:]) @ transposed(with_bias)
+        own = whole - left[:, :3, :3] + _ROUNDING * np.eye(3) * whole
+        self.mean[:, :3] = draw_poses(self.mean[:, :3], own, rng)
+        return self.mean, left
+
+    def _draw_by_raft(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draw the poses on the raft or in the map, wherever each is known better, and condition the raft on them."""
         state = self.state
         seen_from = [self._errors(np.full(len(state), side)) for side in (False, True)]
         in_map, on_raft = (projected(errors, self.covariance) for errors in seen_from)
         better = _volume(on_raft) - _volume(in_map)
         aboard = (better < 0) | (state.aboard & (better == 0))
         own, errors = (np.where(aboard[:, None, None], b, a) for a, b in ((in_map, on_raft), seen_from))
-        poses, left = draw_poses(self.mean, own, rng)
+        poses = draw_poses(self.mean, own, rng)
         drawn = poses - self.mean
         drawn[:, 2] = wrap(drawn[:, 2])
         shared = self.covariance[:, 3:] @ transposed(errors)
@@ -159,7 +183,7 @@ class PoseAndRaft:
         state.drift = self.covariance[:, 3:, 3:] - gain @ transposed(shared)
         state.aboard, self.mean = aboard, poses
         self._move(np.arange(len(state)), times(gain, drawn))
-        return self.mean, left
+        return self.mean, np.zeros_like(own)
 
     def apart(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Covariance (R, 3, 3) that drawn poses have as seen from landmarks (rows, columns) on the other side."""
@@ -168,6 +192,15 @@ class PoseAndRaft:
         other = self.state.aboard[rows] != self.state.adrift[rows, columns]
         L = lever(self.state.rafts[rows], self.mean[rows])
         return np.asarray(projected(L, self.state.drift[rows]) * other[:, None, None])
+
+    def _errors_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Jacobians (R, 3, 3 + B or 6) of the poses' errors as seen from landmarks (rows, columns)."""
+        if self.floats:
+            return self._errors(self.state.adrift[rows, columns], rows)
+        errors = np.zeros((len(rows), *self.covariance.shape[1:]))[:, :3]
+        errors[:, :, :3] = np.eye(3)
+        errors[:, :2, 3:] = -self.state.positions_by_bias[rows, columns]
+        return errors
 
     def _errors(self, sides: NDArray[np.bool_], rows: IntArray | slice = slice(None)) -> FloatArray:
         """Jacobians (R, 3, 6) of the poses' errors by e and d, seen from the raft where `sides` (R,), else the map."""

@@ -49,22 +49,18 @@ def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray
     return np.asarray(-0.5 * (squared + log_dets) - math.log(2 * math.pi))
 
 
-def draw_poses(
-    means: FloatArray, covariances: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Draw a pose from each Gaussian (N, 3 + B), (N, 3 + B, 3 + B), and condition on it what else is in these.
+def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3).
 
-    Returns poses and conditional means (N, 3 + B), and covariances (N, 3 + B, 3 + B), those of the poses 0. Cholesky's
-    factor comes column by column, and each takes away what it explains; variances may be 0.
+    Cholesky's factor comes column by column, and each takes away what it explains; variances may be 0.
     """
     drawn, left = means.T.copy(), covariances.transpose(1, 2, 0).copy()  # loops run along particles
-    for i, number in enumerate(rng.standard_normal((len(means), 3)).T):
+    for i, number in enumerate(rng.standard_normal(means.shape).T):
         column = _quotient(left[i], np.sqrt(np.maximum(left[i, i], 0.0)))
         drawn += number * column
         left -= column[:, None] * column
     drawn[2] = wrap(drawn[2])
-    left[:3], left[:, :3] = 0.0, 0.0
-    return np.ascontiguousarray(drawn.T), np.ascontiguousarray(left.transpose(2, 0, 1))
+    return np.ascontiguousarray(drawn.T)
 
 
 def _quotient(numbers: FloatArray, by: FloatArray) -> FloatArray:
