@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gridslam.api.landmark_result import LandmarkResult
 from gridslam.api.landmarks import map_landmarks
 from gridslam.evaluation import align
 from gridslam.evaluation.landmarks import pair_by_name
-from gridslam.geometry.se2 import compose, transform_points
+from gridslam.geometry.se2 import transform_points
 
 
 @pytest.mark.parametrize("robot", [1, 3])
@@ -39,19 +40,33 @@ def test_misread_barcodes_are_not_believed(data_dir):
 
 
 def test_victoria_park(data_dir):
-    """The graph's chi2 is what its file's noise explains; EKF SLAM finds all trunks of the same park."""
+    """The graph's chi2 is what its file's noise explains; EKF SLAM and FastSLAM 2.0 find all trunks of that park."""
     log = data_dir / "landmarks" / "victoria_park.txt.gz"
     graph, ekf = (map_landmarks(log, method) for method in ("graph", "ekf"))
+    particles = map_landmarks(log, "fastslam2", particles=100, seed=0)
     figures = graph.estimate.figures
     assert figures["converged"]
     assert figures["degrees_of_freedom"] == 2 * (3640 - 151)
     assert 0.8 < figures["chi2"] / figures["degrees_of_freedom"] < 1.0
-    assert len(graph.landmarks) == len(ekf.landmarks) == 151
-    ours, theirs = pair_by_name(ekf.landmarks.names, graph.landmarks.names)
-    a, b = ekf.landmarks.positions[ours], graph.landmarks.positions[theirs]
     # Measured 0.95 m and 1.75 m, from 100 m away; 0.7 to 1.9 m and 1.5 to 2.0 m with half or twice the prior.
-    assert np.median(np.hypot(*(transform_points(align(a, b), a) - b).T)) < 2.0
-    ways = ekf.estimate.poses, graph.estimate.poses
-    moved = compose(align(ways[0][:, :2], ways[1][:, :2]), ways[0])
-    assert np.median(np.hypot(*(moved - ways[1])[:, :2].T)) < 3.0
+    landmarks, way = _apart(ekf, graph)
+    assert landmarks < 2.0
+    assert way < 3.0
+    # Ten seeds: 1.7 to 4.8 m and 1.8 to 3.3 m, half their range added. Without the learned errors 8 to 10 m and 12 m.
+    landmarks, way = _apart(particles, graph)
+    assert landmarks < 6.4
+    assert way < 4.1
     assert ekf.estimate.strange == 4  # trunks that are taken for others, 7 to 10 m away
+
+
+def _apart(result: LandmarkResult, other: LandmarkResult) -> list[float]:
+    """Medians of what separates all landmarks and all poses of two results, after alignment."""
+    assert len(result.landmarks) == len(other.landmarks) == 151
+    ours, theirs = pair_by_name(result.landmarks.names, other.landmarks.names)
+    return [
+        float(np.median(np.hypot(*(transform_points(align(a, b), a) - b).T)))
+        for a, b in (
+            (result.landmarks.positions[ours], other.landmarks.positions[theirs]),
+            (result.estimate.poses[:, :2], other.estimate.poses[:, :2]),
+        )
+    ]

@@ -182,10 +182,11 @@ class LandmarkParticles:
 
     def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
         self.known, self.spread = known, spread
-        self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
-        rafts = self.rafts_now() if rafts is None else rafts
-        by_bias = self.pose_by_bias.reshape(len(self), -1)
-        self.ancestry.extend(np.column_stack([self.poses, rafts, np.full(len(self), drawn), known[:, 3:], by_bias]))
+        past = [self.poses, self.rafts_now() if rafts is None else rafts, np.full(len(self), drawn)]
+        if self.pose_by_bias.size:
+            self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
+            past += [known[:, 3:], self.pose_by_bias.reshape(len(self), -1)]
+        self.ancestry.extend(np.column_stack(past))
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.

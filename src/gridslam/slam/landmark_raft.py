@@ -160,10 +160,9 @@ class PoseAndRaft:
         """
         if self.floats:
             return self._draw_by_raft(rng)
-        left = (self.covariance + transposed(self.covariance)) / 2  # rounding adds up in what is never drawn
-        whole, with_bias = left[:, :3, :3].copy(), left[:, :3, 3:]
-        left[:, :3, :3] = with_bias @ np.linalg.inv(left[:, 3:, 3:]) @ transposed(with_bias)
-        own = whole - left[:, :3, :3] + _ROUNDING * np.eye(3) * whole
+        own, left = self.covariance, np.zeros_like(self.covariance)
+        if self.learns:
+            own, left = _apart_from_bias(self.covariance)
         self.mean[:, :3] = draw_poses(self.mean[:, :3], own, rng)
         return self.mean, left
 
@@ -223,6 +222,14 @@ class PoseAndRaft:
         state.positions[rows] = np.where(on[:, :, None], transform_points(moved[:, None], points), points)
         aboard = state.aboard[rows]
         self.mean[rows] = np.where(aboard[:, None], compose(moved, self.mean[rows]), self.mean[rows])
+
+
+def _apart_from_bias(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Split joint covariances (N, 3 + B, 3 + B): what of the poses is independent of the errors (N, 3, 3), the rest."""
+    rest = (covariances + transposed(covariances)) / 2  # what is never drawn adds up its rounding, too
+    whole, shared = rest[:, :3, :3].copy(), rest[:, :3, 3:]
+    rest[:, :3, :3] = shared @ np.linalg.inv(rest[:, 3:, 3:]) @ transposed(shared)
+    return whole - rest[:, :3, :3] + _ROUNDING * np.eye(3) * whole, rest
 
 
 def _volume(covariances: FloatArray) -> FloatArray:
