@@ -31,7 +31,6 @@ _SENSOR, _MOTION = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02), Diff
 _INCREMENT = np.array([0.05, 0.0, 0.01])
 _SEEN = 2  # landmarks seen at a step
 _PARTS = 3
-_PARTICLES_IN_PARK = 100  # loops of hundreds of metres need more than a room does
 
 
 def landmarks(report: Report, data: Path, seeds: Sequence[int], steps: int = 100) -> None:
@@ -137,12 +136,10 @@ def _mrclam(report: Report, log: Path, robot: int, seeds: Sequence[int]) -> None
     report.add(f"{name}, unknown correspondences", table(["method", "15 found, none doubled", "found + surplus"], rows))
 
 
-def _runs(
-    log: Path, method: LandmarkMethod, seeds: Sequence[int], unknown: bool = False, particles: int | None = None
-) -> list[LandmarkResult]:
+def _runs(log: Path, method: LandmarkMethod, seeds: Sequence[int], unknown: bool = False) -> list[LandmarkResult]:
     if method not in PARTICLES:
         return [map_landmarks(log, method, unknown=unknown)]
-    return [map_landmarks(log, method, seed=seed, unknown=unknown, particles=particles) for seed in seeds]
+    return [map_landmarks(log, method, seed=seed, unknown=unknown) for seed in seeds]
 
 
 def _victoria_park(report: Report, log: Path, seeds: Sequence[int]) -> None:
@@ -150,7 +147,7 @@ def _victoria_park(report: Report, log: Path, seeds: Sequence[int]) -> None:
     graph, rows = map_landmarks(log, "graph"), []
     for method in METHODS[:3]:
         apart = []
-        for run in _runs(log, method, seeds, particles=_PARTICLES_IN_PARK):
+        for run in _runs(log, method, seeds):
             ours, theirs = pair_by_name(run.landmarks.names, graph.landmarks.names)
             landmarks = _median_apart(run.landmarks.positions[ours], graph.landmarks.positions[theirs])
             apart.append([landmarks, _median_apart(run.estimate.poses[:, :2], graph.estimate.poses[:, :2])])
