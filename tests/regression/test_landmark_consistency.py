@@ -12,7 +12,7 @@ from gridslam.slam.ekf_slam import EkfSlam
 
 RUNS, STEPS = 100, 200
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
-WRONG = OdometryBias(sigma_per_m=0.06, sigma_per_rad=0.0, memory_m=None)
+WRONG = OdometryBias(sigma_per_m=0.06, sigma_per_rad=0.0, memory_m=1e9)
 
 
 def test_nees_of_ekf_slam_lies_in_its_band():

@@ -54,8 +54,6 @@ _NEARLY_ALL = Told(believed=50.0)
 """7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
 
 _BIAS = OdometryBias()
-_CONSTANT_BIAS = OdometryBias(memory_m=None)
-"""For particles, whose landmarks lean on errors that stay."""
 
 
 def map_landmarks(
@@ -185,7 +183,7 @@ def _told(steps: Sequence[LandmarkStep], method: LandmarkMethod) -> Told:
 def _particle_filter(method: LandmarkMethod, landmarks: LandmarkFilters, told: bool) -> FastSlam1 | FastSlam2:
     if method == "fastslam1":
         return FastSlam1(landmarks)
-    return FastSlam2(landmarks, bias=_CONSTANT_BIAS if told else EXACT_ODOMETRY)
+    return FastSlam2(landmarks, bias=_BIAS if told else EXACT_ODOMETRY)
 
 
 def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:

@@ -35,8 +35,8 @@ class OdometryBias:
         degrees off its middle on a car of 2.7 m, make 0.0025 rad/m. An error of standard deviation 0 is not sought.
     sigma_per_rad : float, rad/rad, >= 0
         Standard deviation of b_rad: 2 % of the distance between the wheels, since tyres are wide.
-    memory_m : float or None, m, > 0
-        Way after which their correlation has fallen to 1/e; None where they stay as they are.
+    memory_m : float, m, > 0
+        Way after which their correlation has fallen to 1/e.
 
     Source: A. Martinelli, R. Siegwart, Estimating the odometry error of a mobile robot during navigation, ECMR 2003
     (the augmented filter); A. Gelb, Applied Optimal Estimation, 1974, 3.8 (the Gauss-Markov process).
@@ -44,7 +44,7 @@ class OdometryBias:
 
     sigma_per_m: float = Field(default=0.0025, ge=0)
     sigma_per_rad: float = Field(default=0.02, ge=0)
-    memory_m: float | None = Field(default=3000.0, gt=0)
+    memory_m: float = Field(default=3000.0, gt=0)
 
     def __len__(self) -> int:
         """Return how many errors B are sought."""
@@ -81,7 +81,7 @@ class OdometryBias:
             return told, F, noise
         increment = between(known[0, :3], told[0])
         by_bias = increment[[0, 2]][self._sought]
-        kept = 1.0 if self.memory_m is None else math.exp(-math.hypot(*increment[:2]) / self.memory_m)
+        kept = math.exp(-math.hypot(*increment[:2]) / self.memory_m)
         moved, Q = np.concatenate([told, kept * known[:, 3:]], axis=1), np.zeros((count, size, size))
         moved[:, 2] = wrap(told[:, 2] + known[:, 3:] @ by_bias)
         F[:, 2, 3:] = by_bias

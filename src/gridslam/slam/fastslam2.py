@@ -12,17 +12,16 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.errors import ArgumentError
 from gridslam.models.association import NEW
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
+from gridslam.slam.landmark_bias import predict
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_raft import PoseAndRaft
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
-from gridslam.slam.small_gaussians import projected
 from gridslam.types import MotionSampler, Resampler
 
 __all__ = ["FastSlam2"]
@@ -48,12 +47,7 @@ class FastSlam2:
     bias : OdometryBias
         Systematic errors of the odometry, of which each particle keeps a Gaussian: they are never drawn, nor is what
         they explain of the pose and of the landmarks, which lean on them linearly. So a loop that closes straightens
-        all that went before. They must stay as they are (`memory_m` is None).
-
-    Raises
-    ------
-    ArgumentError
-        These errors change.
+        all that went before. As they change, all comes to lean on what they are now (see `landmark_bias.predict`).
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
     correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
@@ -65,11 +59,6 @@ class FastSlam2:
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     bias: OdometryBias = EXACT_ODOMETRY
 
-    def __post_init__(self) -> None:
-        """Refuse what the particles cannot learn."""
-        if len(self.bias) and self.bias.memory_m is not None:
-            raise ArgumentError("bias", "errors that stay as they are (memory_m None)", f"{self.bias.memory_m} m")
-
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
         return LandmarkParticles.at(particles, pose, self.bias.covariance())
@@ -79,8 +68,7 @@ class FastSlam2:
     ) -> tuple[LandmarkParticles, LandmarkReport]:
         """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
         state = state.take()
-        mean, F, Q = self.bias.predict(motion, state.known)  # of p(x_t, b | x_t-1, u_t)
-        spread = Q + projected(F, state.spread) if state.spread.any() else Q  # drawn poses have none
+        mean, spread = predict(state, self.bias, motion, rng)  # of p(x_t, b_t | x_t-1, u_t)
         if not len(sightings):
             state.wait(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))

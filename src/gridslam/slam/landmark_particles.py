@@ -44,6 +44,8 @@ class LandmarkParticles:
         Their covariance given what was drawn: of the pose what these errors explain, and all as long as drawing waits.
     pose_by_bias, positions_by_bias : (N, 3, B), (N, M, 2, B) float64
         Derivatives of the pose and of the landmarks by these errors: what was drawn of the path is the rest.
+    bias_before : (N, B, 1 + B) float64
+        [c, G] of what these errors were before the last step, c + G b, by what they are, b.
     log_weights, log_ancestry : (N,) float64, nats
         Normalized; and accumulated along each particle's ancestry, relative to the greatest.
     names : (M,) int64
@@ -70,6 +72,7 @@ class LandmarkParticles:
     known: FloatArray
     spread: FloatArray
     pose_by_bias: FloatArray
+    bias_before: FloatArray
     log_weights: FloatArray
     log_ancestry: FloatArray
     names: IntArray
@@ -97,14 +100,14 @@ class LandmarkParticles:
         known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
         known[:, :3], spread[:, 3:, 3:] = poses, bias
         return cls(
-            known, spread, np.zeros((particles, 3, errors)),
+            known, spread, np.zeros((particles, 3, errors)), np.zeros((particles, errors, 1 + errors)),
             np.full(particles, -np.log(particles)), np.zeros(particles), np.empty(0, np.int64),
             np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0, 2, errors)),
             np.empty((particles, 0)),
             np.zeros((particles, 0), np.bool_), np.empty((particles, 0), np.int64),
             np.zeros((particles, 3)), np.zeros((particles, 3, 3)), np.zeros(particles, np.bool_),
             np.zeros(particles, np.int64), np.zeros((particles, 0), np.bool_),
-            Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + 4 * errors)))),
+            Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + (5 + errors) * errors)))),
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -185,7 +188,7 @@ class LandmarkParticles:
         past = [self.poses, self.rafts_now() if rafts is None else rafts, np.full(len(self), drawn)]
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
-            past += [known[:, 3:], self.pose_by_bias.reshape(len(self), -1)]
+            past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
         self.ancestry.extend(np.column_stack(past))
 
     def resample(self, drawn: IntArray) -> IntArray:
@@ -263,6 +266,6 @@ _OF_LANDMARKS = {
     "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0,
     "adrift": False,
 }  # fmt: skip
-_OF_POSES = "known", "spread", "pose_by_bias", "log_ancestry", "rafts", "drift", "aboard", "launched"
+_OF_POSES = "known", "spread", "pose_by_bias", "bias_before", "log_ancestry", "rafts", "drift", "aboard", "launched"
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

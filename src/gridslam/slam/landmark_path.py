@@ -39,9 +39,7 @@ def path(
     """
     rows = state.ancestry.trajectory(particle)
     poses, rafts, launched, aboard, drawn = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7] > 0, rows[:, 8] > 0
-    errors, by_errors = rows[:, 9 : 9 + len(bias)], rows[:, 9 + len(bias) :].reshape(len(rows), 3, len(bias))
-    poses += (by_errors @ (errors[-1] - errors)[:, :, None])[:, :, 0]
-    poses[:, 2] = wrap(poses[:, 2])
+    errors = _straighten(poses, rows[:, 9:], len(bias))
     for raft in np.unique(launched[launched > 0]).astype(int).tolist():
         mine = launched == raft
         end = rafts[mine][-1]
@@ -51,20 +49,31 @@ def path(
     keys = np.flatnonzero(drawn)
     for begin, end in zip(keys[:-1].tolist(), keys[1:].tolist(), strict=True):
         if end > begin + 1:
-            poses[begin + 1 : end] = _between(poses[begin], poses[end], motions[begin:end], bias, errors[-1])
+            poses[begin + 1 : end] = _between(poses[begin], poses[end], motions[begin:end], bias, errors[begin:end])
     if keys[-1] < len(poses) - 1:  # nothing tells of these but the motion
         for t in range(int(keys[-1]), len(poses) - 1):
-            poses[t + 1] = bias.predict(motions[t], np.append(poses[t], errors[-1])[None])[0][0, :3]
+            poses[t + 1] = bias.predict(motions[t], np.append(poses[t], errors[t])[None])[0][0, :3]
     return poses
+
+
+def _straighten(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
+    """Turn poses (T, 3) by what the odometry's errors (T, B), which it returns, turned out to be at each of them."""
+    believed, by_errors, before = np.split(rows, [count, 4 * count], axis=1)
+    errors = believed.copy()
+    for t in range(len(rows) - 1, 0, -1):
+        errors[t - 1] = before[t].reshape(count, 1 + count) @ np.append(1.0, errors[t])
+    poses += (by_errors.reshape(len(rows), 3, count) @ (errors - believed)[:, :, None])[:, :, 0]
+    poses[:, 2] = wrap(poses[:, 2])
+    return errors
 
 
 def _between(
     begin: FloatArray, end: FloatArray, motions: Sequence[MotionSampler], bias: OdometryBias, errors: FloatArray
 ) -> FloatArray:
-    """Expected poses (K - 1, 3) between two that K motions by an odometry of errors (B,) are apart."""
+    """Expected poses (K - 1, 3) between two that K motions by an odometry of errors (K, B) are apart."""
     means, covariances, moves = [begin], [np.zeros((3, 3))], list[FloatArray]()
-    for motion in motions:
-        (mean,), (F,), (Q,) = bias.predict(motion, np.append(means[-1], errors)[None])
+    for motion, known in zip(motions, errors, strict=True):
+        (mean,), (F,), (Q,) = bias.predict(motion, np.append(means[-1], known)[None])
         G = F[:3, :3]
         moves.append(G)
         means.append(mean[:3])

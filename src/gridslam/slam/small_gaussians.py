@@ -9,7 +9,7 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "times", "transposed"]
+__all__ = ["draw", "draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "times", "transposed"]
 
 
 def transposed(matrices: FloatArray) -> FloatArray:
@@ -50,7 +50,14 @@ def log_density(squared: FloatArray | float, log_dets: FloatArray) -> FloatArray
 
 
 def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3).
+    """Draw a pose (N, 3) from each Gaussian (N, 3), (N, 3, 3)."""
+    drawn = draw(means, covariances, rng)
+    drawn[:, 2] = wrap(drawn[:, 2])
+    return drawn
+
+
+def draw(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Draw a vector (N, i) from each Gaussian (N, i), (N, i, i).
 
     Cholesky's factor comes column by column, and each takes away what it explains; variances may be 0.
     """
@@ -59,7 +66,6 @@ def draw_poses(means: FloatArray, covariances: FloatArray, rng: np.random.Genera
         column = _quotient(left[i], np.sqrt(np.maximum(left[i, i], 0.0)))
         drawn += number * column
         left -= column[:, None] * column
-    drawn[2] = wrap(drawn[2])
     return np.ascontiguousarray(drawn.T)
 
 
