@@ -27,7 +27,7 @@ def wrap(angle: float | NDArray[Any]) -> Any:
 
     `fmod` and a subtraction of nearby numbers are all it takes, both exact in floating point: an angle already in the
     interval comes back bit for bit, +pi becomes -pi, and no rounding can lead out of the interval. Of many angles that
-    are all less than a turn out of it the subtraction is enough.
+    are all less than a turn out of it the subtraction is enough, and of many that are all in it a copy.
 
     Parameters
     ----------
@@ -44,7 +44,12 @@ def wrap(angle: float | NDArray[Any]) -> Any:
             return float(angle)
         rest = math.fmod(angle, TAU)
         return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
-    near = angle.size > _MANY and np.abs(angle).max() < 1.5 * TAU
+    near = False
+    if angle.size > _MANY:
+        least, most = angle.min(), angle.max()
+        if -math.pi <= least and most < math.pi:
+            return angle.astype(np.float64)
+        near = bool(least > -1.5 * TAU and most < 1.5 * TAU)
     remainder = angle if near else np.fmod(angle, TAU, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - TAU * turns
