@@ -49,5 +49,7 @@ class Deskew:
         told, times = beams.deskewed(twist), beams.scan.beam_times_s
         if times is None or abs(twist[2]) * (times.max() - times.min()) <= self.turn_rad:
             return told
-        other = max(beams, beams.deskewed(-twist), key=share)
-        return other if share(other) > share(told) + self.margin else told
+        orders = told, beams, beams.deskewed(-twist)
+        shares = [share(order) for order in orders]
+        best = shares.index(max(shares))
+        return orders[best] if shares[best] > shares[0] + self.margin else told
