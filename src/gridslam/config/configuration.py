@@ -23,8 +23,9 @@ from gridslam.slam.confidence import Confidence
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.joint_matching import JointMatching
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Gaussian, Peak, Prior
-from gridslam.slam.tracker import OdometryTracker, Tracker
+from gridslam.slam.tracker import Tracker
 from gridslam.types import Resampler
 
 if sys.version_info >= (3, 11):

@@ -12,8 +12,8 @@ from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models.endpoint import EndPoint
 from gridslam.models.motion import GMappingMotion
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast
+from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak
-from gridslam.slam.tracker import OdometryTracker
 
 __all__ = ["PRESETS", "preset"]
 

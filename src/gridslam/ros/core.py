@@ -25,7 +25,7 @@ from gridslam.ros.rendering import MapRenderer
 from gridslam.ros.session import Session, TakenSession
 from gridslam.ros.settings import NodeSettings
 from gridslam.ros.speaker import Speaker
-from gridslam.slam.tracker import OdometryTracker
+from gridslam.slam.odometry_tracker import OdometryTracker
 
 __all__ = ["Gate", "NodeCore"]
 

@@ -25,9 +25,10 @@ from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, 
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import OdometryTracker, Tracker
+from gridslam.slam.tracker import Tracker
 from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,

@@ -21,7 +21,7 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/5"
+STATE_SCHEMA = "gridslam.state/6"
 
 
 @final

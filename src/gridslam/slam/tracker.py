@@ -14,18 +14,18 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
 from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import Deskew
+from gridslam.slam.tracker_search import OdometrySearch
 from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, is_within, pose_of
 from gridslam.slam.tracker_velocity import ConstantVelocity
 from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
-__all__ = ["OdometryTracker", "Tracked", "Tracker", "TrackerState"]
+__all__ = ["Tracked", "Tracker", "TrackerState"]
 
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
@@ -77,6 +77,8 @@ class Tracker:
         prediction and all around: on real logs more agree in the right place, and fewer in others.
     patience : int
         Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
+    search : OdometrySearch
+        How a scan is searched for around the odometry where scans are far apart.
     deskew : Deskew or None
         How scans with beam times are deskewed; None: they are taken as they are.
     calibration : OdometryCalibration or None
@@ -101,6 +103,7 @@ class Tracker:
     join_rad: float = Field(default=0.3, ge=0)
     search_share: float = Field(default=0.7, ge=0, le=1)
     patience: int = Field(default=3, ge=1)
+    search: OdometrySearch = OdometrySearch()
     deskew: Deskew | None = Deskew()
     calibration: OdometryCalibration | None = OdometryCalibration()
 
@@ -132,7 +135,10 @@ class Tracker:
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
-        return Tracked(found.pose, found.predicted.pose, beams, joint, None if found.predicted.by_odometry else spread)
+        if not found.predicted.by_odometry:
+            return Tracked(found.pose, found.predicted.pose, beams, joint, spread)
+        control, widening = self.search.control(state, found)
+        return Tracked(found.pose, control, beams, joint, widening)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
@@ -169,10 +175,16 @@ class Tracker:
             return Found(predicted.pose, predicted, matched=False, poor=False)
         found = self._matched(state, predicted, joint)
         if found.share < self.search_share:  # it may be the odometry that is wrong: a reading came late
-            other = self._searched(state, self._by_velocity(state, predicted.seconds), joint)
+            other = self._found_elsewhere(state, predicted, joint)
             convinces = other.share >= self.search_share and other.share - found.share > self.slip_gain
             found = other if convinces else found
         return found
+
+    def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+        """Search around the velocity's prediction; around the odometry's where velocities tell nothing."""
+        if self.search.is_seldom(state):
+            return self.search(state, predicted, beams)
+        return self._searched(state, self._by_velocity(state, predicted.seconds), beams)
 
     def _joined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""
@@ -224,6 +236,9 @@ class Tracker:
     def _advance(self, state: TrackerState, found: Found) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.predicted
+        moved, turned = _motion(between(state.pose, found.pose))
+        if moved + turned > self.still_m + self.still_rad:
+            state.stride += 0.05 * (moved + turned - state.stride)
         blind = found.poor and not predicted.by_odometry
         state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, predicted.seconds)
         if found.share and not predicted.by_odometry:
@@ -255,7 +270,7 @@ class Tracker:
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
         due = seen is None or not is_within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
         if found.poor and found.predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
-            due = due and found.predicted.turned_rad <= self.insert_rad
+            due = due and (self.search.is_seldom(state) or found.predicted.turned_rad <= self.insert_rad)
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
         last = seen or Seen.first(state.stamp_ns, found.pose)
@@ -264,31 +279,6 @@ class Tracker:
         state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
-
-
-@final
-@parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class OdometryTracker:
-    """Takes the odometry as it is, as GMapping does, and so needs it with every scan."""
-
-    def init(
-        self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
-    ) -> TrackerState:
-        """Start at the origin of the tracker's frame; ArgumentError where there is no odometry."""
-        return TrackerState.start(mapper.empty(2), _needed(odometry, stamp_ns), stamp_ns, beams.scan.sensor)
-
-    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
-        """Track one scan; updates `state`; ArgumentError where there is no odometry."""
-        state.odometry, state.stamp_ns = _needed(odometry, stamp_ns).pose, stamp_ns
-        state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
-        return Tracked(state.pose, state.pose, beams, beams)
-
-
-def _needed(odometry: Odometry | None, stamp_ns: int) -> Odometry:
-    if odometry is None:
-        expected = "a pose with every scan, as this tracker goes by nothing else"
-        raise ArgumentError("odometry", expected, f"none with the scan at {stamp_ns} ns")
-    return odometry
 
 
 def _motion(increment: FloatArray) -> tuple[float, float]:

@@ -66,6 +66,8 @@ class TrackerState:
         Variances of what velocities predicted lately, m^2 (each of x and y) and rad^2.
     period_s : float
         Mean time between scans.
+    stride : float
+        Mean way between scans while the robot moves, m + rad.
     even : bool
         Stamps cannot be true: the time between scans counts as `period_s`.
     active : int
@@ -91,6 +93,7 @@ class TrackerState:
     twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     spread: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
     period_s: float = 0.1
+    stride: float = 0.0
     even: bool = False
     active: int = 0
     scans: tuple[int, int] = (1, 0)
@@ -148,7 +151,7 @@ class TrackerState:
         counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.overruled, self.even]
         arrays["counters"] = np.array(counters, np.int64)
         arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
-        arrays["period_s"] = np.array(self.period_s)
+        arrays["rates"] = np.array([self.period_s, self.stride])
         stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
         arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
         arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
@@ -164,13 +167,14 @@ class TrackerState:
         learned = LearnedOdometry.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
         stamp_ns, active, first, second, blind, overruled, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
+        period_s, stride = arrays["rates"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
         ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
         last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, ends, strict=True)]
         return cls(
             maps, stamp_ns=stamp_ns, learned=learned,
             sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
-            period_s=float(arrays["period_s"]), even=bool(even), active=active, scans=(first, second),
+            period_s=period_s, stride=stride, even=bool(even), active=active, scans=(first, second),
             blind_scans=blind, overruled=overruled, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
             **{name: np.array(arrays[name], np.float64) for name in _POSES},
         )  # fmt: skip
@@ -230,7 +234,8 @@ class Tracked:
     Attributes
     ----------
     pose, predicted : (3,) float64
-        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too.
+        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too. Where scans are
+        far apart `predicted` may be a guess from this scan, to descend from.
     beams : Beams
         As seen from the base at the stamp: deskewed.
     joint : BeamEnds

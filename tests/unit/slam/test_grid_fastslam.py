@@ -222,7 +222,7 @@ def test_stamps_that_go_backwards_change_nothing(drive, play, contents, usual):
     state, reports = play(GridFastSlam(), log)
     assert (np.diff([report.stamp_ns for report in reports]) < 0).any()
     ours, theirs = contents(state), contents(usual[0])
-    of_stamps = {"tracker.counters", "tracker.period_s", "tracker.twist", "tracker.sensors.stamps_ns"}
+    of_stamps = {"tracker.counters", "tracker.rates", "tracker.twist", "tracker.sensors.stamps_ns"}
     assert {name for name in ours if ours[name] != theirs[name]} == of_stamps
 
 

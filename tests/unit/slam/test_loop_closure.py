@@ -16,10 +16,10 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam import GridFastSlam
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Prior
 from gridslam.slam.submaps import drawn
 from gridslam.slam.ties import Source
-from gridslam.slam.tracker import OdometryTracker
 from gridslam.types import Odometry, StepReport
 
 SLIPS = slice(70, 150)
