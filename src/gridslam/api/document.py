@@ -20,6 +20,7 @@ from gridslam.slam.full_slam import Loops
 from gridslam.slam.memory import Rejection
 from gridslam.slam.ties import Source
 from gridslam.slam.tracker import Tracker, TrackerState
+from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import IntArray
 
 if TYPE_CHECKING:
@@ -151,7 +152,14 @@ def _loop_closure(loops: Loops, key_stamps_ns: IntArray, corrections: int) -> di
         "joint_ties": loops.joint_ties,
         "chi2": loops.chi2,
         "moved_m": loops.moved_m,
+        "candidates": {name: _score(score) for name, score in loops.candidates.items()},
+        "chosen": loops.chosen,
     }
+
+
+def _score(score: TrajectoryScore) -> dict[str, Any]:
+    """Of a candidate; an agreement of no beams is none."""
+    return asdict(score) | {"agreement": score.agreement if score.beams else None}
 
 
 def _peak_memory_bytes() -> int:

@@ -23,6 +23,7 @@ from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.ties import Source, Tie
+from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 __all__ = ["FullSlam", "Loops", "full_slam"]
@@ -51,6 +52,10 @@ class Loops:
         Of the graph after the last word.
     moved_m : float
         How far the last word moved a key scan at most.
+    candidates : dict of str to TrajectoryScore
+        Trajectories that were compared in the last word, by name (see `Candidate`).
+    chosen : str
+        Name of the one that is the answer.
     """
 
     closures: IntArray
@@ -61,6 +66,8 @@ class Loops:
     joint_ties: int
     chi2: float
     moved_m: float
+    candidates: dict[str, TrajectoryScore]
+    chosen: str
 
 
 @final
@@ -121,7 +128,7 @@ def full_slam(
     else:
         memory = state.memory.snapshot()  # the last word writes into it
         said = last_word(memory, trajectory, keys, key_from_base, mapper, tick)
-        graph, poses, maps, row = scaled(said.graph, said.weights), said.poses, said.maps, 0
+        graph, poses, maps, row = scaled(said.best.graph, said.best.weights), said.poses, said.maps, 0
         key_covariances = _marginals(graph)
         loops = _loops(state.memory, memory, said, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
@@ -149,8 +156,8 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
 
 def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
     """Sum up what was remembered while the robot drove, and in the last word."""
-    ties = memory.graph.ties
-    believed = said.weights[len(said.weights) - len(ties) :] >= 0.5
+    ties, weights = said.best.ties, said.best.weights
+    believed = weights[len(weights) - len(ties) :] >= 0.5
     recognized = np.array([tie.source is Source.RECOGNIZED for tie in ties], np.bool_)
     return Loops(
         closures=_ends(ties)[recognized & believed],
@@ -159,8 +166,10 @@ def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArra
         rejected=memory.rejected,
         ties=Counter(tie.source for tie in driven.graph.ties),
         joint_ties=int((~recognized).sum()),
-        chi2=scaled(said.graph, said.weights).chi2(),
-        moved_m=float(np.hypot(*(said.graph.poses - trajectory)[:, :2].T).max()),
+        chi2=scaled(said.best.graph, weights).chi2(),
+        moved_m=float(np.hypot(*(said.best.graph.poses - trajectory)[:, :2].T).max()),
+        candidates=said.scores,
+        chosen=said.best.name,
     )
 
 

@@ -51,19 +51,20 @@ class Cauchy:
         """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
         poses = next(iter(starts))
         system = BlockSystem(graph.edges, len(graph.poses), 3)
-        weights, iterations = self._weights(graph, poses), 0
+        weights, iterations = self.weights(graph, poses), 0
         for _ in range(self.passes):
             weighted, passes = _weighted(graph, weights), min(2, max_iterations)
             found: Descent = yield from descend(weighted, poses, system, passes, tolerance)
             iterations += found.iterations
             moved = float(np.abs(found.poses - poses)[:, :2].max())
-            poses, weights = found.poses, self._weights(graph, found.poses)
+            poses, weights = found.poses, self.weights(graph, found.poses)
             if moved < self.stop_m:
                 break
         chi2 = float((weights * squared_errors(graph, graph.errors(poses))).sum())
         return RobustEstimate(replace(found, poses=poses, chi2=chi2, iterations=iterations), weights, chi2)
 
-    def _weights(self, graph: PoseGraph, poses: FloatArray) -> FloatArray:
+    def weights(self, graph: PoseGraph, poses: FloatArray | None = None) -> FloatArray:
+        """How much each measurement counts (M,), in [0, 1], at poses (N, 3), by default the graph's own."""
         squared = squared_errors(graph, graph.errors(poses))
         return np.where(graph.trusted, 1.0, 1.0 / (1.0 + squared / self.scale**2))
 

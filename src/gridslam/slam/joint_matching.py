@@ -23,9 +23,37 @@ from gridslam.slam.memory import Memory
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
 from gridslam.slam.ties import Source, Tie, surveyed
+from gridslam.slam.trajectory_score import JointMapScore, TrajectoryScore
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["JointMatching", "LastWord"]
+__all__ = ["Candidate", "JointMatching", "LastWord"]
+
+_OWN = 3
+"""Submaps so near in time show what the tracker has matched already."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A trajectory that may be the answer.
+
+    Attributes
+    ----------
+    name : str
+        Where it comes from: "filter", the best particle's past; "refined", that past matched jointly; "constraints",
+        what the constraints found while the robot drove make of the tracked motion.
+    graph : PoseGraph
+        Key scans and what was measured between them; its poses (T, 3) are the trajectory.
+    ties : list of Tie
+        The last measurements in the graph: matches of key scans to submaps of another time.
+    weights : (M,) float64
+        How much each measurement is believed.
+    """
+
+    name: str
+    graph: PoseGraph
+    ties: list[Tie]
+    weights: FloatArray
 
 
 @final
@@ -35,29 +63,32 @@ class LastWord:
 
     Attributes
     ----------
-    graph : PoseGraph
-        Key scans and what was measured between them; its poses (T, 3) are the solution.
-    weights : (M,) float64
-        How much each measurement was believed.
+    best : Candidate
+        The key scans' trajectory, and what is known of it.
     poses : (N, 3) float64
         A pose for every scan.
     maps : TileMaps
         One map, drawn from the key scans.
+    scores : dict of str to TrajectoryScore
+        Of all candidates, by name; the first of the greatest log likelihood is the best.
     """
 
-    graph: PoseGraph
-    weights: FloatArray
+    best: Candidate
     poses: FloatArray
     maps: TileMaps
+    scores: dict[str, TrajectoryScore]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class JointMatching:
-    """Match, solve, and match again, until nothing moves; then match every scan to the map of all key scans.
+    """Match, solve, and match again, until nothing moves; choose; then match every scan to the map of all key scans.
 
-    Key scans are matched to the older and later submaps about them to which theirs are tied, drawn anew from the
-    current trajectory. Matched to those of its own time a scan would only repeat what the tracker has made of it.
+    Key scans are matched to the older and later submaps about them, drawn anew from the current trajectory. Matched to
+    those of its own time a scan would only repeat what the tracker has made of it. This is begun from the past of the
+    best particle, whose closures are evidence like recognized places; and, where that is another one, from the
+    trajectory that the constraints found on the way make of the tracked motion. The answer is the candidate of the best
+    score, and that past as it is is one of them: nothing that the particles knew is forgotten for a worse map.
 
     Parameters
     ----------
@@ -88,8 +119,12 @@ class JointMatching:
         Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
     matcher : GaussNewton
         How scans are matched.
-    solver : GraphSlam
-        How the graph is solved.
+    another_m : float, m
+        The constraints found on the way make a candidate of their own where they move a key scan farther.
+    robust : Cauchy
+        How the graph is solved, and what a measurement counts that is off.
+    score : JointMapScore
+        How candidates are compared.
     """
 
     rounds: int = Field(default=2, ge=1)
@@ -106,7 +141,13 @@ class JointMatching:
     scan_m: float = Field(default=0.15, gt=0)
     scan_prior: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
-    solver: GraphSlam = GraphSlam(first_guess="given", robust=Cauchy())
+    another_m: float = Field(default=0.3, gt=0)
+    robust: Cauchy = Cauchy()
+    score: JointMapScore = JointMapScore()
+
+    @property
+    def _solver(self) -> GraphSlam:
+        return GraphSlam(first_guess="given", robust=self.robust)
 
     def __call__(
         self,
@@ -130,25 +171,54 @@ class JointMatching:
         tick
             Called now and then, so that progress can be shown and the work be interrupted.
         """
+        scores: dict[str, TrajectoryScore] = {}
+        best, maps = None, None
+        for candidate in self._candidates(memory, trajectory, mapper, tick):
+            score, joint = self.score(memory.graph, memory.scans, candidate.graph.poses, mapper, tick)
+            if all(score.log_likelihood > other.log_likelihood for other in scores.values()):
+                best, maps = candidate, joint
+            scores[candidate.name] = score
+        assert best is not None  # the first candidate has nothing to beat
+        assert maps is not None
+        bent = full_trajectory(best.graph.poses, keys, key_from_base)
+        return LastWord(best, self._matched(memory, bent, maps, tick), maps, scores)
+
+    def _candidates(
+        self, memory: Memory, trajectory: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
+    ) -> Iterator[Candidate]:
+        """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
+        known, found = memory.graph, memory.graph.ties
+        recognized = [tie for tie in found if tie.source is Source.RECOGNIZED]
+        tracked = self._increments(memory, trajectory)
+        ties = [*recognized, *self._ties(memory, trajectory, mapper, tick)]
+        known.poses, known.ties = list(trajectory), ties
+        graph = known.graph(between(trajectory[:-1], trajectory[1:]))
+        yield Candidate("filter", graph, ties, self.robust.weights(graph))
+        if not (ties or found):
+            return
+        yield self._refined("refined", memory, recognized, ties, tracked, mapper, tick)
+        known.poses, known.ties = list(trajectory), found
+        start = self._solver.solve(known.graph(tracked)).poses
+        if np.hypot(*(start - trajectory)[:, :2].T).max() > self.another_m:
+            known.poses = list(start)
+            ties = [*recognized, *self._ties(memory, start, mapper, tick)]
+            yield self._refined("constraints", memory, recognized, ties, tracked, mapper, tick)
+
+    def _refined(
+        self, name: str, memory: Memory, recognized: list[Tie], ties: list[Tie], increments: FloatArray,
+        mapper: OccupancyGridMapping, tick: Callable[[], None],
+    ) -> Candidate:  # fmt: skip
+        """Solve the graph with ties found at its poses, find them anew at the solution, and so on."""
         known = memory.graph
-        known.poses = list(trajectory)
-        increments = self._increments(memory, trajectory)
-        known.poses = list(self.solver.solve(known.graph(increments)).poses)
-        kept = [tie for tie in known.ties if tie.source is Source.RECOGNIZED]
-        for _ in range(self.rounds):
-            before = np.array(known.poses)
-            ties = list(self._ties(memory, before, mapper, tick))
-            known.ties = kept + ties
+        for last in range(self.rounds - 1, -1, -1):
+            before, known.ties = np.array(known.poses), ties
             graph = known.graph(increments)
-            solution = self.solver.solve(graph)
+            solution = self._solver.solve(graph)
             known.poses = list(solution.poses)
-            if np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
+            if not last or np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
                 break
-        maps = drawn(mapper, memory.scans, np.arange(len(known)), solution.poses)
-        bent = full_trajectory(solution.poses, keys, key_from_base)
-        return LastWord(
-            graph.with_poses(solution.poses), solution.weights, self._matched(memory, bent, maps, tick), maps
-        )
+            ties = [*recognized, *self._ties(memory, solution.poses, mapper, tick)]
+        return Candidate(name, graph.with_poses(solution.poses), ties, solution.weights)
 
     def _increments(self, memory: Memory, trajectory: FloatArray) -> FloatArray:
         """Increments (T - 1, 3) as the filter has them; where its map drew it off the track, as tracked."""
@@ -188,11 +258,11 @@ class JointMatching:
         """For each submap the key scans to match to it."""
         from scipy.spatial import cKDTree  # only who closes loops pays for its import
 
-        allowed, blocks = _connected(memory), memory.graph.blocks
+        blocks = memory.graph.blocks
         wanted: list[list[int]] = [[] for _ in range(blocks)]
-        tree = cKDTree(poses[:, :2])
+        tree, complete = cKDTree(poses[:, :2]), blocks * BLOCK
         for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.near_m)):
-            others = np.array([k for k in near if k // BLOCK in allowed[key // BLOCK]], np.int64)
+            others = np.array([k for k in near if k < complete and abs(k // BLOCK - key // BLOCK) > _OWN], np.int64)
             away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
                 wrap(poses[others, 2] - poses[key, 2])
             )
@@ -218,16 +288,3 @@ class JointMatching:
             if match.score[0] >= self.scan_share * len(beams) and moved <= self.scan_m:
                 matched[scan] = match.poses[0]
         return matched
-
-
-def _connected(memory: Memory) -> list[set[int]]:
-    """For each submap those that ties lead to in one step or two, and their neighbours; none of its own time."""
-    count, blocks = -(-len(memory.graph) // BLOCK), memory.graph.blocks
-    near = [set(range(max(0, b - 3), min(blocks, b + 4))) for b in range(count)]
-    tied: list[set[int]] = [set() for _ in range(count)]
-    for tie in memory.graph.ties:
-        a, b = tie.from_ // BLOCK, tie.to // BLOCK
-        for one, other in ((a, b), (b, a)):
-            for k in range(max(0, one - 1), min(count, one + 2)):
-                tied[k] |= near[other]
-    return [members.union(*(tied[other] for other in members)) - near[k] for k, members in enumerate(tied)]
