@@ -1,0 +1,247 @@
+"""Recall and precision of loop closure, on drives where old places have to be recognized.
+
+Other benchmarks of closures have odometry so good that nothing needs to be recognized, and there none that is false
+proves nothing. How many revisits there are, and which, is decided by the truth alone (see `recognition_drives`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+import recognition_logs as harder
+from gridslam.config import Configuration, override
+from gridslam.errors import ConfigurationError
+from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray
+from measure import provenance
+from recognition_drives import HONEST, KINDS, Drive, certain_revisits, driven_m, simulated
+from recognition_scores import Score, fitted_m, judge, mapped, off_m, rmse
+from report import Report, table
+
+__all__ = ["LOOSE", "main", "revisits"]
+
+_ROOT = Path(__file__).resolve().parent.parent
+LOOSE = tuple(f"closure.recognition.{it}" for it in ("share=0.4", "other_share=1.0", "confirmations=1", "through=1.0"))
+"""A gate that lets through what it should not."""
+
+_RULES = "1"
+"""Change it with what makes a revisit certain: cached ones are not believed then."""
+_OFF_M = 1.0
+_Result = TypeVar("_Result")
+
+
+def revisits(drive: Drive, folder: Path | None) -> FloatArray:
+    """Certain revisits of a drive, kept in a folder: they depend on nothing that a mapper does."""
+    if folder is None:
+        return certain_revisits(drive)
+    digest = hashlib.sha256(_RULES.encode() + drive.truth.tobytes() + drive.dark.tobytes()).hexdigest()[:16]
+    path = folder / f"revisits-{drive.name.replace(' ', '-')}-{digest}.npy"
+    return _cached(path, lambda: certain_revisits(drive))
+
+
+def _cached(path: Path, make: Callable[[], FloatArray]) -> FloatArray:
+    if path.is_file():
+        return np.asarray(np.load(path))
+    found = make()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}.npy")
+    np.save(beside, found)
+    beside.replace(path)  # other workers see all of it or nothing
+    return found
+
+
+class _Task(NamedTuple):
+    """What a worker maps: a simulated drive (part a), or a log made harder; its parameters, folders and seed."""
+
+    part: str
+    name: str
+    kind: str
+    seed: int
+    changes: tuple[str, ...]
+    data: Path
+    cache: Path | None
+
+
+def _scored(task: _Task) -> Score:
+    few = ("particles=10",) if task.part == "a" else ()
+    config = override(Configuration(), *few, *task.changes)
+    alone = override(config, "loop_closure=false")
+    if task.part == "a":
+        drive = simulated(task.kind, task.seed)
+        log, errors, seed = [drive.everything[k] for k in drive.lit.tolist()], off_m, 0
+    else:
+        made = harder.variant(task.name, task.kind, task.data, task.seed, lambda *log: _clean(task.cache, *log))
+        drive = Drive(task.name, made.measurements, made.truth, np.empty((0, 2)))
+        log, errors, seed = made.measurements, fitted_m, task.seed
+    arcs = revisits(drive, task.cache) if task.part in "ab" else np.empty((0, 2))
+    truth, driven = drive.truth[drive.lit], driven_m(drive.truth)[drive.lit]
+    said, filtered = mapped(log, config, seed), mapped(log, alone, seed)
+    off, off_alone = errors(truth, said.full), errors(truth, filtered.full)
+    return Score(
+        len(arcs), *judge(truth, driven, said, arcs), rmse(off), rmse(errors(truth, said.online)), rmse(off_alone),
+        float(off_alone.max()), float(off.max()), said.cpu_s,
+    )  # fmt: skip
+
+
+def _clean(cache: Path | None, name: str, log: list[Measurement]) -> FloatArray:
+    """Poses of a log as it is, of all particles' best run; made once where there is a folder for it."""
+
+    def make() -> FloatArray:
+        return mapped(log, Configuration()).full
+
+    return make() if cache is None else _cached(cache / f"clean-{name}.npy", make)
+
+
+_HEAD = [
+    "drives", "number", "certain revisits", "recognized", "recall", "right constraints", "false constraints",
+    "drives with false", "drives with right", "filter off > 1 m", "full m", "online m", "filter m", "worst full m",
+    "CPU s",
+]  # fmt: skip
+
+
+def _row(name: str, scores: Sequence[Score]) -> list[Any]:
+    """Sums over drives; of errors the median, as one lost drive would be all that a mean tells."""
+    certain, recognized = sum(s.certain for s in scores), sum(s.recognized for s in scores)
+    recall = f"{recognized / certain:.3f}" if certain else "-"
+    off = float(np.mean([s.filter_off_m > _OFF_M for s in scores]))
+    errors = [float(np.median([getattr(s, f"{it}_m") for s in scores])) for it in ("full", "online", "filter")]
+    return [
+        name, len(scores), certain, recognized, recall, sum(s.right for s in scores), sum(s.false for s in scores),
+        sum(s.false > 0 for s in scores), sum(s.right > 0 for s in scores), f"{off:.0%}", *errors,
+        max(s.full_off_m for s in scores), float(np.mean([s.cpu_s for s in scores])),
+    ]  # fmt: skip
+
+
+def _each(
+    pool: ProcessPoolExecutor | None, work: Callable[[Any], _Result], tasks: Sequence[_Task]
+) -> Iterator[_Result]:
+    return map(work, tasks) if pool is None else pool.map(work, tasks)
+
+
+def _printed(row: Sequence[object]) -> None:
+    print("  ".join(f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in row), flush=True)
+
+
+def _simulated_section(
+    report: Report, title: str, kinds: Sequence[str], tasks: Sequence[_Task], scores: Iterator[Score]
+) -> list[list[Any]]:
+    """Rows of one setting, each drive printed as it comes; returns those of honest and of deceptive drives."""
+    by_kind: dict[str, list[Score]] = {kind: [] for kind in kinds}
+    for task, score in zip(tasks, scores, strict=True):
+        by_kind[task.kind].append(score)
+        _printed([task.name, *score])
+    rows = [_row(kind, found) for kind, found in by_kind.items()]
+    honest = [score for kind in kinds if _honest(kind) for score in by_kind[kind]]
+    deceptive = [score for kind in kinds if not _honest(kind) for score in by_kind[kind]]
+    totals = [_row(name, found) for name, found in (("honest", honest), ("deceptive", deceptive)) if found]
+    report.add(title, table(_HEAD, rows + totals))
+    return totals
+
+
+def _honest(kind: str) -> bool:
+    return kind in (*HONEST, "campus")
+
+
+def _log_section(report: Report, title: str, tasks: Sequence[_Task], scores: Iterator[Score]) -> None:
+    by_log: dict[str, list[Score]] = {}
+    for task, score in zip(tasks, scores, strict=True):
+        by_log.setdefault(f"{task.name}, {task.kind}", []).append(score)
+        _printed([task.name, task.kind, task.seed, *score])
+    report.add(title, table(_HEAD, [_row(name, found) for name, found in by_log.items()]))
+
+
+def _settings(given: argparse.Namespace) -> list[tuple[str, tuple[str, ...]]]:
+    """Titles and changes of parameters; checked here, before hours of work."""
+    common = tuple(given.set)
+    found = [("as it is" if not common else ", ".join(common), common)]
+    for sweep in given.sweep:
+        name, _, values = sweep.partition("=")
+        found += [(f"{name}={value}", (*common, f"{name}={value}")) for value in values.split(",")]
+    if given.loose:
+        found.append(("loose", (*common, *LOOSE)))
+    try:
+        for _, changes in found:
+            override(Configuration(), *changes)
+    except ConfigurationError as error:
+        sys.exit(f"recognition: {error}")
+    return found
+
+
+def _tasks(part: str, given: argparse.Namespace, changes: tuple[str, ...]) -> list[_Task]:
+    if part == "a":
+        drives = [(kind, seed) for kind in given.kinds for seed in range(given.drives)]
+        return [_Task("a", f"{kind} {seed}", kind, seed, changes, given.data, given.cache) for kind, seed in drives]
+    return [
+        _Task(part, name, kind, seed, changes, given.data, given.cache)
+        for name, kind in harder.variants(part, given.data)
+        for seed in range(given.seeds)
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> Report:
+    """Run what is asked for, and write the report where it is asked for."""
+    given = _parser().parse_args(arguments)
+    settings, report, curve = _settings(given), Report(), []
+    machine = "\n".join(f"- {name}: {value}" for name, value in provenance().items())
+    print(machine)
+    pool = ProcessPoolExecutor(given.workers) if given.workers > 1 else None
+    for setting, changes in settings:
+        for part in given.only:
+            tasks = _tasks(part, given, changes)
+            scores = _each(pool, _scored, tasks)
+            if part == "a":
+                totals = _simulated_section(report, f"Simulated drives: {setting}", given.kinds, tasks, scores)
+                curve += [[setting, *row] for row in totals]
+            else:
+                _log_section(report, f"{harder.PARTS[part]}: {setting}", tasks, scores)
+    if len(settings) > 1 and curve:
+        report.add("Curve", table(["setting", *_HEAD], curve))
+    if pool is not None:
+        pool.shutdown()
+    if given.out is not None:
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text("\n\n".join(["# Recognition", machine, *report.sections]) + "\n", encoding="utf-8")
+    return report
+
+
+def _parser() -> argparse.ArgumentParser:
+    def parts(text: str) -> list[str]:
+        return _named(text, ["a", *harder.PARTS])
+
+    def kinds(text: str) -> list[str]:
+        return _named(text, [*KINDS, "campus"])
+
+    parser = argparse.ArgumentParser(description="Recall and precision of loop closure where it is needed.")
+    parser.add_argument("--only", type=parts, default=["a", *harder.PARTS], help="parts a to e, as in a,b [all]")
+    parser.add_argument("--kinds", type=kinds, default=list(KINDS), help="worlds of part a [all but campus]")
+    parser.add_argument("--drives", type=int, default=50, help="drives of each kind [50]")
+    parser.add_argument("--seeds", type=int, default=5, help="seeds of each log of parts b to e [5]")
+    parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data", help="folder of real logs")
+    parser.add_argument("--cache", type=Path, help="keeps certain revisits and clean runs from one run to the next")
+    parser.add_argument("--workers", type=int, default=1, help="processes [1]")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of all runs")
+    parser.add_argument("--sweep", action="append", default=[], metavar="NAME=V1,V2", help="again with each value")
+    parser.add_argument("--loose", action="store_true", help="again with a gate that lets through what it should not")
+    parser.add_argument("-o", "--out", type=Path, help="Markdown file")
+    return parser
+
+
+def _named(text: str, known: Sequence[str]) -> list[str]:
+    """Names in a list with commas; argparse tells what is wrong with others."""
+    names = text.split(",")
+    if wrong := [name for name in names if name not in known]:
+        raise argparse.ArgumentTypeError(f"expected some of {', '.join(known)}, got {', '.join(wrong)}")
+    return names
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""What is judged of a run against the truth: constraints, revisits that were recognized, errors of the trajectory."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.config import Configuration, build
+from gridslam.evaluation.closures import OPEN_M, closure_errors
+from gridslam.evaluation.trajectory import align
+from gridslam.geometry.se2 import between, compose
+from gridslam.io.measurement import Measurement
+from gridslam.observers import TrajectoryRecorder
+from gridslam.pipeline import run
+from gridslam.slam.full_slam import full_slam
+from gridslam.slam.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+from recognition_drives import APART_M
+
+__all__ = ["Mapped", "Score", "fitted_m", "judge", "kept", "mapped", "off_m", "rmse"]
+
+_FALSE_M, _FALSE_RAD = 0.5, math.radians(8.0)
+_RIGHT_M, _RIGHT_RAD = 0.2, math.radians(3.0)
+_BESIDE_M = 0.5  # a run has other key scans than those by which revisits were found
+
+
+class Mapped(NamedTuple):
+    """What a run says: poses (N, 3) told at the end and at the time, the graph, its key scans (T,), CPU seconds."""
+
+    full: FloatArray
+    online: FloatArray
+    graph: PoseGraph
+    keys: IntArray
+    cpu_s: float
+
+
+class Score(NamedTuple):
+    """One drive: its certain revisits and those recognized; constraints, right and false; errors in m."""
+
+    certain: int
+    recognized: int
+    right: int
+    false: int
+    full_m: float
+    online_m: float
+    filter_m: float
+    filter_off_m: float
+    full_off_m: float
+    cpu_s: float
+
+
+def mapped(measurements: list[Measurement], config: Configuration, seed: int = 0) -> Mapped:
+    """Map a log as `map_log` does, nothing in it repaired."""
+    recorder, began = TrajectoryRecorder(), time.process_time()
+    rng = np.random.default_rng(seed)
+    state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
+    said = full_slam(state, recorder.keys, recorder.from_key, config.mapper, config.closure, config.last_word)
+    keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
+    return Mapped(said.poses, recorder.online().poses, said.graph, keys, time.process_time() - began)
+
+
+def kept(graph: PoseGraph) -> NDArray[np.bool_]:
+    """Which constraints (M,) beyond the chain the answer keeps: it follows them, and they say something."""
+    metres, radians = closure_errors(graph.poses, graph.edges, graph.measurements, graph.information)
+    told = np.linalg.eigvalsh(graph.information[:, :2, :2])[:, -1] >= OPEN_M**-2
+    followed = (metres <= _FALSE_M) & (radians <= _FALSE_RAD)
+    return ~graph.trusted & (np.abs(np.diff(graph.edges)[:, 0]) > 1) & told & followed
+
+
+def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray) -> tuple[int, int, int]:
+    """Count the arcs recognized, the right constraints and the false ones.
+
+    Parameters
+    ----------
+    truth, driven : (N, 3), (N,)
+        True poses of the log's scans, and metres driven up to each, blackouts included.
+    said : Mapped
+    arcs : (R, 2)
+        Certain revisits, in metres driven.
+    """
+    graph, poses, at = said.graph, truth[said.keys], driven[said.keys]
+    which = kept(graph)
+    edges, measured, known = graph.edges[which], graph.measurements[which], graph.information[which]
+    if not len(edges):
+        return 0, 0, 0
+    metres, radians = closure_errors(poses, edges, measured, known)
+    false = (metres > _FALSE_M) | (radians > _FALSE_RAD)
+    determined = np.linalg.eigvalsh(known[:, :2, :2])[:, 0] >= OPEN_M**-2
+    ends = np.sort(at[edges], axis=1)
+    right = (metres <= _RIGHT_M) & (radians <= _RIGHT_RAD) & determined & (np.diff(ends)[:, 0] >= APART_M)
+    later = ends[right, 1]
+    recognized = [bool(((later >= a - _BESIDE_M) & (later <= b + _BESIDE_M)).any()) for a, b in arcs]
+    return sum(recognized), int(right.sum()), int(false.sum())
+
+
+def off_m(truth: FloatArray, poses: FloatArray) -> FloatArray:
+    """How far poses (N, 3) are off (N,), the first being where it is."""
+    away = between(between(truth[0], truth), between(poses[0], poses))
+    return np.hypot(away[:, 0], away[:, 1])
+
+
+def fitted_m(truth: FloatArray, poses: FloatArray) -> FloatArray:
+    """How far poses (N, 3) are off (N,), all of them laid where they fit best."""
+    away = compose(align(poses[:, :2], truth[:, :2]), poses) - truth
+    return np.hypot(away[:, 0], away[:, 1])
+
+
+def rmse(values: FloatArray) -> float:
+    return math.sqrt(float(np.square(values).mean()))

@@ -1,0 +1,166 @@
+"""The benchmark of recognition: its drives need it, its revisits are certain, and what is false is counted."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridslam.geometry.se2 import between
+from gridslam.slam.pose_graph import PoseGraph
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
+import recognition
+import recognition_drives as drives
+import recognition_logs as harder
+import recognition_scores as scores
+
+SURE = np.diag([400.0, 400.0, 1000.0])
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    return drives.simulated("rooms", 0)
+
+
+def test_odometry_is_wrong_in_blackouts_and_nowhere_else(rooms):
+    driven = drives.driven_m(rooms.truth)
+    odometry = drives._misled(rooms.truth, driven, rooms.dark, drives._HONEST, np.random.default_rng(0))
+    true, told = between(rooms.truth[:-1], rooms.truth[1:]), between(odometry[:-1], odometry[1:])
+    dark = np.zeros(len(driven), bool)
+    for begin, end in rooms.dark:
+        assert 6 <= end - begin <= 10
+        dark |= (driven > begin) & (driven < end)
+    assert np.array_equal(np.flatnonzero(~dark), rooms.lit)
+    np.testing.assert_allclose(told[~dark[1:]], true[~dark[1:]], atol=1e-9)
+    assert 14 < abs(math.degrees((told - true)[dark[1:], 2].sum())) < 30
+    longer = np.hypot(*told[dark[1:], :2].T).sum() / np.hypot(*true[dark[1:], :2].T).sum()
+    assert 0.04 < abs(longer - 1) < 0.11
+
+
+def test_a_drive_is_the_same_each_time(rooms):
+    again = drives.simulated("rooms", 0)
+    assert np.array_equal(again.dark, rooms.dark)
+    pairs = zip(again.everything, rooms.everything, strict=True)
+    assert all(np.array_equal(a.odometry.pose, b.odometry.pose) for a, b in pairs)
+
+
+def test_the_second_lap_is_a_certain_revisit(rooms):
+    arcs, driven = drives.certain_revisits(rooms), drives.driven_m(rooms.truth)
+    assert len(arcs)
+    for begin, end in arcs:
+        assert begin >= drives.APART_M
+        assert end - begin >= 2
+        at = rooms.truth[(driven >= begin) & (driven <= end), :2]
+        before = rooms.truth[driven <= begin - 20, :2]
+        assert max(np.hypot(*(before - p).T).min() for p in at) < 3  # the laser sees farther than that
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("bare_corridors", 0), ("symmetric", 2)])
+def test_alike_places_are_no_certain_revisits(kind, seed):
+    """A serpentine of bare corridors, in which the robot never returns; twins and rings whose wings are alike."""
+    assert len(drives.certain_revisits(drives.simulated(kind, seed))) == 0
+
+
+def lap() -> np.ndarray:
+    """Poses (80, 3) of two laps of 40 m around a square, half a metre and more apart."""
+    s = np.arange(80.0) % 40
+    side, along = (s // 10).astype(int), s % 10
+    x = np.choose(side, [along, 10, 10 - along, 0])
+    y = np.choose(side, [0, along, 10, 10 - along])
+    return np.column_stack([x, y, side * math.pi / 2])
+
+
+def said(poses, *ties) -> scores.Mapped:
+    """A run whose graph has ties (from, to, what the measurement errs by (3,), information)."""
+    count = len(poses)
+    edges = [(k, k + 1) for k in range(count - 1)] + [tie[:2] for tie in ties]
+    i, j = np.array(edges).T
+    measured = between(poses[i], poses[j])
+    information = np.tile(SURE, (len(edges), 1, 1))
+    for k, (*_, error, known) in enumerate(ties):
+        measured[count - 1 + k] += error
+        information[count - 1 + k] = known
+    graph = PoseGraph.of(poses, edges, measured, information)
+    return scores.Mapped(poses, poses, graph, np.arange(count), 0.0)
+
+
+def judged(truth, run, arcs):
+    return scores.judge(truth, drives.driven_m(truth), run, np.array(arcs))
+
+
+def test_a_right_constraint_recognizes_the_revisit_that_it_ends_in():
+    truth = lap()
+    run = said(truth, (5, 45, (0.1, 0.0, 0.02), SURE), (6, 46, (0.0, 0.1, 0.0), SURE))
+    assert judged(truth, run, [(44, 47), (60, 70)]) == (1, 2, 0)
+    assert judged(truth, said(truth), [(44, 47)]) == (0, 0, 0)
+
+
+def test_a_constraint_that_is_not_exact_or_not_old_recognizes_nothing():
+    truth = lap()
+    assert judged(truth, said(truth, (5, 45, (0.3, 0.0, 0.0), SURE)), [(44, 47)]) == (0, 0, 0)
+    assert judged(truth, said(truth, (5, 45, (0.0, 0.0, 0.1), SURE)), [(44, 47)]) == (0, 0, 0)
+    assert judged(truth, said(truth, (20, 45, (0.0, 0.0, 0.0), SURE)), [(44, 47)]) == (0, 0, 0)
+    along_open = np.diag([400.0, 0.01, 1000.0])
+    assert judged(truth, said(truth, (5, 45, (0.0, 0.0, 0.0), along_open)), [(44, 47)]) == (0, 0, 0)
+
+
+def test_an_answer_that_follows_a_wrong_constraint_has_a_false_one():
+    """The answer has the second lap 2 m beside the first, and a constraint that says so."""
+    truth, answer = lap(), lap()
+    answer[40:, 0] += 2.0
+    assert judged(truth, said(answer, (5, 45, (0.0, 0.0, 0.0), SURE)), [(44, 47)]) == (0, 0, 1)
+
+
+def test_a_constraint_that_the_answer_contradicts_is_thrown_away():
+    truth = lap()
+    assert judged(truth, said(truth, (5, 45, (2.0, 0.0, 0.0), SURE)), [(44, 47)]) == (0, 0, 0)
+
+
+def test_one_command_writes_the_report_and_a_curve(tmp_path, capsys, monkeypatch):
+    out, cache = tmp_path / "recognition.md", str(tmp_path / "cache")
+    given = ["--only", "a", "--kinds", "rooms", "--drives", "1", "--cache", cache]
+    recognition.main([*given, "--sweep", "closure.recognition.share=0.9", "-o", str(out)])
+    text = out.read_text(encoding="utf-8")
+    for part in ("commit", "Simulated drives: as it is", "closure.recognition.share=0.9", "## Curve", "| honest |"):
+        assert part in text
+    assert "rooms 0" in capsys.readouterr().out
+    monkeypatch.setattr(recognition, "certain_revisits", lambda drive: pytest.fail("not taken from the cache"))
+    recognition.main(given)
+
+
+def test_a_parameter_that_does_not_exist_is_told_before_any_work(monkeypatch):
+    monkeypatch.setattr(recognition, "simulated", lambda *_: pytest.fail("began to work"))
+    with pytest.raises(SystemExit, match="no such parameter"):
+        recognition.main(["--only", "a", "--sweep", "closure.recognition.shaer=0.6"])
+
+
+def test_logs_are_thinned_and_begun_anew(rooms):
+    scans, (one, two) = rooms.everything, np.random.default_rng(1).integers(0, 200, 2)
+    kept = harder._moved(scans)
+    poses = np.array([scans[k].odometry.pose for k in kept])
+    steps = between(poses[:-1], poses[1:])
+    assert ((np.hypot(steps[:, 0], steps[:, 1]) >= 0.5) | (np.abs(steps[:, 2]) >= 0.5)).all()
+    anew = harder._begun_anew(scans, np.random.default_rng(0))
+    half = len(scans) // 2
+    assert len(anew) == len(scans)
+    assert anew[half - 1] is scans[half - 1]
+    i, j = half + one, half + two
+    np.testing.assert_allclose(
+        between(anew[i].odometry.pose, anew[j].odometry.pose),
+        between(scans[i].odometry.pose, scans[j].odometry.pose), atol=1e-9,
+    )  # fmt: skip
+    assert np.hypot(*(anew[half].odometry.pose - scans[half].odometry.pose)[:2]) > 1
+
+
+def test_logs_that_are_there(data_dir):
+    assert ("seattle", "as it is") in harder.variants("d", data_dir)
+    made = harder.variant("seattle", "as it is", data_dir, 0, lambda *_: pytest.fail("has no clean run"))
+    assert made.truth.shape == (len(made.measurements), 3)
+    assert {kind for _, kind in harder.variants("c", data_dir)} == {
+        "every 2", "every 5", "every 10", "every 16", "0.5 m or 0.5 rad"
+    }  # fmt: skip
