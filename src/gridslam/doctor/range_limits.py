@@ -29,6 +29,7 @@ _SPOILING = 0.05  # share of hits: from one false end in twenty on, arcs remain 
 
 _BEYOND_SHARE = 1e-3  # of all readings, beyond the stated maximum: fewer may be stray
 _MUCH_LOST = 0.1  # of them: the pose's spread grows by 5 %
+_MARGIN_M = 0.05  # below a pile: its readings jitter
 _SPREAD_M = 0.5  # codes for "no return" stand close together, ranges do not
 
 
@@ -93,6 +94,13 @@ class RangeCounts:
                 return _Pile(float(place) * _BIN_M, count, count / total)
         return None
 
+    def false_hits_m(self) -> float:
+        """From which range on hits are beams that hit nothing, and so many of them that they spoil a map; else inf."""
+        self.count()
+        pile = self.pile()
+        spoils = pile is not None and pile.value_m < _USED_M and pile.share > _SPOILING
+        return pile.value_m - _MARGIN_M if pile is not None and spoils else math.inf
+
     def beyond(self) -> tuple[float, float]:
         """Share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
         ranges = self._beyond.copy()
@@ -154,10 +162,10 @@ def _piled(sensor: str, counts: RangeCounts, pile: _Pile) -> Finding:
     )
     if pile.value_m >= _USED_M:
         says += f"; harmless, for readings from {_USED_M:g} m on are not used"
-        severity, remedy = Severity.INFO, f"Leave range_max_m below {pile.value_m - 0.05:.2f} m."
+        severity, remedy = Severity.INFO, f"Leave range_max_m below {pile.value_m - _MARGIN_M:.2f} m."
     else:
         severity = Severity.SPOILS if pile.share > _SPOILING else Severity.DOUBTFUL
-        remedy = f"Map with --set range_max_m={pile.value_m - 0.05:.2f}, or let the driver report inf."
+        remedy = f"Map with --set range_max_m={pile.value_m - _MARGIN_M:.2f}, or let the driver report inf."
     marks = (Mark(f"{pile.value_m:.2f} m", pile.value_m, "x"),)
     size = counts.range_max_m / pile.value_m if math.isfinite(counts.range_max_m) else None
     return Finding("range_limits", severity, says + ".", size, "m/m", remedy, sensor, counts.figure(marks))

@@ -14,7 +14,7 @@ from gridslam.doctor.calibration import Estimate, MotionCalibration, calibrate
 from gridslam.doctor.laser_motion import LaserWitness
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["Repair", "early_calibration", "full_repair", "needed_repair", "repaired"]
 
@@ -43,6 +43,8 @@ class Repair:
         Metres, radians that odometry tells for one.
     drift_rad_per_m : float, rad/m
         What odometry turns too much to the left for each metre driven forward.
+    range_max_m : float, m
+        Hits from this range on are beams that hit nothing.
     """
 
     reflected: bool = False
@@ -51,6 +53,7 @@ class Repair:
     scale: float = 1.0
     turn_scale: float = 1.0
     drift_rad_per_m: float = 0.0
+    range_max_m: float = math.inf
 
     def __bool__(self) -> bool:
         """Whether there is anything to take out."""
@@ -71,17 +74,20 @@ class Repair:
             yield f"odometry tells {self.turn_scale:.3f} rad for a radian"
         if self.drift_rad_per_m:
             yield f"odometry turns {math.degrees(self.drift_rad_per_m):+.2f} degrees for each metre"
+        if math.isfinite(self.range_max_m):
+            yield f"beams that hit nothing are told as hits, from {self.range_max_m:.2f} m on"
 
 
-def needed_repair(calibration: MotionCalibration) -> Repair:
+def needed_repair(calibration: MotionCalibration, range_max_m: float = math.inf) -> Repair:
     """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
 
-    Matching makes up for all else, while these two it cannot see: the odometry's motion is the only witness.
+    Matching makes up for all else, while these two it cannot see: the odometry's motion is the only witness. Hits from
+    `range_max_m` on that are none follow the robot around, and hold it back along a corridor.
     """
     reflected = calibration.agreement < _SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     yaw = calibration.yaw_rad
     large = yaw.differs(0.0, _SPOILING_YAW_RAD, _SIGMAS)
-    return Repair(bool(reflected), yaw.value if large else 0.0)
+    return Repair(bool(reflected), yaw.value if large else 0.0, range_max_m=range_max_m)
 
 
 def _is_clean(calibration: MotionCalibration) -> bool:
@@ -91,7 +97,7 @@ def _is_clean(calibration: MotionCalibration) -> bool:
     return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
 
 
-def full_repair(calibration: MotionCalibration) -> Repair:
+def full_repair(calibration: MotionCalibration, range_max_m: float = math.inf) -> Repair:
     """All that the calibration tells for certain: what differs by more than four standard deviations."""
 
     def sure(estimate: Estimate, usual: float) -> float:
@@ -100,6 +106,7 @@ def full_repair(calibration: MotionCalibration) -> Repair:
     return Repair(
         needed_repair(calibration).reflected, sure(calibration.yaw_rad, 0.0), sure(calibration.skew_s, 0.0),
         sure(calibration.scale, 1.0), sure(calibration.turn_scale, 1.0), sure(calibration.drift_rad_per_m, 0.0),
+        range_max_m,
     )  # fmt: skip
 
 
@@ -143,7 +150,7 @@ def repaired(measurements: Iterable[Measurement], repair: Repair, sensor: str | 
     repair : Repair
         What to take out.
     sensor : str, optional
-        The laser whose direction, yaw and skew are corrected; that of the first scan if not given. Odometry is
+        The laser whose direction, yaw, skew and range are corrected; that of the first scan if not given. Odometry is
         corrected for all.
 
     Yields
@@ -156,7 +163,7 @@ def repaired(measurements: Iterable[Measurement], repair: Repair, sensor: str | 
     corrected = _Odometer(repair)
     for odometry, scan in _unskewed(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
-        seen = _turned(scan, repair, geometries) if scan.sensor == sensor else scan
+        seen = _limited(_turned(scan, repair, geometries), repair.range_max_m) if scan.sensor == sensor else scan
         yield Measurement(None if odometry is None else corrected(odometry), seen)
 
 
@@ -171,6 +178,13 @@ def _turned(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, Scan
         bearings = -scan.geometry.bearings if repair.reflected else scan.geometry.bearings
         geometry = geometries[scan.geometry] = ScanGeometry(bearings, mounting)
     return replace(scan, geometry=geometry)
+
+
+def _limited(scan: LaserScan, range_max_m: float) -> LaserScan:
+    false = (scan.status == BeamStatus.HIT) & (scan.ranges >= range_max_m)
+    if not false.any():
+        return scan
+    return replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
 
 
 @final

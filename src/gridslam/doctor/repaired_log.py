@@ -8,6 +8,7 @@ from typing import Literal, final
 
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
+from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
@@ -63,6 +64,19 @@ class RepairedLog:
         return repaired(self._log, self.repair) if self.repair else iter(self._log)
 
     def _found_out(self) -> Repair:
+        counts = RangeCounts()
         if self._kind == "all":
-            return full_repair(calibrate(laser_motion(self._log)))
-        return needed_repair(early_calibration(self._log))
+            full = calibrate(laser_motion(_counted(self._log, counts)))
+            return full_repair(full, counts.false_hits_m())
+        early = early_calibration(_counted(self._log, counts))
+        return needed_repair(early, counts.false_hits_m())
+
+
+def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
+    """Count the ranges of the first laser on their way."""
+    sensor = None
+    for measurement in log:
+        sensor = measurement.scan.sensor if sensor is None else sensor
+        if measurement.scan.sensor == sensor:
+            counts.take(measurement.scan)
+        yield measurement

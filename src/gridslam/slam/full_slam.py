@@ -127,7 +127,7 @@ def full_slam(
         row, loops = state.best, None
     else:
         memory = state.memory.snapshot()  # the last word writes into it
-        said = last_word(memory, trajectory, keys, key_from_base, mapper, tick)
+        said = last_word(memory, trajectory, keys, key_from_base, mapper, closure, tick)
         graph, poses, maps, row = scaled(said.best.graph, said.best.weights), said.poses, said.maps, 0
         key_covariances = _marginals(graph)
         loops = _loops(state.memory, memory, said, trajectory)

@@ -19,7 +19,8 @@ from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Memory
+from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
 from gridslam.slam.ties import Source, Tie, surveyed
@@ -121,6 +122,9 @@ class JointMatching:
         How scans are matched.
     another_m : float, m
         The constraints found on the way make a candidate of their own where they move a key scan farther.
+    searches : int
+        So often at most the whole log is searched for places seen again, each time from what the last one has made of
+        it.
     robust : Cauchy
         How the graph is solved, and what a measurement counts that is off.
     score : JointMapScore
@@ -142,6 +146,7 @@ class JointMatching:
     scan_prior: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
     another_m: float = Field(default=0.3, gt=0)
+    searches: int = Field(default=3, ge=0)
     robust: Cauchy = Cauchy()
     score: JointMapScore = JointMapScore()
 
@@ -156,6 +161,7 @@ class JointMatching:
         keys: IntArray,
         key_from_base: FloatArray,
         mapper: OccupancyGridMapping,
+        closure: LoopClosure,
         tick: Callable[[], None] = lambda: None,
     ) -> LastWord:
         """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
@@ -168,6 +174,8 @@ class JointMatching:
             Of the key scans, as the filter has it.
         keys, key_from_base : (N,) int64, (N, 3) float64
             For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+        closure
+            How places are recognized, and told true from false.
         tick
             Called now and then, so that progress can be shown and the work be interrupted.
         """
@@ -175,13 +183,49 @@ class JointMatching:
         best, maps = None, None
         for candidate in self._candidates(memory, trajectory, mapper, tick):
             score, joint = self.score(memory.graph, memory.scans, candidate.graph.poses, mapper, tick)
-            if all(score.log_likelihood > other.log_likelihood for other in scores.values()):
+            if best is None or score.log_likelihood > scores[best.name].log_likelihood:
                 best, maps = candidate, joint
             scores[candidate.name] = score
-        assert best is not None  # the first candidate has nothing to beat
+        assert best is not None  # the filter's own past
         assert maps is not None
+        for search in range(1, self.searches + 1):
+            closed = self._closed(f"closed {search}", memory, best, closure, mapper, tick)
+            if closed is None:
+                break
+            score, joint = self.score(memory.graph, memory.scans, closed.graph.poses, mapper, tick)
+            scores[closed.name] = score
+            if score.log_likelihood < scores[best.name].log_likelihood:
+                break
+            best, maps = closed, joint
         bent = full_trajectory(best.graph.poses, keys, key_from_base)
         return LastWord(best, self._matched(memory, bent, maps, tick), maps, scores)
+
+    def _closed(
+        self, name: str, memory: Memory, best: Candidate, closure: LoopClosure, mapper: OccupancyGridMapping,
+        tick: Callable[[], None],
+    ) -> Candidate | None:  # fmt: skip
+        """Search the whole log for places seen again that the best candidate does not know of; None if there is none.
+
+        Which of them are true is decided by all together: by least squares that tell false measurements from true ones.
+        """
+        known, count = memory.graph, len(best.graph.poses)
+        known.ties = best.ties
+        memory.correct(best.graph.poses)
+        groups = closure.recognition.search_all(memory, mapper, best.ties, tick)
+        new = [tie for group in groups for tie in group]
+        if not new:
+            return None
+        increments, known.ties = best.graph.measurements[: count - 1], [*new, *best.ties]
+        solution = closure.solver.solve(known.graph(increments))
+        true = solution.weights[count - 1 :][: len(new)] >= 0.5
+        recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
+        memory.rejected[Rejection.IMPLAUSIBLE] += len(new) - len(recognized)
+        if not recognized:
+            return None
+        recognized += [tie for tie in best.ties if tie.source is Source.RECOGNIZED]
+        known.poses = list(solution.poses)
+        ties = [*recognized, *self._ties(memory, solution.poses, mapper, tick)]
+        return self._refined(name, memory, recognized, ties, increments, mapper, tick)
 
     def _candidates(
         self, memory: Memory, trajectory: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]

@@ -66,7 +66,7 @@ class Drift:
 
 @final
 class Nearby(NamedTuple):
-    """A submap, and where the newest key scan is as seen from its first one, by the most certain way there."""
+    """A submap, and where a key scan is as seen from its first one, by the most certain way there."""
 
     block: int
     pose: FloatArray  # (3,)
@@ -153,17 +153,16 @@ class KeyGraph:
         frame = self.tracked if abs(anchor - key) <= 3 * BLOCK else self.poses
         return between(frame[anchor], frame[key])
 
-    def nearby(self, limit_m: float, most: int) -> list[Nearby]:
-        """Submaps in the order of their uncertainty as seen from the newest key scan, nearest first.
+    def nearby(self, key: int, limit_m: float, most: int) -> list[Nearby]:
+        """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
 
         The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
         """
-        newest = len(self) - 1
-        here, tracked = newest // BLOCK, self.tracked
-        x, y, _ = self.poses[-1].tolist()
+        here, tracked = key // BLOCK, self.tracked
+        x, y, _ = self.poses[key].tolist()
         away = x * x + y * y
-        ends = [tracked[newest]]  # the newest key scan as the tracker would have it, had it come by certain ties
-        start: _Moments = tuple((self._sums[newest] - self._sums[here * BLOCK]).tolist())
+        ends = [tracked[key]]  # the key scan as the tracker would have it, had it come by certain ties
+        start: _Moments = tuple((self._sums[key] - self._sums[here * BLOCK]).tolist())
         queue: list[tuple[float, int, int, _Moments, int, _Crossing]] = [(0.0, 0, here, start, 0, None)]
         pushed = 0  # keeps the order of equals
         done = dict[int, tuple[_Moments, int]]()
@@ -189,7 +188,7 @@ class KeyGraph:
                         heapq.heappush(queue, (spread, pushed, other, total, end, way))
         firsts = np.array([tracked[block * BLOCK] for block in done])
         poses = between(firsts, np.array([ends[end] for _, end in done.values()]))
-        covariances = self._covariances(np.array([moments for moments, _ in done.values()]))
+        covariances = self._covariances(self.poses[key], np.array([moments for moments, _ in done.values()]))
         return [Nearby(*found) for found in zip(done, poses, covariances, strict=True)]
 
     def graph(
@@ -248,10 +247,10 @@ class KeyGraph:
             self._links.setdefault(a, {})[b] = moments[:3], moments[3:]
         return self
 
-    def _covariances(self, moments: FloatArray) -> FloatArray:
-        """Covariances (K, 3, 3) of the newest pose: a heading error in q moves it across, by the distance from q."""
+    def _covariances(self, pose: FloatArray, moments: FloatArray) -> FloatArray:
+        """Covariances (K, 3, 3) of a pose (3,): a heading error in q moves it across, by the distance from q."""
         position, s, sx, sy, sxx, sxy, syy = moments.T
-        x, y, _ = self.poses[-1].tolist()
+        x, y, _ = pose.tolist()
         xx = s * y * y - 2 * sy * y + syy + position
         yy = s * x * x - 2 * sx * x + sxx + position
         xy = -(s * x * y - sx * y - sy * x + sxy)

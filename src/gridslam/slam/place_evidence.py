@@ -23,11 +23,10 @@ _WALL_M = 0.3
 """A beam that ends so much behind what the map knows has passed through it."""
 
 
-def recent_points(memory: Memory, scans: int) -> FloatArray:
-    """Points (B, 2) of so many last key scans, seen from the newest one."""
-    graph, newest = memory.graph, len(memory.graph) - 1
-    keys = np.arange(newest - scans + 1, newest + 1)
-    tracked = graph.tracked_from(newest, keys)
+def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
+    """Points (B, 2) of a key scan and those before it, `scans` in all, seen from it."""
+    graph, keys = memory.graph, np.arange(key - scans + 1, key + 1)
+    tracked = graph.tracked_from(key, keys)
     points = [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)]
     return np.concatenate(points)
 

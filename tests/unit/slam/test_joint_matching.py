@@ -23,7 +23,8 @@ from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import drawn
 from gridslam.types import Trajectory
 
-SLAM = GridFastSlam(loop_closure=LoopClosure())
+CLOSURE = LoopClosure()
+SLAM = GridFastSlam(loop_closure=CLOSURE)
 WORD = JointMatching()
 
 
@@ -42,7 +43,7 @@ def told(log: SimulatedLog, scans: int | None = None, word: JointMatching = WORD
     recorder = TrajectoryRecorder()
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
     memory = state.memory.snapshot()
-    said = word(memory, state.ancestry.trajectory(state.best), recorder.keys, recorder.from_key, SLAM.mapper, tick)
+    said = word(memory, state.ancestry.trajectory(state.best), recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, tick)
     return Told(log, state, recorder, memory, said)
 
 
@@ -79,14 +80,14 @@ def test_the_last_word_is_no_worse_than_the_filter(halls, loop):
         assert said.rot_rmse_deg < filtered.rot_rmse_deg + 0.1
         assert said.trans_rmse_m < 0.07
         assert one is loop or said.trans_rmse_m < max(filtered.trans_rmse_m, 0.04)
-        assert len(one.word.graph.edges) > len(one.word.graph.poses)  # it was tied
+        assert len(one.word.best.graph.edges) > len(one.word.best.graph.poses)  # it was tied
 
 
 def test_ties_of_the_last_word_are_right(halls, loop):
     for one in (*halls, loop):
         truth = one.log.truth.poses[one.state.memory.scans.keys]
-        assert len(one.memory.graph.ties) > 50
-        off = hall.errors(truth, [tie for tie in one.memory.graph.ties if tie.determined])
+        assert len(one.word.best.ties) > 50
+        off = hall.errors(truth, [tie for tie in one.word.best.ties if tie.determined])
         assert np.quantile(off[:, 0], 0.95) < 0.1
         assert off[:, 0].max() < 0.5
         assert off[:, 1].max() < 0.05
@@ -95,7 +96,7 @@ def test_ties_of_the_last_word_are_right(halls, loop):
 def test_it_says_what_it_solved(halls):
     """The graph holds the solution, a weight for each edge, ties to other times only; the map is drawn from it."""
     one = halls[0]
-    graph, weights = one.word.graph, one.word.weights
+    graph, weights = one.word.best.graph, one.word.best.weights
     keys = len(one.memory.graph)
     assert graph.poses.shape == (keys, 3)
     assert weights.shape == (len(graph.edges),)
@@ -109,7 +110,7 @@ def test_it_says_what_it_solved(halls):
 
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):
     one = halls[0]
-    bent = full_trajectory(one.word.graph.poses, one.recorder.keys, one.recorder.from_key)
+    bent = full_trajectory(one.word.best.graph.poses, one.recorder.keys, one.recorder.from_key)
     moved = np.hypot(*(one.word.poses - bent)[:, :2].T)
     assert moved.max() <= WORD.scan_m
     assert 0 < np.median(moved) < 0.05
@@ -117,10 +118,10 @@ def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(hal
 
 def test_without_a_tie_the_key_scans_stay_on_the_chain(untied):
     """From each key scan to the next as the filter has it, or as tracked: nothing else is known."""
-    graph, state = untied.word.graph, untied.state
-    assert untied.memory.graph.ties == []
+    graph, state = untied.word.best.graph, untied.state
+    assert untied.word.best.ties == []
     assert len(graph.edges) == len(graph.poses) - 1
-    assert (untied.word.weights == 1).all()
+    assert (untied.word.best.weights == 1).all()
     assert graph.chi2() < 1e-6
     said, filtered, tracked = (
         between(poses[:-1], poses[1:])
@@ -135,15 +136,15 @@ def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
     memory = untied.state.memory.snapshot()
     trajectory = untied.state.ancestry.trajectory(untied.state.best)
-    WORD(memory, trajectory + np.array([1.0, 2.0, 0.0]), untied.recorder.keys, untied.recorder.from_key, SLAM.mapper)
+    WORD(memory, trajectory + np.array([1.0, 2.0, 0.0]), untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 
 def test_the_same_word_is_said_twice(halls):
     again = told(halls[0].log)
     assert again.word.poses.tobytes() == halls[0].word.poses.tobytes()
-    assert again.word.graph.poses.tobytes() == halls[0].word.graph.poses.tobytes()
-    assert again.word.weights.tobytes() == halls[0].word.weights.tobytes()
+    assert again.word.best.graph.poses.tobytes() == halls[0].word.best.graph.poses.tobytes()
+    assert again.word.best.weights.tobytes() == halls[0].word.best.weights.tobytes()
 
 
 def test_a_round_that_moves_nothing_is_the_last(halls):
