@@ -103,8 +103,8 @@ def _clean(cache: Path | None, name: str, log: list[Measurement]) -> FloatArray:
 
 _HEAD = [
     "drives", "number", "certain revisits", "recognized", "recall", "right constraints", "false constraints",
-    "drives with false", "drives with right", "filter off > 1 m", "full m", "online m", "filter m", "worst full m",
-    "CPU s",
+    "false by search", "drives with false", "drives with right", "filter off > 1 m", "full m", "online m", "filter m",
+    "worst full m", "CPU s",
 ]  # fmt: skip
 
 
@@ -116,6 +116,7 @@ def _row(name: str, scores: Sequence[Score]) -> list[Any]:
     errors = [float(np.median([getattr(s, f"{it}_m") for s in scores])) for it in ("full", "online", "filter")]
     return [
         name, len(scores), certain, recognized, recall, sum(s.right for s in scores), sum(s.false for s in scores),
+        sum(s.false_searched for s in scores),
         sum(s.false > 0 for s in scores), sum(s.right > 0 for s in scores), f"{off:.0%}", *errors,
         max(s.full_off_m for s in scores), float(np.mean([s.cpu_s for s in scores])),
     ]  # fmt: skip

@@ -29,22 +29,27 @@ _BESIDE_M = 0.5  # a run has other key scans than those by which revisits were f
 
 
 class Mapped(NamedTuple):
-    """What a run says: poses (N, 3) told at the end and at the time, the graph, its key scans (T,), CPU seconds."""
+    """What a run says: poses (N, 3) told at the end and at the time, the graph, its key scans (T,), CPU seconds.
+
+    `searched` (K, 2) are the constraints that come from a search; others were matched where the map had them already.
+    """
 
     full: FloatArray
     online: FloatArray
     graph: PoseGraph
     keys: IntArray
+    searched: IntArray
     cpu_s: float
 
 
 class Score(NamedTuple):
-    """One drive: its certain revisits and those recognized; constraints, right and false; errors in m."""
+    """One drive: its certain revisits and those recognized; constraints, right, false, and false by search; m."""
 
     certain: int
     recognized: int
     right: int
     false: int
+    false_searched: int
     full_m: float
     online_m: float
     filter_m: float
@@ -60,7 +65,8 @@ def mapped(measurements: list[Measurement], config: Configuration, seed: int = 0
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
     said = full_slam(state, recorder.keys, recorder.from_key, config.mapper, config.closure, config.last_word)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
-    return Mapped(said.poses, recorder.online().poses, said.graph, keys, time.process_time() - began)
+    searched = np.empty((0, 2), np.int64) if said.loops is None else said.loops.closures
+    return Mapped(said.poses, recorder.online().poses, said.graph, keys, searched, time.process_time() - began)
 
 
 def kept(graph: PoseGraph) -> NDArray[np.bool_]:
@@ -71,8 +77,8 @@ def kept(graph: PoseGraph) -> NDArray[np.bool_]:
     return ~graph.trusted & (np.abs(np.diff(graph.edges)[:, 0]) > 1) & told & followed
 
 
-def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray) -> tuple[int, int, int]:
-    """Count the arcs recognized, the right constraints and the false ones.
+def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray) -> tuple[int, int, int, int]:
+    """Count the arcs recognized, the right constraints, the false ones, and those of these that a search gave.
 
     Parameters
     ----------
@@ -86,7 +92,7 @@ def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray)
     which = kept(graph)
     edges, measured, known = graph.edges[which], graph.measurements[which], graph.information[which]
     if not len(edges):
-        return 0, 0, 0
+        return 0, 0, 0, 0
     metres, radians = closure_errors(poses, edges, measured, known)
     false = (metres > _FALSE_M) | (radians > _FALSE_RAD)
     determined = np.linalg.eigvalsh(known[:, :2, :2])[:, 0] >= OPEN_M**-2
@@ -94,7 +100,9 @@ def judge(truth: FloatArray, driven: FloatArray, said: Mapped, arcs: FloatArray)
     right = (metres <= _RIGHT_M) & (radians <= _RIGHT_RAD) & determined & (np.diff(ends)[:, 0] >= APART_M)
     later = ends[right, 1]
     recognized = [bool(((later >= a - _BESIDE_M) & (later <= b + _BESIDE_M)).any()) for a, b in arcs]
-    return sum(recognized), int(right.sum()), int(false.sum())
+    found = set(map(tuple, said.searched.tolist()))
+    by_search = sum(tuple(pair) in found for pair in edges[false].tolist())
+    return sum(recognized), int(right.sum()), int(false.sum()), by_search
 
 
 def off_m(truth: FloatArray, poses: FloatArray) -> FloatArray:
