@@ -148,12 +148,12 @@ class Tracker:
         moved, turned = _motion(increment)
         sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
         pose = compose(state.matched_pose, increment)
-        return Prediction(pose, True, seconds, turned, *sigmas, self.beam_sigma_m)
+        return Prediction(pose, True, seconds, moved, turned, *sigmas, self.beam_sigma_m)
 
     def _by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
         velocity = self.velocity
         pose, sigmas = velocity.predicted(state, seconds), velocity.sigmas(seconds)
-        return Prediction(pose, False, seconds, abs(float(state.twist[2])) * seconds, *sigmas, velocity.beam_sigma_m)
+        return Prediction(pose, False, seconds, 0.0, abs(float(state.twist[2])) * seconds, *sigmas, velocity.beam_sigma_m)
 
     def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
         dx, dy, turn = (at - state.odometry).tolist()
@@ -182,7 +182,7 @@ class Tracker:
 
     def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
         """Search around the velocity's prediction; around the odometry's where velocities tell nothing."""
-        if self.search.is_seldom(state):
+        if self.search.is_far(state, predicted):
             return self.search(state, predicted, beams)
         return self._searched(state, self._by_velocity(state, predicted.seconds), beams)
 
@@ -270,7 +270,7 @@ class Tracker:
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
         due = seen is None or not is_within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
         if found.poor and found.predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
-            due = due and (self.search.is_seldom(state) or found.predicted.turned_rad <= self.insert_rad)
+            due = due and (self.search.is_far(state, found.predicted) or found.predicted.turned_rad <= self.insert_rad)
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
         last = seen or Seen.first(state.stamp_ns, found.pose)

@@ -35,6 +35,8 @@ class OdometrySearch:
         Scans come seldom where the mean time between them is longer.
     seldom_way : float, m + rad
         So they do where the robot moves and turns by more between two of them: stamps may be no measurements.
+    gap : float, m + rad
+        Wherever so much was driven between two scans, the laser was blind.
     gates : tuple of float
         Standard deviations of the odometry within which is searched, one after the other.
     certain_share : float
@@ -51,7 +53,7 @@ class OdometrySearch:
     anywhere_share : float
         Share of the beams that must agree with a place found so.
     unique : float
-        It must be the only one: no other has this part of its share.
+        A place must be the only one: no other within the same gate has this part of its share.
     follow_m, follow_rad : float
         So far from the prediction the descents of the particles still reach the right peak.
     matcher, steady_matcher : GaussNewton
@@ -60,6 +62,7 @@ class OdometrySearch:
 
     seldom_s: float = Field(default=0.3, gt=0)
     seldom_way: float = Field(default=0.4, gt=0)
+    gap: float = Field(default=1.0, gt=0)
     gates: tuple[float, ...] = (2.0, 5.0, 12.0)
     gains: tuple[float, ...] = (0.1, 0.1, 0.3)
     certain_share: float = Field(default=0.7, gt=0, le=1)
@@ -73,9 +76,10 @@ class OdometrySearch:
     matcher: GaussNewton = GaussNewton()
     steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
 
-    def is_seldom(self, state: TrackerState) -> bool:
-        """Whether scans come so seldom that velocities tell nothing."""
-        return state.period_s > self.seldom_s or state.stride > self.seldom_way
+    def is_far(self, state: TrackerState, predicted: Prediction) -> bool:
+        """Whether the last scan was taken so long ago, or so far away, that velocities tell nothing."""
+        seldom = state.period_s > self.seldom_s or state.stride > self.seldom_way
+        return seldom or predicted.moved_m + predicted.turned_rad > self.gap
 
     def control(self, state: TrackerState, found: Found) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
@@ -84,7 +88,7 @@ class OdometrySearch:
         particle's descent can follow, it is where the scan was found: a descent from there ends at the same peak.
         """
         predicted = found.predicted
-        if not self.is_seldom(state):
+        if not self.is_far(state, predicted):
             return predicted.pose, None
         if found.poor:
             return predicted.pose, np.square([predicted.sigma_m, predicted.sigma_rad])
@@ -99,7 +103,7 @@ class OdometrySearch:
         for gate, gain in zip(self.gates, self.gains, strict=True):
             covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
-            if place is None:
+            if place is None or place.other_share > self.unique * place.share:
                 continue
             found = self._refined(state, place.pose, predicted, beams)
             best = found if found.share > best.share + gain else best

@@ -202,6 +202,7 @@ class Prediction(NamedTuple):
     pose: FloatArray  # (3,)
     by_odometry: bool  # or by the velocity
     seconds: float  # since the last scan
+    moved_m: float  # since the last scan that was matched, by the odometry; 0 without
     turned_rad: float  # since the last scan that was matched
     sigma_m: float
     sigma_rad: float
