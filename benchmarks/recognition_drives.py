@@ -61,8 +61,8 @@ class _Dark(NamedTuple):
     scale: tuple[float, float]
 
 
-_DECEPTIVE = _Dark((1, 3), (3.0, 8.0), (8.0, 20.0), (0.03, 0.08))
-_HONEST = _Dark((2, 3), (6.0, 10.0), (15.0, 30.0), (0.05, 0.10))
+_DECEPTIVE = _Dark((2, 3), (4.0, 8.0), (12.0, 24.0), (0.04, 0.10))
+_HONEST = _Dark((3, 3), (6.0, 10.0), (20.0, 40.0), (0.06, 0.12))
 """Where each room is unlike the others, the next scan that sees something known would put lesser errors right."""
 
 

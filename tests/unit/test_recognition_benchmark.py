@@ -37,9 +37,9 @@ def test_odometry_is_wrong_in_blackouts_and_nowhere_else(rooms):
         dark |= (driven > begin) & (driven < end)
     assert np.array_equal(np.flatnonzero(~dark), rooms.lit)
     np.testing.assert_allclose(told[~dark[1:]], true[~dark[1:]], atol=1e-9)
-    assert 14 < abs(math.degrees((told - true)[dark[1:], 2].sum())) < 30
+    assert 19 < abs(math.degrees((told - true)[dark[1:], 2].sum())) < 40
     longer = np.hypot(*told[dark[1:], :2].T).sum() / np.hypot(*true[dark[1:], :2].T).sum()
-    assert 0.04 < abs(longer - 1) < 0.11
+    assert 0.05 < abs(longer - 1) < 0.13
 
 
 def test_a_drive_is_the_same_each_time(rooms):
