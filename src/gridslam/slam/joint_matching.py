@@ -285,7 +285,8 @@ class JointMatching:
                 continue
             tick()
             anchor = anchor_of(block)
-            maps = drawn(mapper, memory.scans, keys_of(block), between(poses[anchor], poses[keys_of(block)]))
+            keys = keys_of(block, memory.graph)
+            maps = drawn(mapper, memory.scans, keys, between(poses[anchor], poses[keys]))
             for key in members:
                 beams = memory.scans.key(key)
                 if len(beams) < self.matcher.least_beams:
@@ -302,11 +303,13 @@ class JointMatching:
         """For each submap the key scans to match to it."""
         from scipy.spatial import cKDTree  # only who closes loops pays for its import
 
-        blocks = memory.graph.blocks
+        blocks, pieces = memory.graph.blocks, memory.graph.pieces()
         wanted: list[list[int]] = [[] for _ in range(blocks)]
         tree, complete = cKDTree(poses[:, :2]), blocks * BLOCK
         for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.near_m)):
-            others = np.array([k for k in near if k < complete and abs(k // BLOCK - key // BLOCK) > _OWN], np.int64)
+            block = key // BLOCK
+            others = np.array([k for k in near if k < complete and abs(k // BLOCK - block) > _OWN], np.int64)
+            others = others[pieces[others] == pieces[key]]
             away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
                 wrap(poses[others, 2] - poses[key, 2])
             )

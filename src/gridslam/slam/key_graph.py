@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
+from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["BLOCK", "Drift", "KeyGraph", "Nearby"]
@@ -27,6 +27,10 @@ _Moments = tuple[float, ...]
 
 BLOCK = 10
 """Key scans of a submap: about 5 m of driving."""
+
+
+GAP_M, GAP_RAD = 0.5, 0.1
+"""Standard deviations of an increment from which on it tells next to nothing."""
 
 
 @final
@@ -190,6 +194,29 @@ class KeyGraph:
         poses = between(firsts, np.array([ends[end] for _, end in done.values()]))
         covariances = self._covariances(self.poses[key], np.array([moments for moments, _ in done.values()]))
         return [Nearby(*found) for found in zip(done, poses, covariances, strict=True)]
+
+    def pieces(self) -> IntArray:
+        """For each key scan the rigid piece (T,) that it belongs to, by number.
+
+        Between two pieces the robot went on blindly, and no tie that is more than believed leads from one to the other.
+        """
+        position, heading = np.array(self.variances).T
+        labels = np.cumsum((position > GAP_M**2) | (heading > GAP_RAD**2))
+        roots = np.arange(labels[-1] + 1)
+        for tie in self.ties:
+            if tie.determined and tie.source is not Source.BELIEVED:
+                a, b = roots[labels[tie.from_]], roots[labels[tie.to]]
+                if a != b:
+                    roots[roots == max(a, b)] = min(a, b)
+        pieces: IntArray = roots[labels]
+        return pieces
+
+    def unbroken(self, keys: IntArray, anchor: int) -> IntArray:
+        """Those of consecutive key scans (K,) that no blind stretch of way divides from `anchor`, one of them."""
+        position, heading = np.array(self.variances[keys[0] : keys[-1] + 1]).T
+        side = np.cumsum((position > GAP_M**2) | (heading > GAP_RAD**2))
+        here: IntArray = keys[side == side[anchor - keys[0]]]
+        return here
 
     def graph(
         self, increments: FloatArray | None = None, keys: int | None = None, ties: int | None = None

@@ -24,8 +24,12 @@ _WALL_M = 0.3
 
 
 def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
-    """Points (B, 2) of a key scan and those before it, `scans` in all, seen from it."""
-    graph, keys = memory.graph, np.arange(key - scans + 1, key + 1)
+    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
+
+    None from before the robot went on blindly.
+    """
+    graph = memory.graph
+    keys = graph.unbroken(np.arange(max(key - scans + 1, 0), key + 1), key)
     tracked = graph.tracked_from(key, keys)
     points = [transform_points(pose, memory.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)]
     return np.concatenate(points)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound
@@ -16,7 +16,7 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam import place_evidence as evidence
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.submaps import ROW, anchor_of
-from gridslam.slam.ties import Source, Tie, surveyed
+from gridslam.slam.ties import Source, Tie, seen_from, surveyed
 from gridslam.types import FloatArray
 
 __all__ = ["PlaceParameters"]
@@ -74,14 +74,14 @@ class PlaceParameters:
     gap: int = Field(default=3, ge=1)
     near_m: float = Field(default=4.0, gt=0)
     overlap: float = Field(default=0.6, gt=0, le=1)
-    share: float = Field(default=0.75, gt=0, le=1)
+    share: float = Field(default=0.67, gt=0, le=1)
     known_m: float = Field(default=0.15, gt=0)
     follow: int = Field(default=12, ge=1)
     follow_m: float = Field(default=0.2, gt=0)
     believed_m: float = Field(default=1.2, gt=0)
-    every: int = Field(default=6, ge=1)
-    query: int = Field(default=16, ge=1)
-    other_share: float = Field(default=0.8, gt=0, le=1)
+    every: int = Field(default=3, ge=1)
+    query: int = Field(default=8, ge=1)
+    other_share: float = Field(default=0.9, gt=0, le=1)
     unlike_m: float = Field(default=10.0, ge=0)
     unlike_rad: float = Field(default=0.2, ge=0)
     through: float = Field(default=0.2, ge=0, le=1)
@@ -90,7 +90,7 @@ class PlaceParameters:
     agree_rad: float = Field(default=0.05, gt=0)
     least_information: float = Field(default=0.06, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, gate=2.5, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def match(
@@ -98,15 +98,24 @@ class PlaceParameters:
         source: Source,
     ) -> Tie | Rejection:  # fmt: skip
         """Match a key scan to a submap, within `most_m` of a guess (3,) in its frame."""
-        beams = memory.scans.key(key)
         maps = memory.submaps(block, mapper, memory.scans, memory.graph)
-        match = self.matcher(maps, ROW, guess[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
+        return self.match_to(maps, np.zeros(3), memory, key, block, guess, most_m, source)
+
+    def match_to(
+        self, maps: TileMaps, anchor: FloatArray, memory: Memory, key: int, block: int, guess: FloatArray,
+        most_m: float, source: Source,
+    ) -> Tie | Rejection:  # fmt: skip
+        """Match a key scan to a map in which a submap's frame is at `anchor` (3,), from a guess (3,) in that frame."""
+        beams = memory.scans.key(key)
+        begin = compose(anchor, guess)
+        match = self.matcher(maps, ROW, begin[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
         match = surveyed(match, maps, ROW, beams)
         pose = match.poses[0]
-        moved = between(guess, pose)
+        moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > most_m or not self.agrees(maps, pose, beams.ends):
             return Rejection.POOR
-        return Tie.of(anchor_of(block), key, guess, match, self.beam_sigma_m, self.least_information, source)
+        seen = seen_from(anchor, match)
+        return Tie.of(anchor_of(block), key, guess, seen, self.beam_sigma_m, self.least_information, source)
 
     def agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""

@@ -15,7 +15,7 @@ from gridslam.slam.key_graph import BLOCK, KeyGraph
 from gridslam.slam.known_places import tie_known_place
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.place_parameters import PlaceParameters
-from gridslam.slam.place_search import search_place
+from gridslam.slam.place_search import candidate_pieces, search_place
 from gridslam.slam.ties import Tie
 
 __all__ = ["PlaceRecognition"]
@@ -42,23 +42,24 @@ class PlaceRecognition(PlaceParameters):
             return []
         if newest < memory.next_search:
             return []
-        found = search_place(self, memory, mapper, newest)
+        found = search_place(self, memory, mapper, newest, memory.failures)
         if found is None:
             return []
         if isinstance(found, Rejection):
             self._reject(memory, found)
             return []
-        agreeing = [h for h in memory.hypotheses if newest - h.to <= 6 * self.every and self._agree(graph, h, found)]
-        if memory.hypotheses and not agreeing:
-            memory.rejected[Rejection.INCONSISTENT] += 1
-        memory.hypotheses = [*agreeing, found]
         memory.failures, memory.next_search = 0, newest + self.every // 2
-        if len(memory.hypotheses) < self.confirmations:
+        recent = [*(h for h in memory.hypotheses if newest - h.to <= 6 * self.every), found]
+        agreeing = [h for h in recent if self._agree(graph, h, found)]
+        memory.hypotheses = recent
+        if len(agreeing) < len(recent):
+            memory.rejected[Rejection.INCONSISTENT] += 1
+        if len(agreeing) < max(self.confirmations, 2 * (len(recent) - len(agreeing)) + 1):
             return []
-        ties, memory.hypotheses = memory.hypotheses, []
-        for tie in ties:
+        memory.hypotheses = []
+        for tie in agreeing:
             graph.add(tie)
-        return ties
+        return agreeing
 
     def search_all(
         self, memory: Memory, mapper: OccupancyGridMapping, known: Sequence[Tie], tick: Callable[[], None]
@@ -73,18 +74,19 @@ class PlaceRecognition(PlaceParameters):
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
                 continue
-            found = self._searched(memory, mapper, key)
-            tick()
-            if isinstance(found, Rejection):
-                memory.rejected[found] += 1
-            elif found is not None:
-                self._group(graph, groups, found)
-        return [group for group in groups if len(group) >= self.confirmations]
+            for turn in range(len(candidate_pieces(self, graph, key))):
+                found = self._searched(memory, mapper, key, turn)
+                tick()
+                if isinstance(found, Rejection):
+                    memory.rejected[found] += 1
+                elif found is not None:
+                    self._group(graph, groups, found)
+        return [group for group in groups if self._convinces(group, groups)]
 
-    def _searched(self, memory: Memory, mapper: OccupancyGridMapping, key: int) -> Tie | Rejection | None:
+    def _searched(self, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int) -> Tie | Rejection | None:
         """Search at a key scan to the end: maps are drawn when they are needed."""
         for _ in range(3):
-            found = search_place(self, memory, mapper, key)
+            found = search_place(self, memory, mapper, key, turn)
             if found is not None or not memory.area:
                 return found
         return None
@@ -97,12 +99,16 @@ class PlaceRecognition(PlaceParameters):
                 return
         groups.append([found])
 
+    def _convinces(self, group: list[Tie], groups: list[list[Tie]]) -> bool:
+        """Whether a group has enough members, and more than twice as many as all others of its time have."""
+        first, last = group[0].to - 6 * self.every, group[-1].to + 6 * self.every
+        rivals = sum(first <= tie.to <= last for other in groups if other is not group for tie in other)
+        return len(group) >= max(self.confirmations, 2 * rivals + 1)
+
     def _reject(self, memory: Memory, reason: Rejection) -> None:
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
         memory.rejected[reason] += 1
         memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
-        if reason is not Rejection.POOR:
-            memory.hypotheses.clear()
         memory.next_search = len(memory.graph) - 1 + self.every * max(1, min(memory.failures, 4))
 
     def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:

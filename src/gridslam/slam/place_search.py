@@ -18,22 +18,26 @@ from gridslam.slam.submaps import anchor_of
 from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray
 
-__all__ = ["search_place"]
+__all__ = ["candidate_pieces", "search_place"]
 
 _FEW, _MOST_SUBMAPS = 12, 24
 """Submaps in which a place is searched for, and those from which it must be told."""
 
 
 def search_place(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int
+    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int = 0
 ) -> Tie | Rejection | None:
     """Search what was seen up to a key scan in the old submaps where the robot may have been.
+
+    Submaps between which the robot went on blindly make no map together; of several such pieces the `turn`-th is
+    searched, modulo their number.
 
     Where the map to search in has to be drawn first, that is all for now, and None is returned: no scan shall wait for
     both. It is None, too, where there is no old submap to search in; `memory.area` is empty then.
     """
     graph, oldest = memory.graph, key // BLOCK - places.gap
-    candidates = _candidates(places, graph, key)
+    pieces = candidate_pieces(places, graph, key)
+    candidates = pieces[turn % len(pieces)] if pieces else []
     if not candidates:
         memory.area = memory.wide = ()
         return None
@@ -78,24 +82,26 @@ def _told_apart(
         return rejection
     anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
     block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
-    seen = between(graph.poses[anchor_of(block)], found.pose)
-    tie = places.match(memory, mapper, key, block, seen, 3 * places.known_m, Source.RECOGNIZED)
+    anchor = graph.poses[anchor_of(block)]
+    seen, most_m = between(anchor, found.pose), 3 * places.known_m
+    tie = places.match_to(maps, anchor, memory, key, block, seen, most_m, Source.RECOGNIZED)
     return tie if isinstance(tie, Rejection) or tie.determined else Rejection.UNDETERMINED
 
 
-def _candidates(places: PlaceParameters, graph: KeyGraph, key: int) -> list[Nearby]:
-    """Old submaps that the robot may be in, the one that it would have to be moved least for first."""
-    oldest = key // BLOCK - places.gap
-    found = []
+def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list[list[Nearby]]:
+    """Old submaps that the robot may be in, by rigid piece; those that it would have to be moved least for first."""
+    oldest, labels = key // BLOCK - places.gap, graph.pieces()
+    found: dict[int, list[tuple[float, Nearby]]] = {}
     for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
         if nearby.block > oldest:
             continue
         away = _away(places, nearby)
         if away * nearby.sigma_m < places.search.gate * nearby.sigma_m + places.unlike_m:
-            found.append((away, nearby.block, nearby))
-    found.sort(key=lambda f: f[:2])
-    near = found and found[0][0] < places.search.gate
-    return [nearby for _, _, nearby in found[:_MOST_SUBMAPS]] if near else []
+            found.setdefault(int(labels[anchor_of(nearby.block)]), []).append((away, nearby))
+    for piece in found.values():
+        piece.sort(key=lambda f: (f[0], f[1].block))
+    near = sorted((piece for piece in found.values() if piece[0][0] < places.search.gate), key=lambda p: p[0][0])
+    return [[nearby for _, nearby in piece[:_MOST_SUBMAPS]] for piece in near]
 
 
 def _away(places: PlaceParameters, nearby: Nearby) -> float:

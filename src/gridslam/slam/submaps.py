@@ -24,9 +24,9 @@ _FEW = 12
 """Of so many submaps every other scan is drawn into one map, of more one in four."""
 
 
-def keys_of(block: int) -> IntArray:
-    """Key scans of a submap."""
-    return np.arange(block * BLOCK, (block + 1) * BLOCK)
+def keys_of(block: int, graph: KeyGraph) -> IntArray:
+    """Key scans of a submap: those that no blind stretch of way divides from its anchor."""
+    return graph.unbroken(np.arange(block * BLOCK, (block + 1) * BLOCK), anchor_of(block))
 
 
 def anchor_of(block: int) -> int:
@@ -52,7 +52,7 @@ def joint_map(
 ) -> TileMaps:
     """Draw one map of several blocks, each where the graph has its anchor."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
-    keys = [keys_of(block)[::stride] for block in blocks]
+    keys = [keys_of(block, graph)[::stride] for block in blocks]
     poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
     return drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
 
@@ -77,7 +77,7 @@ class Submaps:
         """Give the submap of a block that is complete."""
         maps = self._kept.pop(block, None)
         if maps is None:
-            keys, anchor = keys_of(block), anchor_of(block)
+            keys, anchor = keys_of(block, graph), anchor_of(block)
             maps = drawn(mapper, scans, keys, graph.tracked_from(anchor, keys))
             if len(self._kept) >= self._most:
                 del self._kept[next(iter(self._kept))]

@@ -11,12 +11,13 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.geometry.se2 import between
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["Source", "Tie", "surveyed", "ties_from_arrays", "ties_to_arrays"]
+__all__ = ["Source", "Tie", "seen_from", "surveyed", "ties_from_arrays", "ties_to_arrays"]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
@@ -92,6 +93,13 @@ def surveyed(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> 
     """
     loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
     return replace(match, information=_CLOSE(maps, row, match.poses, loose, beams).information)
+
+
+def seen_from(frame: FloatArray, match: Match) -> Match:
+    """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
 
 
 def ties_to_arrays(ties: Sequence[Tie]) -> dict[str, NDArray[Any]]:

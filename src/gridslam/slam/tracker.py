@@ -245,7 +245,7 @@ class Tracker:
             state.spread = self.velocity.spread(state.spread, between(predicted.pose, found.pose))
         state.blind_scans = state.blind_scans + 1 if blind else 0
         state.pose = found.pose
-        if found.poor:
+        if found.poor or self.search.was_blind(state, predicted):
             state.doubt_m2 += predicted.sigma_m**2
             state.doubt_rad2 += predicted.sigma_rad**2
 

@@ -35,8 +35,8 @@ class OdometrySearch:
         Scans come seldom where the mean time between them is longer.
     seldom_way : float, m + rad
         So they do where the robot moves and turns by more between two of them: stamps may be no measurements.
-    gap : float, m + rad
-        Wherever so much was driven between two scans, the laser was blind.
+    gap_s, gap_way : float, s, m + rad
+        Where so much time passed between two scans, and so much was driven by the odometry, the laser was blind.
     gates : tuple of float
         Standard deviations of the odometry within which is searched, one after the other.
     certain_share : float
@@ -62,7 +62,8 @@ class OdometrySearch:
 
     seldom_s: float = Field(default=0.3, gt=0)
     seldom_way: float = Field(default=0.4, gt=0)
-    gap: float = Field(default=1.0, gt=0)
+    gap_s: float = Field(default=1.0, gt=0)
+    gap_way: float = Field(default=1.0, gt=0)
     gates: tuple[float, ...] = (2.0, 5.0, 12.0)
     gains: tuple[float, ...] = (0.1, 0.1, 0.3)
     certain_share: float = Field(default=0.7, gt=0, le=1)
@@ -78,8 +79,15 @@ class OdometrySearch:
 
     def is_far(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan was taken so long ago, or so far away, that velocities tell nothing."""
-        seldom = state.period_s > self.seldom_s or state.stride > self.seldom_way
-        return seldom or predicted.moved_m + predicted.turned_rad > self.gap
+        driven = predicted.moved_m + predicted.turned_rad > self.gap_way and predicted.seconds >= self.gap_s
+        return self._comes_seldom(state) or driven
+
+    def was_blind(self, state: TrackerState, predicted: Prediction) -> bool:
+        """Whether scans come often, but none came while the robot drove on: what is seen now may look like elsewhere."""
+        return not self._comes_seldom(state) and self.is_far(state, predicted)
+
+    def _comes_seldom(self, state: TrackerState) -> bool:
+        return state.period_s > self.seldom_s or state.stride > self.seldom_way
 
     def control(self, state: TrackerState, found: Found) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
