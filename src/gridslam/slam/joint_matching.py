@@ -122,6 +122,9 @@ class JointMatching:
         How scans are matched.
     another_m : float, m
         The constraints found on the way make a candidate of their own where they move a key scan farther.
+    settled_m, settled_share : float
+        Where so large a share of the ties is nearer than this to where the filter's own past has them, and that past is
+        the tracked one, nothing is refined.
     searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
@@ -146,6 +149,8 @@ class JointMatching:
     scan_prior: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
     another_m: float = Field(default=0.3, gt=0)
+    settled_m: float = Field(default=0.03, ge=0)
+    settled_share: float = Field(default=0.9, gt=0, le=1)
     searches: int = Field(default=3, ge=0)
     robust: Cauchy = Cauchy()
     score: JointMapScore = JointMapScore()
@@ -238,7 +243,9 @@ class JointMatching:
         known.poses, known.ties = list(trajectory), ties
         graph = known.graph(between(trajectory[:-1], trajectory[1:]))
         yield Candidate("filter", graph, ties, self.robust.weights(graph))
-        if not (ties or found):
+        if not (ties or found) or (
+            self._is_settled(graph, len(ties)) and (graph.measurements[: len(tracked)] == tracked).all()
+        ):
             return
         yield self._refined("refined", memory, recognized, ties, tracked, mapper, tick)
         known.poses, known.ties = list(trajectory), found
@@ -247,6 +254,11 @@ class JointMatching:
             known.poses = list(start)
             ties = [*recognized, *self._ties(memory, start, mapper, tick)]
             yield self._refined("constraints", memory, recognized, ties, tracked, mapper, tick)
+
+    def _is_settled(self, graph: PoseGraph, ties: int) -> bool:
+        """Whether nearly all ties are where the graph's poses have them: solving would only average their noise."""
+        missed = graph.errors()[len(graph.edges) - ties :, :2]
+        return ties > 0 and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.settled_m)) > self.settled_share
 
     def _refined(
         self, name: str, memory: Memory, recognized: list[Tie], ties: list[Tie], increments: FloatArray,

@@ -94,7 +94,7 @@ class KeyGraph:
     Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
-    __slots__ = ("_links", "_steps", "_sums", "poses", "ties", "tracked", "variances")
+    __slots__ = ("_gaps", "_links", "_steps", "_sums", "poses", "ties", "tracked", "variances")
 
     def __init__(self) -> None:
         """Begin without any key scan."""
@@ -102,6 +102,7 @@ class KeyGraph:
         self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
         self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
         self.ties: list[Tie] = []
+        self._gaps: list[int] = []  # blind stretches of way up to each key scan
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
         self._steps: list[_Moments] = []  # from each submap's first key scan to the next one's
         # block -> block -> the first seen from the second (3,), and the moments (7,), of the best tie
@@ -121,6 +122,7 @@ class KeyGraph:
         self.tracked.append(tracked)
         self.poses.append(pose)
         self.variances.append(variances)
+        self._count_gaps()
         moments = _moments(np.array([pose]), np.array([variances]))[0]
         self._sums.append(moments + self._sums[-1] if self._sums else moments)
         self._add_steps()
@@ -200,8 +202,9 @@ class KeyGraph:
 
         Between two pieces the robot went on blindly, and no tie that is more than believed leads from one to the other.
         """
-        position, heading = np.array(self.variances).T
-        labels = np.cumsum((position > GAP_M**2) | (heading > GAP_RAD**2))
+        labels = np.array(self._gaps)
+        if not labels[-1]:
+            return labels
         roots = np.arange(labels[-1] + 1)
         for tie in self.ties:
             if tie.determined and tie.source is not Source.BELIEVED:
@@ -213,8 +216,7 @@ class KeyGraph:
 
     def unbroken(self, keys: IntArray, anchor: int) -> IntArray:
         """Those of consecutive key scans (K,) that no blind stretch of way divides from `anchor`, one of them."""
-        position, heading = np.array(self.variances[keys[0] : keys[-1] + 1]).T
-        side = np.cumsum((position > GAP_M**2) | (heading > GAP_RAD**2))
+        side = np.array(self._gaps[keys[0] : keys[-1] + 1])
         here: IntArray = keys[side == side[anchor - keys[0]]]
         return here
 
@@ -244,7 +246,7 @@ class KeyGraph:
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
-        for name in ("tracked", "poses", "variances", "ties", "_sums", "_steps"):
+        for name in ("tracked", "poses", "variances", "ties", "_gaps", "_sums", "_steps"):
             setattr(twin, name, getattr(self, name).copy())
         twin._links = {block: links.copy() for block, links in self._links.items()}
         return twin
@@ -268,6 +270,7 @@ class KeyGraph:
         self = cls()
         self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
         self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
+        self._count_gaps()
         self._add_steps()
         self.ties = ties_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
@@ -292,6 +295,12 @@ class KeyGraph:
             yield block - 1, None, self._steps[block - 1]
         if block < len(self._steps):
             yield block + 1, None, self._steps[block]
+
+    def _count_gaps(self) -> None:
+        """Count the blind stretches up to the key scans that are new."""
+        for position, heading in self.variances[len(self._gaps) :]:
+            before = self._gaps[-1] if self._gaps else 0
+            self._gaps.append(before + (position > GAP_M**2 or heading > GAP_RAD**2))
 
     def _add_steps(self) -> None:
         """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""

@@ -48,7 +48,7 @@ class PlaceRecognition(PlaceParameters):
         if isinstance(found, Rejection):
             self._reject(memory, found)
             return []
-        memory.failures, memory.next_search = 0, newest + self.every // 2
+        memory.failures, memory.next_search = 0, newest + self.every
         recent = [*(h for h in memory.hypotheses if newest - h.to <= 6 * self.every), found]
         agreeing = [h for h in recent if self._agree(graph, h, found)]
         memory.hypotheses = recent
@@ -109,7 +109,7 @@ class PlaceRecognition(PlaceParameters):
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
         memory.rejected[reason] += 1
         memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
-        memory.next_search = len(memory.graph) - 1 + self.every * max(1, min(memory.failures, 4))
+        memory.next_search = len(memory.graph) - 1 + self.every * 2 ** min(max(memory.failures - 1, 0), 3)
 
     def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
         """Whether the motion between two key scans leads from the one place to the other."""
