@@ -54,7 +54,7 @@ class PlaceRecognition(PlaceParameters):
         memory.hypotheses = recent
         if len(agreeing) < len(recent):
             memory.rejected[Rejection.INCONSISTENT] += 1
-        if len(agreeing) < max(self.confirmations, 2 * (len(recent) - len(agreeing)) + 1):
+        if not self._convinces(agreeing, recent):
             return []
         memory.hypotheses = []
         for tie in agreeing:
@@ -81,7 +81,8 @@ class PlaceRecognition(PlaceParameters):
                     memory.rejected[found] += 1
                 elif found is not None:
                     self._group(graph, groups, found)
-        return [group for group in groups if self._convinces(group, groups)]
+        found_all = [tie for group in groups for tie in group]
+        return [group for group in groups if self._convinces(group, found_all)]
 
     def _searched(self, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int) -> Tie | Rejection | None:
         """Search at a key scan to the end: maps are drawn when they are needed."""
@@ -99,11 +100,10 @@ class PlaceRecognition(PlaceParameters):
                 return
         groups.append([found])
 
-    def _convinces(self, group: list[Tie], groups: list[list[Tie]]) -> bool:
-        """Whether a group has enough members, and more than twice as many as all others of its time have."""
-        first, last = group[0].to - 6 * self.every, group[-1].to + 6 * self.every
-        rivals = sum(first <= tie.to <= last for other in groups if other is not group for tie in other)
-        return len(group) >= max(self.confirmations, 2 * rivals + 1)
+    def _convinces(self, group: list[Tie], found: list[Tie]) -> bool:
+        """Whether a group has enough members, and more than twice as many as contradict it meanwhile."""
+        meanwhile = sum(group[0].to <= tie.to <= group[-1].to for tie in found)
+        return len(group) >= max(self.confirmations, 2 * (meanwhile - len(group)) + 1)
 
     def _reject(self, memory: Memory, reason: Rejection) -> None:
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
