@@ -36,12 +36,15 @@ def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
 
 
 def agreement(maps: TileMaps, pose: FloatArray, points: FloatArray, overlap: float, cauchy_m: float) -> float:
-    """How well points (B, 2), seen from a pose, agree with what the map knows; 0 if it knows a lesser share of them."""
-    known = maps.known(0, transform_points(pose, points))
+    """How well points (B, 2), seen from a pose, agree with what the map knows; 0 if it knows a lesser share of them.
+
+    An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
+    """
+    away = maps.distances(ROW, pose[None], points)[0]
+    known = maps.known(0, transform_points(pose, points)) | (away < cauchy_m)
     if np.mean(known) < overlap:
         return 0.0
-    away = maps.distances(ROW, pose[None], points)[0, known]
-    return float(np.mean(1 / (1 + np.square(away / cauchy_m))))
+    return float(np.mean(1 / (1 + np.square(away[known] / cauchy_m))))
 
 
 def plausible(covariance: FloatArray, missed: FloatArray, gate: float) -> bool:
