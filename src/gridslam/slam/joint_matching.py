@@ -186,7 +186,7 @@ class JointMatching:
         """
         scores: dict[str, TrajectoryScore] = {}
         best, maps = None, None
-        for candidate in self._candidates(memory, trajectory, mapper, tick):
+        for candidate in self._candidates(memory, trajectory, closure, mapper, tick):
             score, joint = self.score(memory.graph, memory.scans, candidate.graph.poses, mapper, tick)
             if best is None or score.log_likelihood > scores[best.name].log_likelihood:
                 best, maps = candidate, joint
@@ -233,7 +233,8 @@ class JointMatching:
         return self._refined(name, memory, recognized, ties, increments, mapper, tick)
 
     def _candidates(
-        self, memory: Memory, trajectory: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
+        self, memory: Memory, trajectory: FloatArray, closure: LoopClosure, mapper: OccupancyGridMapping,
+        tick: Callable[[], None],
     ) -> Iterator[Candidate]:
         """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
         known, found = memory.graph, memory.graph.ties
@@ -249,7 +250,7 @@ class JointMatching:
             return
         yield self._refined("refined", memory, recognized, ties, tracked, mapper, tick)
         known.poses, known.ties = list(trajectory), found
-        start = self._solver.solve(known.graph(tracked)).poses
+        start = closure.solver.solve(known.graph(tracked)).poses
         if np.hypot(*(start - trajectory)[:, :2].T).max() > self.another_m:
             known.poses = list(start)
             ties = [*recognized, *self._ties(memory, start, mapper, tick)]
