@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.sim.floor_plan import box, join
-from gridslam.slam.key_graph import Drift
+from gridslam.slam.drift import Drift
 from gridslam.slam.memory import Memory
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.ties import Source, Tie

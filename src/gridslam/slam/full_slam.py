@@ -13,10 +13,10 @@ import numpy as np
 from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.drift import Drift
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_robust import scaled
 from gridslam.slam.joint_matching import JointMatching, LastWord
-from gridslam.slam.key_graph import Drift
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances

@@ -10,51 +10,24 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam.candidates import Candidate, Contest
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import BLOCK
+from gridslam.slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
-from gridslam.slam.ties import Source, Tie, surveyed
+from gridslam.slam.submaps import ROW
+from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import JointMapScore, TrajectoryScore
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Candidate", "JointMatching", "LastWord"]
-
-_OWN = 3
-"""Submaps so near in time show what the tracker has matched already."""
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A trajectory that may be the answer.
-
-    Attributes
-    ----------
-    name : str
-        Where it comes from: "filter", the best particle's past; "refined", that past matched jointly; "constraints",
-        what the constraints found while the robot drove make of the tracked motion.
-    graph : PoseGraph
-        Key scans and what was measured between them; its poses (T, 3) are the trajectory.
-    ties : list of Tie
-        The last measurements in the graph: matches of key scans to submaps of another time.
-    weights : (M,) float64
-        How much each measurement is believed.
-    """
-
-    name: str
-    graph: PoseGraph
-    ties: list[Tie]
-    weights: FloatArray
+__all__ = ["JointMatching", "LastWord"]
 
 
 @final
@@ -100,18 +73,8 @@ class JointMatching:
     drawn_off_m, drawn_off_rad : float
         A particle that its map moved by more than this in one step, off the track, has closed a loop, rightly or not:
         whether the two places are one is for the ties to say.
-    near_m : float, m
-        A key scan is matched to submaps with a key scan this near.
-    submaps : int
-        The nearest of them.
-    share : float
-        Share of the beams that must agree.
-    least_information : float
-        Least eigenvalue of the position's information, per agreeing beam.
-    most_m : float, m
-        A match that moves a key scan farther is not believed.
-    beam_sigma_m : float, m
-        Standard deviation of what one beam says, beams being correlated and walls a cell thick.
+    key_scans : KeyScanMatching
+        How key scans are matched to submaps.
     scan_share : float
         A scan with which fewer of its beams agree stays where the trajectory of the key scans has it.
     scan_m : float, m
@@ -138,12 +101,7 @@ class JointMatching:
     stop_m: float = Field(default=0.1, gt=0)
     drawn_off_m: float = Field(default=0.1, gt=0)
     drawn_off_rad: float = Field(default=0.03, gt=0)
-    near_m: float = Field(default=3.0, gt=0)
-    submaps: int = Field(default=3, ge=1)
-    share: float = Field(default=0.7, gt=0, le=1)
-    least_information: float = Field(default=0.1, ge=0)
-    most_m: float = Field(default=0.4, gt=0)
-    beam_sigma_m: float = Field(default=0.3, gt=0)
+    key_scans: KeyScanMatching = KeyScanMatching()
     scan_share: float = Field(default=0.6, gt=0, le=1)
     scan_m: float = Field(default=0.15, gt=0)
     scan_prior: float = Field(default=5.0, gt=0)
@@ -184,53 +142,56 @@ class JointMatching:
         tick
             Called now and then, so that progress can be shown and the work be interrupted.
         """
-        scores: dict[str, TrajectoryScore] = {}
-        best, maps = None, None
-        for candidate in self._candidates(memory, trajectory, closure, mapper, tick):
-            score, joint = self.score(memory.graph, memory.scans, candidate.graph.poses, mapper, tick)
-            if best is None or score.log_likelihood > scores[best.name].log_likelihood:
-                best, maps = candidate, joint
-            scores[candidate.name] = score
-        assert best is not None  # the filter's own past
-        assert maps is not None
-        for search in range(1, self.searches + 1):
-            closed = self._closed(f"closed {search}", memory, best, closure, mapper, tick)
-            if closed is None:
-                break
-            score, joint = self.score(memory.graph, memory.scans, closed.graph.poses, mapper, tick)
-            scores[closed.name] = score
-            if score.log_likelihood < scores[best.name].log_likelihood:
-                break
-            best, maps = closed, joint
-        bent = full_trajectory(best.graph.poses, keys, key_from_base)
-        return LastWord(best, self._matched(memory, bent, maps, tick), maps, scores)
+        graph, scans = memory.graph, memory.scans
+        contest = Contest(lambda poses: self.score(graph, scans, poses, mapper, tick))
+        candidates = list(self._candidates(memory, trajectory, closure, mapper, tick))
+        for candidate in candidates:
+            contest.add(candidate)
+        begins = [contest.best, *(c for c in candidates if c.name == "constraints" and c is not contest.best)]
+        for begin in begins:
+            self._search(contest, begin, memory, closure, mapper, tick)
+        bent = full_trajectory(contest.best.graph.poses, keys, key_from_base)
+        poses = self._matched(memory, bent, contest.maps, tick)
+        return LastWord(contest.best, poses, contest.maps, contest.scores)
+
+    def _search(
+        self, contest: Contest, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
+        tick: Callable[[], None],
+    ) -> None:  # fmt: skip
+        """Search the whole log for places seen again, from a candidate on, as long as that makes it better."""
+        best, reached = begin, contest.scores[begin.name].log_likelihood
+        for _ in range(self.searches):
+            name = f"closed {sum(name.startswith('closed') for name in contest.scores) + 1}"
+            found = self._closed(name, best, memory, closure, mapper, tick)
+            if found is None or (score := contest.add(found)) < reached:
+                return
+            best, reached = found, score
 
     def _closed(
-        self, name: str, memory: Memory, best: Candidate, closure: LoopClosure, mapper: OccupancyGridMapping,
+        self, name: str, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Candidate | None:  # fmt: skip
-        """Search the whole log for places seen again that the best candidate does not know of; None if there is none.
+        """Add the places that are found to a candidate; None if there is none.
 
         Which of them are true is decided by all together: by least squares that tell false measurements from true ones.
         """
-        known, count = memory.graph, len(best.graph.poses)
-        known.ties = best.ties
-        memory.correct(best.graph.poses)
-        groups = closure.recognition.search_all(memory, mapper, best.ties, tick)
-        new = [tie for group in groups for tie in group]
+        known = memory.graph
+        known.ties = begin.believed
+        memory.correct(begin.graph.poses)
+        new = closure.recognition.search_all(memory, mapper, begin.believed, tick)
         if not new:
             return None
-        increments, known.ties = best.graph.measurements[: count - 1], [*new, *best.ties]
-        solution = closure.solver.solve(known.graph(increments))
-        true = solution.weights[count - 1 :][: len(new)] >= 0.5
+        known.ties = [*new, *begin.ties]
+        solution = closure.solver.solve(known.graph(begin.increments))
+        true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
         recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
         memory.rejected[Rejection.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
-        recognized += [tie for tie in best.ties if tie.source is Source.RECOGNIZED]
-        known.poses = list(solution.poses)
-        ties = [*recognized, *self._ties(memory, solution.poses, mapper, tick)]
-        return self._refined(name, memory, recognized, ties, increments, mapper, tick)
+        recognized += begin.recognized
+        known.poses, known.ties = list(solution.poses), recognized
+        ties = [*recognized, *self.key_scans(memory, solution.poses, mapper, tick)]
+        return self._refined(name, memory, recognized, ties, begin.increments, mapper, tick)
 
     def _candidates(
         self, memory: Memory, trajectory: FloatArray, closure: LoopClosure, mapper: OccupancyGridMapping,
@@ -240,20 +201,19 @@ class JointMatching:
         known, found = memory.graph, memory.graph.ties
         recognized = [tie for tie in found if tie.source is Source.RECOGNIZED]
         tracked = self._increments(memory, trajectory)
-        ties = [*recognized, *self._ties(memory, trajectory, mapper, tick)]
+        ties = [*recognized, *self.key_scans(memory, trajectory, mapper, tick)]
         known.poses, known.ties = list(trajectory), ties
         graph = known.graph(between(trajectory[:-1], trajectory[1:]))
         yield Candidate("filter", graph, ties, self.robust.weights(graph))
-        if not (ties or found) or (
-            self._is_settled(graph, len(ties)) and (graph.measurements[: len(tracked)] == tracked).all()
-        ):
+        as_tracked = (graph.measurements[: len(tracked)] == tracked).all()
+        if not (ties or found) or (as_tracked and self._is_settled(graph, len(ties))):
             return
         yield self._refined("refined", memory, recognized, ties, tracked, mapper, tick)
         known.poses, known.ties = list(trajectory), found
         start = closure.solver.solve(known.graph(tracked)).poses
         if np.hypot(*(start - trajectory)[:, :2].T).max() > self.another_m:
             known.poses = list(start)
-            ties = [*recognized, *self._ties(memory, start, mapper, tick)]
+            ties = [*recognized, *self.key_scans(memory, start, mapper, tick)]
             yield self._refined("constraints", memory, recognized, ties, tracked, mapper, tick)
 
     def _is_settled(self, graph: PoseGraph, ties: int) -> bool:
@@ -274,7 +234,7 @@ class JointMatching:
             known.poses = list(solution.poses)
             if not last or np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
                 break
-            ties = [*recognized, *self._ties(memory, solution.poses, mapper, tick)]
+            ties = [*recognized, *self.key_scans(memory, solution.poses, mapper, tick)]
         return Candidate(name, graph.with_poses(solution.poses), ties, solution.weights)
 
     def _increments(self, memory: Memory, trajectory: FloatArray) -> FloatArray:
@@ -286,50 +246,6 @@ class JointMatching:
             np.abs(missed[:, 2]) > self.drawn_off_rad
         )
         return np.where(drawn_off[:, None], moved, driven)
-
-    def _ties(
-        self, memory: Memory, poses: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
-    ) -> Iterator[Tie]:
-        """Match key scans to the submaps about them."""
-        wanted = self._wanted(memory, poses)
-        loose = np.full((1, 3, 3), 1e-6) * np.eye(3)
-        for block, members in enumerate(wanted):
-            if not members:
-                continue
-            tick()
-            anchor = anchor_of(block)
-            keys = keys_of(block, memory.graph)
-            maps = drawn(mapper, memory.scans, keys, between(poses[anchor], poses[keys]))
-            for key in members:
-                beams = memory.scans.key(key)
-                if len(beams) < self.matcher.least_beams:
-                    continue
-                guess = between(poses[anchor], poses[key])
-                match = surveyed(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
-                moved = between(guess, match.poses[0])
-                score = float(match.score[0])
-                if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
-                    continue
-                yield Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
-
-    def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
-        """For each submap the key scans to match to it."""
-        from scipy.spatial import cKDTree  # only who closes loops pays for its import
-
-        blocks, pieces = memory.graph.blocks, memory.graph.pieces()
-        wanted: list[list[int]] = [[] for _ in range(blocks)]
-        tree, complete = cKDTree(poses[:, :2]), blocks * BLOCK
-        for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.near_m)):
-            block = key // BLOCK
-            others = np.array([k for k in near if k < complete and abs(k // BLOCK - block) > _OWN], np.int64)
-            others = others[pieces[others] == pieces[key]]
-            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
-                wrap(poses[others, 2] - poses[key, 2])
-            )
-            nearest = dict.fromkeys((others[np.lexsort((others, away))] // BLOCK).tolist())
-            for block in list(nearest)[: self.submaps]:
-                wanted[block].append(key)
-        return wanted
 
     def _matched(self, memory: Memory, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]) -> FloatArray:
         """Match every scan to the map of all; one of which nothing was kept moves with the last one before it."""

@@ -13,9 +13,10 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.drift import Drift
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import BLOCK, Drift
+from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Correction, Memory, Rejection, Weighing
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState

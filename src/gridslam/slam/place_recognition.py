@@ -63,13 +63,14 @@ class PlaceRecognition(PlaceParameters):
 
     def search_all(
         self, memory: Memory, mapper: OccupancyGridMapping, known: Sequence[Tie], tick: Callable[[], None]
-    ) -> list[list[Tie]]:
+    ) -> list[Tie]:
         """Search the whole log for places that `known` ties do not tell of yet.
 
-        Returns groups of ties that agree with each other and with the motion between them: each is one place seen
+        Returns ties of groups that agree with each other and with the motion between them: each is one place seen
         again, by as many searches as confirm it. The graph's poses and ties are those of the best answer so far.
         """
-        graph, tied = memory.graph, {key for tie in known for key in range(tie.to - BLOCK, tie.to + BLOCK)}
+        graph, near = memory.graph, range(-self.every, self.every + 1)
+        tied = {tie.to + k for tie in known for k in near}
         groups: list[list[Tie]] = []
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
@@ -82,7 +83,7 @@ class PlaceRecognition(PlaceParameters):
                 elif found is not None:
                     self._group(graph, groups, found)
         found_all = [tie for group in groups for tie in group]
-        return [group for group in groups if self._convinces(group, found_all)]
+        return [tie for group in groups if self._convinces(group, found_all) for tie in group]
 
     def _searched(self, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int) -> Tie | Rejection | None:
         """Search at a key scan to the end: maps are drawn when they are needed."""

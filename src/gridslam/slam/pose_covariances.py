@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from gridslam.slam.drift import Drift
 from gridslam.slam.full_trajectory import shares_of_way
-from gridslam.slam.key_graph import Drift
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 

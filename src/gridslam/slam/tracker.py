@@ -153,7 +153,8 @@ class Tracker:
     def _by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
         velocity = self.velocity
         pose, sigmas = velocity.predicted(state, seconds), velocity.sigmas(seconds)
-        return Prediction(pose, False, seconds, 0.0, abs(float(state.twist[2])) * seconds, *sigmas, velocity.beam_sigma_m)
+        turned = abs(float(state.twist[2])) * seconds
+        return Prediction(pose, False, seconds, 0.0, turned, *sigmas, velocity.beam_sigma_m)
 
     def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
         dx, dy, turn = (at - state.odometry).tolist()

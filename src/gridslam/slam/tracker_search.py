@@ -83,7 +83,7 @@ class OdometrySearch:
         return self._comes_seldom(state) or driven
 
     def was_blind(self, state: TrackerState, predicted: Prediction) -> bool:
-        """Whether scans come often, but none came while the robot drove on: what is seen now may look like elsewhere."""
+        """Whether scans come often, but none came while the robot drove on: it may be anywhere that looks alike."""
         return not self._comes_seldom(state) and self.is_far(state, predicted)
 
     def _comes_seldom(self, state: TrackerState) -> bool:

@@ -43,7 +43,8 @@ def told(log: SimulatedLog, scans: int | None = None, word: JointMatching = WORD
     recorder = TrajectoryRecorder()
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
     memory = state.memory.snapshot()
-    said = word(memory, state.ancestry.trajectory(state.best), recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, tick)
+    trajectory = state.ancestry.trajectory(state.best)
+    said = word(memory, trajectory, recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, tick)
     return Told(log, state, recorder, memory, said)
 
 
@@ -135,8 +136,8 @@ def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     """The last word was given a snapshot of the memory: of what it did nothing is in the state."""
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
     memory = untied.state.memory.snapshot()
-    trajectory = untied.state.ancestry.trajectory(untied.state.best)
-    WORD(memory, trajectory + np.array([1.0, 2.0, 0.0]), untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
+    moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
+    WORD(memory, moved, untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 

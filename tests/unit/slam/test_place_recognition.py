@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.key_graph import BLOCK, Drift
+from gridslam.slam.drift import Drift
+from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.ties import Source
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import compose
+from gridslam.slam.drift import Drift
 from gridslam.slam.full_trajectory import full_trajectory, shares_of_way
 from gridslam.slam.graph_marginals import marginal_covariances
-from gridslam.slam.key_graph import Drift
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
 
