@@ -94,12 +94,13 @@ class RangeCounts:
                 return _Pile(float(place) * _BIN_M, count, count / total)
         return None
 
-    def false_hits_m(self) -> float:
-        """From which range on hits are beams that hit nothing, and so many of them that they spoil a map; else inf."""
+    def false_hits_m(self) -> float | None:
+        """From which range on hits are beams that hit nothing, if there are so many that they spoil a map."""
         self.count()
         pile = self.pile()
-        spoils = pile is not None and pile.value_m < _USED_M and pile.share > _SPOILING
-        return pile.value_m - _MARGIN_M if pile is not None and spoils else math.inf
+        if pile is None or pile.value_m >= _USED_M or pile.share <= _SPOILING:
+            return None
+        return pile.value_m - _MARGIN_M
 
     def beyond(self) -> tuple[float, float]:
         """Share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""

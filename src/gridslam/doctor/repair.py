@@ -43,8 +43,8 @@ class Repair:
         Metres, radians that odometry tells for one.
     drift_rad_per_m : float, rad/m
         What odometry turns too much to the left for each metre driven forward.
-    range_max_m : float, m
-        Hits from this range on are beams that hit nothing.
+    range_max_m : float or None, m
+        Hits from this range on are beams that hit nothing; None: there are none.
     """
 
     reflected: bool = False
@@ -53,7 +53,7 @@ class Repair:
     scale: float = 1.0
     turn_scale: float = 1.0
     drift_rad_per_m: float = 0.0
-    range_max_m: float = math.inf
+    range_max_m: float | None = None
 
     def __bool__(self) -> bool:
         """Whether there is anything to take out."""
@@ -74,11 +74,11 @@ class Repair:
             yield f"odometry tells {self.turn_scale:.3f} rad for a radian"
         if self.drift_rad_per_m:
             yield f"odometry turns {math.degrees(self.drift_rad_per_m):+.2f} degrees for each metre"
-        if math.isfinite(self.range_max_m):
+        if self.range_max_m is not None:
             yield f"beams that hit nothing are told as hits, from {self.range_max_m:.2f} m on"
 
 
-def needed_repair(calibration: MotionCalibration, range_max_m: float = math.inf) -> Repair:
+def needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
 
     Matching makes up for all else, while these two it cannot see: the odometry's motion is the only witness. Hits from
@@ -97,7 +97,7 @@ def _is_clean(calibration: MotionCalibration) -> bool:
     return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
 
 
-def full_repair(calibration: MotionCalibration, range_max_m: float = math.inf) -> Repair:
+def full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """All that the calibration tells for certain: what differs by more than four standard deviations."""
 
     def sure(estimate: Estimate, usual: float) -> float:
@@ -180,7 +180,9 @@ def _turned(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, Scan
     return replace(scan, geometry=geometry)
 
 
-def _limited(scan: LaserScan, range_max_m: float) -> LaserScan:
+def _limited(scan: LaserScan, range_max_m: float | None) -> LaserScan:
+    if range_max_m is None:
+        return scan
     false = (scan.status == BeamStatus.HIT) & (scan.ranges >= range_max_m)
     if not false.any():
         return scan

@@ -75,7 +75,9 @@ class PlaceRecognition(PlaceParameters):
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
                 continue
-            for turn in range(len(candidate_pieces(self, graph, key))):
+            for turn, piece in enumerate(candidate_pieces(self, graph, key)):
+                if piece[0].sigma_m < 2 * self.known_m:
+                    continue  # key scans are matched to it without search
                 found = self._searched(memory, mapper, key, turn)
                 tick()
                 if isinstance(found, Rejection):
