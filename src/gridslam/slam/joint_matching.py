@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -91,6 +91,8 @@ class JointMatching:
     searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
+    other_share, confirmations
+        As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
     robust : Cauchy
         How the graph is solved, and what a measurement counts that is off.
     score : JointMapScore
@@ -110,6 +112,8 @@ class JointMatching:
     settled_m: float = Field(default=0.03, ge=0)
     settled_share: float = Field(default=0.9, gt=0, le=1)
     searches: int = Field(default=3, ge=0)
+    other_share: float = Field(default=0.85, gt=0, le=1)
+    confirmations: int = Field(default=3, ge=1)
     robust: Cauchy = Cauchy()
     score: JointMapScore = JointMapScore()
 
@@ -178,7 +182,8 @@ class JointMatching:
         known = memory.graph
         known.ties = begin.believed
         memory.correct(begin.graph.poses)
-        new = closure.recognition.search_all(memory, mapper, begin.believed, tick)
+        recognition = replace(closure.recognition, other_share=self.other_share, confirmations=self.confirmations)
+        new = recognition.search_all(memory, mapper, begin.believed, tick)
         if not new:
             return None
         known.ties = [*new, *begin.ties]

@@ -63,7 +63,7 @@ class LoopClosure:
     recognition: PlaceRecognition = PlaceRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
     drift: Drift = Drift()
-    disagree_m: float = Field(default=0.5, gt=0)
+    disagree_m: float = Field(default=0.3, gt=0)
     disagree_rad: float = Field(default=0.05, gt=0)
     scans_per_step: int = Field(default=60, ge=2)
     poses_per_scan: int = Field(default=8000, ge=1)

@@ -25,7 +25,7 @@ from gridslam.types import Odometry, StepReport
 SLIPS = slice(70, 150)
 RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
 """A filter that is lost by a metre is not believed."""
-CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
+CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=40)
 SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=Prior(), loop_closure=CLOSURE)
 RNG = np.random.default_rng(0)
 RUNS = [(2, 5), (3, 5)]
@@ -45,7 +45,7 @@ def slipped(seed):
     poses = [log.truth.poses[0]]
     for k, increment in enumerate(between(log.truth.poses[:-1], log.truth.poses[1:])):
         if SLIPS.start <= k < SLIPS.stop:
-            increment = increment * [1.02, 1.02, 1.0] + [0.0, 0.0, 0.003 * math.hypot(*increment[:2])]
+            increment = increment * [1.02, 1.02, 1.0] + [0.0, 0.0, 0.005 * math.hypot(*increment[:2])]
         poses.append(compose(poses[-1], increment))
     read = [
         (Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)

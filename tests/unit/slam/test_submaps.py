@@ -26,17 +26,17 @@ def contents(maps):
     return {name: array.tobytes() for name, array in maps.to_arrays().items()}
 
 
-def test_blocks_and_anchors_partition_the_key_scans():
-    assert np.concatenate([keys_of(block) for block in range(7)]).tolist() == list(range(7 * BLOCK))
-    for block in range(7):
-        assert anchor_of(block) in keys_of(block)[1:-1]  # in its midst: all of it is near
+def test_blocks_and_anchors_partition_the_key_scans(memory):
+    assert np.concatenate([keys_of(block, memory.graph) for block in range(6)]).tolist() == list(range(6 * BLOCK))
+    for block in range(6):
+        assert anchor_of(block) in keys_of(block, memory.graph)[1:-1]  # in its midst: all of it is near
 
 
 def test_a_submap_is_drawn_as_tracked_about_its_anchor(memory):
     poses = np.array(memory.graph.tracked)
     for block in (0, 3, 5):
         maps = hall.MAPPER.empty(1)
-        for key in keys_of(block):
+        for key in keys_of(block, memory.graph):
             maps.update(ROW, between(poses[anchor_of(block)], poses[key])[None], memory.scans.key(key))
         assert contents(Submaps()(block, hall.MAPPER, memory.scans, memory.graph)) == contents(maps)
 
@@ -70,7 +70,7 @@ def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
     submaps, parts = Submaps(), (hall.MAPPER, memory.scans, graph)
     maps, pyramid = submaps.joint((3,), *parts), submaps.pyramid((3,), *parts)
-    keys, anchor = keys_of(3)[::2], anchor_of(3)
+    keys, anchor = keys_of(3, graph)[::2], anchor_of(3)
     local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
     assert contents(maps) == contents(drawn(hall.MAPPER, memory.scans, keys, compose(graph.poses[anchor], local)))
     field, corner = maps.field(0)
