@@ -20,7 +20,7 @@ from gridslam.slam.ties import Source, Tie
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
-EAGER = PlaceRecognition(gap=3, near_m=10.0, overlap=0.6, share=0.75, every=3, query=10, confirmations=3)
+EAGER = PlaceRecognition(gap=3, near_m=10.0, overlap=0.6, share=0.75, every=2, query=10, confirmations=3)
 """Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
 DOUBTFUL = Drift(m=0.06, rad_of_way=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""

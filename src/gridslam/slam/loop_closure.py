@@ -137,12 +137,13 @@ class LoopClosure:
         memory.weighing = None
         poses = graph.continued(solution.poses)
         new = slice(weighing.ties - weighing.new, weighing.ties)
-        ties = graph.ties[new]
-        if solution.weights[-weighing.new :].min() < 0.5:  # what else is known speaks against the closure
-            del graph.ties[new]
-            memory.rejected[Rejection.IMPLAUSIBLE] += 1
+        true = solution.weights[-weighing.new :] >= 0.5
+        ties = [tie for tie, is_true in zip(graph.ties[new], true.tolist(), strict=True) if is_true]
+        memory.rejected[Rejection.IMPLAUSIBLE] += weighing.new - len(ties)
+        if 2 * len(ties) <= weighing.new:  # what else is known speaks against the closure
             ties = []
-        else:
+        graph.ties[new] = ties
+        if ties:
             memory.correction = Correction(poses, mapper.empty(1, threads))
         memory.correct(poses)
         return ties
