@@ -119,7 +119,10 @@ def test_run_json_tells_of_loop_closure(closed, mapped):
     assert loops["corrections"] > 0
     assert loops["ties"]["recognized"] == len(loops["closures"]) + loops["doubted"]
     assert set(loops["rejected"]) <= {reason.value for reason in Rejection}
-    assert loops["moved_m"] > 0
+    assert (loops["moved_m"] > 0) == (loops["chosen"] != "filter")
+    best = max(score["log_likelihood"] for score in loops["candidates"].values())
+    assert loops["candidates"][loops["chosen"]]["log_likelihood"] == best
+    assert "filter" in loops["candidates"]
     assert run["time"]["stages"]["last word"]["wall_s"] > 0
     assert json.loads((mapped / "run.json").read_text())["loop_closure"] is False
 
@@ -143,7 +146,9 @@ def test_graph_holds_the_key_scans_and_solves_to_itself(closed, mapped, call, tm
         status, out, _ = call("graph", folder / "graph.g2o", "-o", tmp_path / "graph", "--json")
         assert status == 0
         solved = json.loads(out)
-        assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
+        assert solved["chi2_after"] <= solved["chi2_before"] * (1 + 1e-9) + 1e-9
+        if not ties or run["loop_closure"]["chosen"] != "filter":  # the best particle's past minimizes nothing
+            assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
 
 
 def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, closed):

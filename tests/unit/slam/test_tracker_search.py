@@ -1,0 +1,253 @@
+"""Scans far apart are searched for around the odometry, and after a blind gap nobody is dragged back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import hall
+import numpy as np
+import pytest
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose
+from gridslam.mapping import OccupancyGridMapping
+from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from gridslam.slam import Tracker
+from gridslam.slam.tracker_search import OdometrySearch
+from gridslam.slam.tracker_state import Prediction
+
+PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+SEARCH = OdometrySearch()
+NEVER = OdometrySearch(seldom_s=1e6, seldom_way=1e6, gap_s=1e6, gap_way=1e6)
+"""No scan is far from the one before it: what the tracker does is what it does at full rate."""
+
+CELL_M = 0.05
+FAR = np.array([0.1, 0.03])
+"""Two cells, and what turns a wall 3 m away by as much: what a match ends within, whatever it began from."""
+
+
+def start(tracker, measurements):
+    odometry, scan = measurements[0]
+    return tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
+
+
+def step(tracker, state, odometry, scan):
+    return tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
+
+
+def track(tracker, measurements):
+    """Poses told, and the state after the last."""
+    state = start(tracker, measurements)
+    return np.array([state.pose, *(step(tracker, state, *m).pose for m in measurements[1:])]), state
+
+
+def away(poses, others):
+    """Metres and radians (N, 2) between poses."""
+    off = between(others, poses)
+    return np.column_stack([np.hypot(off[..., 0], off[..., 1]), np.abs(wrap(off[..., 2]))])
+
+
+def jumping(measurements, at, offset):
+    """What the odometry tells from scan `at` on is carried along by an increment that was never driven."""
+    poses = [odometry.pose for odometry, _ in measurements]
+    increments = between(np.array(poses[:-1]), np.array(poses[1:]))
+    told = poses[:at]
+    for k in range(at, len(poses)):
+        arrived = compose(told[-1], increments[k - 1])
+        told.append(compose(arrived, np.array(offset)) if k == at else arrived)
+    return [(type(o).at(o.stamp_ns, pose), scan) for pose, (o, scan) in zip(told, measurements, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """Through rooms and corridors, ten scans a second; odometry without error."""
+    rng = np.random.default_rng(5)
+    return simulate(make_world("demo", rng), RobotConfig(), PERFECT, LidarConfig(beams=120, rate_hz=10.0), rng)
+
+
+@pytest.fixture(scope="module")
+def sparse(whole):
+    """60 of them, each 0.5 m or more from the one before: 30 m."""
+    keys, poses = [0], whole.truth.poses
+    for k, pose in enumerate(poses):
+        if math.hypot(*(pose - poses[keys[-1]])[:2]) >= 0.5:
+            keys.append(k)
+    return [whole.measurements[k] for k in keys[:60]]
+
+
+@pytest.fixture(scope="module")
+def tracked(sparse):
+    """Poses of the sparse drive with odometry without error."""
+    return track(Tracker(), sparse)[0]
+
+
+JUMPS = range(15, 54, 2)
+
+
+def worst(tracker, sparse, tracked, offset):
+    """Metres and radians (J, 2) by which a jump moves the five scans from it on, for each place that it may be at."""
+    told = [track(tracker, jumping(sparse, at, offset)[: at + 5])[0][at:] for at in JUMPS]
+    return np.array([away(poses, tracked[at : at + 5]).max(axis=0) for at, poses in zip(JUMPS, told, strict=True)])
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.3), (0.0, 0.4, 0.3)])
+def test_a_jump_of_the_odometry_between_scans_far_apart_leaves_no_trace(sparse, tracked, offset):
+    """Wherever it is on the drive; without the search the heading is lost somewhere, by all that the odometry erred."""
+    found, lost = (worst(tracker, sparse, tracked, offset) for tracker in (Tracker(), Tracker(search=NEVER)))
+    assert (found < FAR + [0.0, 0.02]).all()
+    assert lost[:, 1].max() > 0.25
+    assert lost[:, 0].max() > 0.5
+
+
+def predicted_off(pose, turn):
+    """A prediction of odometry half a metre on, wrong by a turn, that claims to be as good as odometry usually is."""
+    off = compose(pose, np.array([0.0, 0.0, turn]))
+    return Prediction(off, True, 0.8, 0.5, 0.1, sigma_m=0.08, sigma_rad=0.03, beam_sigma_m=0.0016)
+
+
+@pytest.fixture(scope="module")
+def states(sparse):
+    """What the tracker knew before each scan of the sparse drive, the scan's beams, and where it was."""
+    tracker, known = Tracker(), []
+    state = start(tracker, sparse)
+    for k, (odometry, scan) in enumerate(sparse[1:], 1):
+        before = state.snapshot()
+        found = step(tracker, state, odometry, scan)
+        if k >= 15:
+            known.append((before, scan.beams(0.05, 30.0), found.pose))
+    return known
+
+
+@pytest.mark.parametrize("turn", [-0.3, 0.3])
+def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
+    for state, beams, pose in states:
+        found = SEARCH(state, predicted_off(pose, turn), beams)
+        assert not found.poor
+        assert found.matched
+        assert (away(found.pose[None], pose[None]) < FAR).all()
+
+
+@pytest.mark.parametrize("turn", [-1.4, 1.4, 3.0])
+def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_said(states, turn):
+    """Where nothing lies within the gates; two of three scans see enough of what is mapped to be found again so.
+
+    A place that claims `anywhere_share` of the beams is the right one.
+    """
+    around = OdometrySearch(gates=(), gains=())
+    right = 0
+    for state, beams, pose in states:
+        found = around(state, predicted_off(pose, turn), beams)
+        if found.poor:
+            assert found.share == 0
+            np.testing.assert_array_equal(found.pose, predicted_off(pose, turn).pose)
+        else:
+            assert found.share >= around.anywhere_share
+            assert (away(found.pose[None], pose[None]) < FAR).all()
+            right += 1
+    assert right > 0.66 * len(states)
+
+
+def test_a_turn_that_was_not_counted_is_found_while_driving(sparse, tracked):
+    """The odometry tells 1.4 rad that were not driven; by a descent alone the robot would drive off to the side."""
+    reached = worst(Tracker(search=OdometrySearch(gates=(), gains=())), sparse, tracked, (0.0, 0.0, 0.9))
+    assert np.median(reached[:, 0]) < FAR[0]
+    assert np.median(reached[:, 1]) < FAR[1]
+
+
+def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
+    tracker, state = Tracker(), start(Tracker(), whole.measurements)
+    poses = [state.pose]
+    for odometry, scan in whole.measurements[1:300]:
+        before = state.snapshot()
+        told = between(before.matched_odometry, odometry.pose)
+        turned = abs(float(told[2]))
+        ahead = Prediction(
+            compose(before.matched_pose, told), True, 0.1, math.hypot(told[0], told[1]), turned, 0.01, 0.01, 0.0016
+        )
+        assert not SEARCH.is_far(before, ahead)
+        assert not SEARCH.was_blind(before, ahead)
+        poses.append(step(tracker, state, odometry, scan).pose)
+    never, _ = track(Tracker(search=NEVER), whole.measurements[:300])
+    np.testing.assert_array_equal(np.array(poses), never)
+    assert state.doubt_m2 == 0
+
+
+@pytest.mark.parametrize(
+    ("period_s", "stride", "way", "seconds", "far", "blind"),
+    [
+        (0.1, 0.1, 0.1, 0.1, False, False),
+        (0.1, 0.1, 5.0, 0.1, False, False),  # odometry that jumps: a gap takes time
+        (0.1, 0.1, 0.1, 5.0, False, False),  # the robot stood
+        (0.1, 0.1, 5.0, 5.0, True, True),
+        (0.5, 0.1, 0.1, 0.5, True, False),
+        (0.1, 0.5, 0.5, 0.1, True, False),  # stamps may be no measurements
+    ],
+)
+def test_scans_are_far_where_they_come_seldom_or_the_laser_was_blind(
+    states, period_s, stride, way, seconds, far, blind
+):
+    state = replace(states[0][0], period_s=period_s, stride=stride)
+    told = Prediction(state.pose, True, seconds, way, 0.0, 0.1, 0.03, 0.0016)
+    assert SEARCH.is_far(state, told) is far
+    assert SEARCH.was_blind(state, told) is blind
+
+
+STRETCHED = OdometryNoise(1.03, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def halls():
+    """A drive of 0.9 m/s and five scans a second by odometry that tells 3 % too much, and its state at scan 60."""
+    lidar = LidarConfig(rate_hz=5.0, range_max_m=8.0)
+    log = simulate(hall.hall(0), RobotConfig(v_max_m_s=1.0), STRETCHED, lidar, np.random.default_rng(0))
+    state = start(Tracker(), log.measurements)
+    for measurement in log.measurements[1:60]:
+        step(Tracker(), state, *measurement)
+    return log, state
+
+
+def after_a_gap(halls, scans, tracker):
+    """What is told of the first scan after a gap, by odometry where it should be, the state then, and metres off."""
+    log, known = halls
+    state = known.snapshot()
+    odometry, scan = log.measurements[60 + scans]
+    ahead = compose(known.matched_pose, known.learned.corrected(between(known.matched_odometry, odometry.pose)))
+    told = step(tracker, state, odometry, scan)
+    true = compose(known.matched_pose, between(log.truth.poses[59], log.truth.poses[60 + scans]))
+    return told, ahead, state, away(told.pose[None], true[None])[0]
+
+
+@pytest.mark.parametrize("scans", [25, 29, 33, 37, 45])
+def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
+    """5 m and more in 5 s: nothing that is seen is in the local map.
+
+    The odometry errs by 3 % of the way at most, while without the search the robot is dragged back to where the scan
+    fits, somewhere.
+    """
+    told, ahead, state, off = after_a_gap(halls, scans, Tracker())
+    np.testing.assert_allclose(told.pose, ahead, atol=1e-9)
+    way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
+    assert off[0] < 0.04 * (way + 3.0)
+    assert told.spread is not None  # particles are told how little is known
+    assert told.spread[0] == pytest.approx(state.doubt_m2)
+
+
+def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
+    """15 % of the way and more, whether or not the scan was found again: it may have been found where it looks alike."""
+    doubts = []
+    for scans in (5, 9, 13, 25, 33, 45):
+        _, ahead, state, _ = after_a_gap(halls, scans, Tracker())
+        way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
+        assert 0.15 * way < math.sqrt(state.doubt_m2)
+        assert state.doubt_rad2 > 0
+        doubts.append(state.doubt_m2)
+    assert halls[1].doubt_m2 == 0
+    assert doubts[:3] == sorted(doubts[:3])
+
+
+def test_after_a_short_gap_the_scan_is_found_again_and_the_odometry_overruled(halls):
+    """Down to less than a cell, where the odometry is off by more."""
+    told, ahead, _, off = after_a_gap(halls, 13, Tracker())
+    assert off[0] < CELL_M
+    assert away(told.pose[None], ahead[None])[0, 0] > 0.05
