@@ -23,7 +23,7 @@ NEVER = OdometrySearch(seldom_s=1e6, seldom_way=1e6, gap_s=1e6, gap_way=1e6)
 """No scan is far from the one before it: what the tracker does is what it does at full rate."""
 
 CELL_M = 0.05
-FAR = np.array([0.1, 0.03])
+FAR = np.array([0.1, 0.035])
 """Two cells, and what turns a wall 3 m away by as much: what a match ends within, whatever it began from."""
 
 
@@ -91,12 +91,15 @@ def worst(tracker, sparse, tracked, offset):
     return np.array([away(poses, tracked[at : at + 5]).max(axis=0) for at, poses in zip(JUMPS, told, strict=True)])
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.3), (0.0, 0.4, 0.3)])
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.3), (0.0, 0.4, 0.3), (0.0, 0.0, 0.9), (0.0, 0.0, -0.9)])
 def test_a_jump_of_the_odometry_between_scans_far_apart_leaves_no_trace(sparse, tracked, offset):
-    """Wherever it is on the drive; without the search the heading is lost somewhere, by all that the odometry erred."""
+    """Wherever it is on the drive.
+
+    Without the search the heading is lost somewhere, by nearly all that the odometry erred.
+    """
     found, lost = (worst(tracker, sparse, tracked, offset) for tracker in (Tracker(), Tracker(search=NEVER)))
-    assert (found < FAR + [0.0, 0.02]).all()
-    assert lost[:, 1].max() > 0.25
+    assert (found < FAR).all()
+    assert lost[:, 1].max() > 0.8 * abs(offset[2])
     assert lost[:, 0].max() > 0.5
 
 
@@ -146,13 +149,6 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
             assert (away(found.pose[None], pose[None]) < FAR).all()
             right += 1
     assert right > 0.66 * len(states)
-
-
-def test_a_turn_that_was_not_counted_is_found_while_driving(sparse, tracked):
-    """The odometry tells 1.4 rad that were not driven; by a descent alone the robot would drive off to the side."""
-    reached = worst(Tracker(search=OdometrySearch(gates=(), gains=())), sparse, tracked, (0.0, 0.0, 0.9))
-    assert np.median(reached[:, 0]) < FAR[0]
-    assert np.median(reached[:, 1]) < FAR[1]
 
 
 def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
@@ -222,8 +218,7 @@ def after_a_gap(halls, scans, tracker):
 def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     """5 m and more in 5 s: nothing that is seen is in the local map.
 
-    The odometry errs by 3 % of the way at most, while without the search the robot is dragged back to where the scan
-    fits, somewhere.
+    The odometry errs by 3 % of the way at most, and what was learned of it by less.
     """
     told, ahead, state, off = after_a_gap(halls, scans, Tracker())
     np.testing.assert_allclose(told.pose, ahead, atol=1e-9)
@@ -233,8 +228,17 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     assert told.spread[0] == pytest.approx(state.doubt_m2)
 
 
+@pytest.mark.parametrize("scans", [37, 45])
+def test_the_velocity_would_drag_a_scan_after_a_gap_back_to_where_it_fits(halls, scans):
+    """What `was_blind` is for: nothing farther than a second's drive from the last scan is looked at, or doubted."""
+    _, ahead, state, off = after_a_gap(halls, scans, Tracker(search=NEVER))
+    way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
+    assert off[0] > 0.5 * way
+    assert state.doubt_m2 == 0
+
+
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
-    """15 % of the way and more, whether or not the scan was found again: it may have been found where it looks alike."""
+    """15 % of the way and more, whether or not the scan was found: it may have been found where it looks alike."""
     doubts = []
     for scans in (5, 9, 13, 25, 33, 45):
         _, ahead, state, _ = after_a_gap(halls, scans, Tracker())
