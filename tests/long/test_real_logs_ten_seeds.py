@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from far_apart import SPARSE, gmapping_path, off_from
 from real_logs import ACES, INTEL, check_csail, check_seed, csail_end_error, errors_of
+
+import gridslam
 
 SEEDS = range(10)
 
@@ -28,3 +31,13 @@ def test_csail(data_dir, seed, record_property):
     missed_m, missed_rad = csail_end_error(data_dir, seed)
     record_property("end missed by", f"{missed_m:.3f} m, {missed_rad:.3f} rad")
     check_csail(missed_m, missed_rad)
+
+
+@pytest.mark.parametrize("name", SPARSE)
+def test_logs_of_key_scans(data_dir, name, record_property):
+    """The worst of ten seeds is within the bound, and their median 1.3 times nearer."""
+    reference, log = gmapping_path(data_dir, name), data_dir / "sparse" / f"{name}.clf.gz"
+    off = [off_from(gridslam.map_log(log, seed=seed).trajectory.poses, reference) for seed in SEEDS]
+    record_property("ATE of each seed, m", " ".join(f"{e:.3f}" for e in off))
+    assert max(off) < SPARSE[name]
+    assert np.median(off) < SPARSE[name] / 1.3

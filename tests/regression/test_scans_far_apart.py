@@ -1,4 +1,4 @@
-"""Real logs whose scans are far apart are mapped as well as the scans allow, and the answer is no worse than the filter's."""
+"""Real logs whose scans are far apart: mapped as well as they allow, and no worse than by the filter alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real logs whose scans are far apart: public ones of key scans only, and others thinned so; how far off their maps are."""
+"""Real logs whose scans are far apart: public ones of key scans only, and others thinned so."""
 
 from __future__ import annotations
 
