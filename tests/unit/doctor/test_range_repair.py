@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -154,10 +155,11 @@ def test_only_the_laser_that_lies_is_limited():
 def test_a_beam_that_is_no_hit_stays_what_it_is():
     geometry = drive()[0].scan.geometry
     ranges = np.full(len(geometry.bearings), 3.0)
-    ranges[:4] = [np.nan, np.inf, 8.2, 8.12]
+    ranges[:5] = [np.nan, np.inf, 8.2, 8.12, 9.0]
     scan = LaserScan.from_ranges(0, ranges, geometry, range_max_m=STATED_M)
+    scan = replace(scan, status=np.where(ranges == 9.0, np.uint8(BeamStatus.INVALID), scan.status))
     (one,) = repaired([Measurement(None, scan)], Repair(range_max_m=8.13))
     invalid, nothing, hit = BeamStatus.INVALID, BeamStatus.NO_RETURN, BeamStatus.HIT
-    assert one.scan.status[:5].tolist() == [invalid, nothing, nothing, hit, hit]
+    assert one.scan.status[:5].tolist() == [invalid, nothing, nothing, hit, invalid]
     np.testing.assert_array_equal(one.scan.ranges, ranges)
     assert scan.status[2] == hit  # the scan itself is not written to
