@@ -237,18 +237,18 @@ class Tracker:
     def _advance(self, state: TrackerState, found: Found) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.predicted
+        if found.poor or self.search.was_blind(state, predicted):
+            state.doubt_m2 += predicted.sigma_m**2
+            state.doubt_rad2 += predicted.sigma_rad**2
         moved, turned = _motion(between(state.pose, found.pose))
         if moved + turned > self.still_m + self.still_rad:
-            state.stride += 0.05 * (moved + turned - state.stride)
+            state.stride += 0.05 * (min(moved + turned, self.search.gap_way) - state.stride)
         blind = found.poor and not predicted.by_odometry
         state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, predicted.seconds)
         if found.share and not predicted.by_odometry:
             state.spread = self.velocity.spread(state.spread, between(predicted.pose, found.pose))
         state.blind_scans = state.blind_scans + 1 if blind else 0
         state.pose = found.pose
-        if found.poor or self.search.was_blind(state, predicted):
-            state.doubt_m2 += predicted.sigma_m**2
-            state.doubt_rad2 += predicted.sigma_rad**2
 
     def _learn(self, state: TrackerState, found: Found) -> None:
         """Learn what the odometry's errors are, from where the scan was taken."""

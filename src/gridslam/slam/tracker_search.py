@@ -49,9 +49,9 @@ class OdometrySearch:
     window : BranchAndBound
         How is searched; its `gate` is not used.
     anywhere : BranchAndBound
-        How is searched where nothing was found within the gates: a turn was not counted at all.
-    anywhere_share : float
-        Share of the beams that must agree with a place found so.
+        How is searched where nothing certain was found within the gates: a turn was not counted at all.
+    anywhere_share, anywhere_gain : float
+        Share of the beams that must agree with a place found so, and how many more than with any before.
     unique : float
         A place must be the only one: no other within the same gate has this part of its share.
     follow_m, follow_rad : float
@@ -71,6 +71,7 @@ class OdometrySearch:
     window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, floor=0.3)
     anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, floor=0.5)
     anywhere_share: float = Field(default=0.8, gt=0, le=1)
+    anywhere_gain: float = Field(default=0.3, ge=0, le=1)
     unique: float = Field(default=0.85, gt=0, le=1)
     follow_m: float = Field(default=0.1, ge=0)
     follow_rad: float = Field(default=0.05, ge=0)
@@ -117,11 +118,11 @@ class OdometrySearch:
             best = found if found.share > best.share + gain else best
             if best.share >= self.certain_share:
                 return best
-        place = self.anywhere.search(pyramid, predicted.pose, None, beams.ends) if best.poor else None
-        if place is not None and place.other_share < self.unique * place.share:
-            found = self._refined(state, place.pose, predicted, beams)
-            best = found if found.share >= self.anywhere_share else best
-        return best
+        place = self.anywhere.search(pyramid, predicted.pose, None, beams.ends)
+        if place is None or place.other_share > self.unique * place.share:
+            return best
+        found = self._refined(state, place.pose, predicted, beams)
+        return found if found.share >= max(self.anywhere_share, best.share + self.anywhere_gain) else best
 
     def _refined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> Found:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""

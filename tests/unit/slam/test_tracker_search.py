@@ -151,6 +151,14 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
     assert right > 0.66 * len(states)
 
 
+@pytest.mark.parametrize("turn", [-1.4, 1.4])
+def test_a_poor_place_near_the_prediction_does_not_hide_the_right_one(states, turn):
+    """With the usual gates, too: what is found within them may be no more than a wall that is parallel."""
+    found = [SEARCH(state, predicted_off(pose, turn), beams) for state, beams, pose in states]
+    right = sum((away(f.pose[None], pose[None]) < FAR).all() for f, (_, _, pose) in zip(found, states, strict=True))
+    assert right > 0.66 * len(states)
+
+
 def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
     tracker, state = Tracker(), start(Tracker(), whole.measurements)
     poses = [state.pose]
