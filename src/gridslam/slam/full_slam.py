@@ -156,17 +156,16 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
 
 def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
     """Sum up what was remembered while the robot drove, and in the last word."""
-    ties, weights = said.best.ties, said.best.weights
-    believed = weights[len(weights) - len(ties) :] >= 0.5
-    recognized = np.array([tie.source is Source.RECOGNIZED for tie in ties], np.bool_)
+    closures = [tie for tie in said.best.believed if tie.source is Source.RECOGNIZED]
+    recognized = len(said.best.recognized)
     return Loops(
-        closures=_ends(ties)[recognized & believed],
+        closures=_ends(closures),
         revisits=_ends([tie for tie in driven.graph.ties if tie.source is Source.KNOWN]),
-        doubted=int((recognized & ~believed).sum()),
+        doubted=recognized - len(closures),
         rejected=memory.rejected,
         ties=Counter(tie.source for tie in driven.graph.ties),
-        joint_ties=int((~recognized).sum()),
-        chi2=scaled(said.best.graph, weights).chi2(),
+        joint_ties=len(said.best.ties) - recognized,
+        chi2=scaled(said.best.graph, said.best.weights).chi2(),
         moved_m=float(np.hypot(*(said.best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=said.scores,
         chosen=said.best.name,

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph
+from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
 from gridslam.slam.known_places import tie_known_place
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.place_parameters import PlaceParameters
@@ -42,7 +42,11 @@ class PlaceRecognition(PlaceParameters):
             return []
         if newest < memory.next_search:
             return []
-        found = search_place(self, memory, mapper, newest, memory.failures)
+        pieces = candidate_pieces(self, graph, newest)
+        if not pieces:
+            memory.area = memory.wide = ()
+            return []
+        found = search_place(self, memory, mapper, newest, pieces[memory.failures % len(pieces)])
         if found is None:
             return []
         if isinstance(found, Rejection):
@@ -75,10 +79,10 @@ class PlaceRecognition(PlaceParameters):
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
                 continue
-            for turn, piece in enumerate(candidate_pieces(self, graph, key)):
+            for piece in candidate_pieces(self, graph, key):
                 if piece[0].sigma_m < 2 * self.known_m:
                     continue  # key scans are matched to it without search
-                found = self._searched(memory, mapper, key, turn)
+                found = self._searched(memory, mapper, key, piece)
                 tick()
                 if isinstance(found, Rejection):
                     memory.rejected[found] += 1
@@ -87,13 +91,14 @@ class PlaceRecognition(PlaceParameters):
         found_all = [tie for group in groups for tie in group]
         return [tie for group in groups if self._convinces(group, found_all) for tie in group]
 
-    def _searched(self, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int) -> Tie | Rejection | None:
+    def _searched(
+        self, memory: Memory, mapper: OccupancyGridMapping, key: int, piece: list[Nearby]
+    ) -> Tie | Rejection | None:
         """Search at a key scan to the end: maps are drawn when they are needed."""
+        found = None
         for _ in range(3):
-            found = search_place(self, memory, mapper, key, turn)
-            if found is not None or not memory.area:
-                return found
-        return None
+            found = found or search_place(self, memory, mapper, key, piece)
+        return found
 
     def _group(self, graph: KeyGraph, groups: list[list[Tie]], found: Tie) -> None:
         """Add a tie to the group that it agrees with, or begin one."""

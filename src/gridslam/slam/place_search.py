@@ -25,22 +25,14 @@ _FEW, _MOST_SUBMAPS = 12, 24
 
 
 def search_place(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, turn: int = 0
+    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, candidates: list[Nearby]
 ) -> Tie | Rejection | None:
-    """Search what was seen up to a key scan in the old submaps where the robot may have been.
-
-    Submaps between which the robot went on blindly make no map together; of several such pieces the `turn`-th is
-    searched, modulo their number.
+    """Search what was seen up to a key scan in old submaps where the robot may have been: one of `candidate_pieces`.
 
     Where the map to search in has to be drawn first, that is all for now, and None is returned: no scan shall wait for
-    both. It is None, too, where there is no old submap to search in; `memory.area` is empty then.
+    both.
     """
     graph, oldest = memory.graph, key // BLOCK - places.gap
-    pieces = candidate_pieces(places, graph, key)
-    candidates = pieces[turn % len(pieces)] if pieces else []
-    if not candidates:
-        memory.area = memory.wide = ()
-        return None
     way, blocks = candidates[0], tuple(n.block for n in candidates)
     guess = compose(graph.poses[way.block * BLOCK], way.pose)
     points = thinned(evidence.recent_points(memory, key, places.query), places.search.points)
@@ -89,7 +81,10 @@ def _told_apart(
 
 
 def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list[list[Nearby]]:
-    """Old submaps that the robot may be in, by rigid piece; those that it would have to be moved least for first."""
+    """Old submaps that the robot may be in, by rigid piece; those that it would have to be moved least for first.
+
+    Submaps between which the robot went on blindly make no map together, and are searched one piece at a time.
+    """
     oldest, labels = key // BLOCK - places.gap, graph.pieces()
     found: dict[int, list[tuple[float, Nearby]]] = {}
     for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
