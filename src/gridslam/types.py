@@ -28,9 +28,9 @@ from gridslam.scan import (
 )
 
 __all__ = [
-    "BeamEnds", "BeamStatus", "Beams", "DistanceMaps", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Match",
-    "MotionModel", "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel",
-    "SkipReason", "StepReport", "Trajectory", "Weigher",
+    "BeamEnds", "BeamStatus", "Beams", "DistanceMaps", "EndPoints", "FloatArray", "GridRows", "IntArray", "LaserScan",
+    "Match", "MotionModel", "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry",
+    "SensorModel", "SkipReason", "StepReport", "Trajectory", "Weigher",
 ]  # fmt: skip
 
 
@@ -94,10 +94,41 @@ class OccupancyGrid:
     origin: tuple[float, float]
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        height, width = self.known.shape
+        return height, width
+
+    def rows(self, first: int, last: int) -> OccupancyGrid:
+        """Rows `first` to `last` - 1, sharing the arrays."""
+        x, y = self.origin
+        origin = x, y + first * self.resolution_m
+        return OccupancyGrid(self.log_odds[first:last], self.known[first:last], self.resolution_m, origin)
+
+    @property
     def probability(self) -> NDArray[np.float32]:
         """Occupancy probability (H, W); 0.5 where unknown."""
         odds = np.where(self.known, self.log_odds, np.float32(0))
         return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+
+
+class GridRows(Protocol):
+    """A rectangular map that may be had a few rows at a time: an `OccupancyGrid`, or one that stays in its tiles."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+
+    @property
+    def resolution_m(self) -> float:
+        """Side of a cell."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """World coordinates (m) of the lower left corner of cell [0, 0]."""
+
+    def rows(self, first: int, last: int) -> OccupancyGrid:
+        """Rows `first` to `last` - 1."""
 
 
 class SkipReason(Enum):

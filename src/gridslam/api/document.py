@@ -127,8 +127,8 @@ def _learned(state: TrackerState) -> dict[str, Any]:
 
 
 def _filter(result: MapResult) -> dict[str, Any]:
-    statistics, state, grid = result.statistics, result.state, result.map
-    height, width = (side * grid.resolution_m for side in grid.known.shape)
+    statistics, state, grid = result.statistics, result.state, result.drawn
+    height, width = (side * grid.resolution_m for side in grid.shape)
     return {
         "particles": len(state.poses),
         "resamplings": statistics.resamplings,

@@ -119,7 +119,7 @@ def _result(
         trajectory=Trajectory(online.stamps_ns, full.poses),
         covariances=full.covariances,
         online_trajectory=online,
-        map=full.map,
+        drawn=full.drawn,
         graph=full.graph,
         loops=full.loops,
         key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],

@@ -12,6 +12,7 @@ from gridslam import __version__
 from gridslam.api.document import run_document
 from gridslam.config import Configuration
 from gridslam.doctor.repair import Repair
+from gridslam.grid.tiled_grid import TiledGrid
 from gridslam.io.g2o import write_g2o
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
@@ -44,8 +45,8 @@ class MapResult:
         Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
     online_trajectory : Trajectory
         The online-SLAM answer: what the best particle said at the time.
-    map : OccupancyGrid
-        Drawn from the trajectory.
+    drawn : TiledGrid
+        The map, drawn from the trajectory.
     graph : PoseGraph
         The key scans and what was measured between them.
     loops : Loops or None
@@ -77,7 +78,7 @@ class MapResult:
     trajectory: Trajectory
     covariances: FloatArray
     online_trajectory: Trajectory
-    map: OccupancyGrid
+    drawn: TiledGrid
     graph: PoseGraph
     loops: Loops | None
     key_stamps_ns: IntArray
@@ -110,7 +111,7 @@ class MapResult:
         A true trajectory in the map's frame is drawn into the picture, too.
         """
         self.stopwatch.resume()
-        write_map(out.file("map.yaml"), self.map)
+        write_map(out.file("map.yaml"), self.drawn)
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
@@ -124,6 +125,11 @@ class MapResult:
         return document
 
     @property
+    def map(self) -> OccupancyGrid:
+        """The map, unfolded anew at each access."""
+        return self.drawn.whole()
+
+    @property
     def driven(self) -> str:
         """How far the robot was driven, as its odometry has it, in words."""
         log = self.log
@@ -131,13 +137,13 @@ class MapResult:
 
     def caption(self) -> list[str]:
         """Lines that tell what was mapped."""
-        height, width = (side * self.map.resolution_m for side in self.map.known.shape)
+        height, width = (side * self.drawn.resolution_m for side in self.drawn.shape)
         log, wall = self.log, self.stopwatch.total()[0]
         found, known = (0, 0) if self.loops is None else (len(self.loops.closures), len(self.loops.revisits))
         places = "" if self.loops is None else f", {found} places recognized, {known} known again"
         return [
             f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {self.driven}{places}",
-            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.drawn.resolution_m:g} cm",
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]
 
@@ -145,7 +151,7 @@ class MapResult:
         from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
 
         picture = draw_map(
-            self.map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
+            self.drawn, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
             closures=None if self.loops is None else self._drawn(self.loops),
         )  # fmt: skip
         picture.save(path, optimize=False)

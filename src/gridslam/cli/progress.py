@@ -109,7 +109,7 @@ class Progress:
     def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()
         share = log.share_read
-        height, width = state.maps.occupancy(state.best).known.shape
+        height, width = state.maps.tiled(state.best).shape
         side = state.maps.resolution_m
         real = (report.stamp_ns - self._first_ns) * 1e-9 / seconds
         left = f"{seconds * (1 - share) / share:.0f} s left" if share else ""

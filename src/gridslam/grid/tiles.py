@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena, renumbered
-from gridslam.grid.evidence import LOG_ODDS_UNIT, Evidence
-from gridslam.grid.frame import cell_corner, cells_of
+from gridslam.grid.evidence import Evidence
+from gridslam.grid.frame import cells_of
+from gridslam.grid.tiled_grid import TiledGrid
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
@@ -176,34 +177,30 @@ class TileMaps:
         found[inside] = self._arena.log_odds[tiles, cell[inside, 0], cell[inside, 1]] != UNKNOWN
         return found
 
+    def tiled(self, row: int) -> TiledGrid:
+        """The map as a rectangle, cut to the tiles that hold something, that stays in them."""
+        return TiledGrid(self, row)
+
     def occupancy(self, row: int) -> OccupancyGrid:
-        """The map as a rectangle, cut to the tiles that hold something; a single unknown cell if there are none."""
-        cells, corner = self._rectangle(row, self._arena.log_odds, UNKNOWN)
-        known = cells != UNKNOWN
-        log_odds = np.where(known, cells, 0).astype(np.float32)
-        log_odds *= LOG_ODDS_UNIT
-        return OccupancyGrid(log_odds, known, self.resolution_m, cell_corner(*corner, self.resolution_m))
+        """The map as such a rectangle, unfolded; a single unknown cell if no tile holds anything."""
+        return self.tiled(row).whole()
 
     def field(self, row: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
         """The distance field (H, W) uint8 as such a rectangle, and the cell (row, column) that is its corner.
 
         255 at an occupied cell, falling with the distance to 0 at the field's reach.
         """
-        return self._rectangle(row, self._arena.field, 0)
-
-    def _rectangle(self, row: int, stored: NDArray[Any], empty: int) -> tuple[NDArray[Any], tuple[int, int]]:
-        """Cells (H, W) of a map's tiles in `stored` (T, 32, 32), `empty` between them, and the corner's cell."""
         page_rows, page_cols = np.nonzero(self._roots[row])
         tiles = self._arena.pages[self._roots[row, page_rows, page_cols]]
         which, ty, tx = np.nonzero(tiles)
         if not len(which):
-            return np.full((1, 1), empty, stored.dtype), (0, 0)
+            return np.zeros((1, 1), np.uint8), (0, 0)
         rows = (page_rows[which] + self._first[0]) * PAGE + ty
         cols = (page_cols[which] + self._first[1]) * PAGE + tx
         row0, col0 = int(rows.min()), int(cols.min())
         shape = int(rows.max()) - row0 + 1, int(cols.max()) - col0 + 1, TILE, TILE
-        blocks = np.full(shape, empty, stored.dtype)
-        blocks[rows - row0, cols - col0] = stored[tiles[which, ty, tx]]
+        blocks = np.zeros(shape, np.uint8)
+        blocks[rows - row0, cols - col0] = self._arena.field[tiles[which, ty, tx]]
         return blocks.swapaxes(1, 2).reshape(shape[0] * TILE, -1), (row0 * TILE, col0 * TILE)
 
     def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:

@@ -7,18 +7,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.io.map_image import FREE, OCCUPIED, UNKNOWN, occupancy_percent, read_map_image, unknown_read_as_free
 from gridslam.io.map_yaml import FREE_THRESH, OCCUPIED_THRESH, MapDescription, read_map_description
-from gridslam.types import OccupancyGrid
+from gridslam.types import GridRows, OccupancyGrid
 
 __all__ = ["LoadedMap", "load_map", "read_map", "write_map"]
 
+_BAND = 256  # rows turned to pixels at a time
 _SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
 
 
-def write_map(yaml_path: str | Path, grid: OccupancyGrid) -> None:
+def write_map(yaml_path: str | Path, grid: GridRows) -> None:
     """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
 
     The image has its first row at the top, where y is largest. free_thresh lies below the 0.19608 that the pixel 205
@@ -28,22 +30,27 @@ def write_map(yaml_path: str | Path, grid: OccupancyGrid) -> None:
     ----------
     yaml_path : str or Path
         The file to write; its image is a binary PGM of the same name beside it.
-    grid : OccupancyGrid
+    grid : OccupancyGrid, or another that gives rows
         The map, at least one cell.
     """
-    height, width = grid.log_odds.shape
+    height, width = grid.shape
     if height == 0 or width == 0:
-        raise ArgumentError("grid", "at least one cell", grid.log_odds.shape)
-    pixels = np.full((height, width), UNKNOWN, dtype=np.uint8)
-    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = OCCUPIED
-    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = FREE
+        raise ArgumentError("grid", "at least one cell", grid.shape)
     image_path = Path(yaml_path).with_suffix(".pgm")
     with image_path.open("wb") as file:
         file.write(f"P5\n{width} {height}\n255\n".encode())
-        file.write(pixels[::-1].tobytes())
+        for top in range(height, 0, -_BAND):
+            file.write(_pixels(grid.rows(max(top - _BAND, 0), top))[::-1].tobytes())
     x, y = (float(value) for value in grid.origin)
     description = MapDescription(image_path.name, float(grid.resolution_m), (x, y))
     Path(yaml_path).write_text(description.to_yaml(), encoding="utf-8")
+
+
+def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
+    pixels = np.full(grid.shape, UNKNOWN, dtype=np.uint8)
+    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = OCCUPIED
+    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = FREE
+    return pixels
 
 
 class LoadedMap(NamedTuple):

@@ -11,6 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import between
+from gridslam.grid.tiled_grid import TiledGrid
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.drift import Drift
@@ -81,8 +82,8 @@ class FullSlam:
         Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
     graph : PoseGraph
         The T key scans and what was measured between them, the information as it was weighed in the end.
-    map : OccupancyGrid
-        Drawn from the key scans at these poses.
+    drawn : TiledGrid
+        The map, drawn from the key scans at these poses.
     loops : Loops or None
         What loop closure made of the run; None for the filter alone.
     """
@@ -90,8 +91,13 @@ class FullSlam:
     poses: FloatArray
     covariances: FloatArray
     graph: PoseGraph
-    map: OccupancyGrid
+    drawn: TiledGrid
     loops: Loops | None
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The map, unfolded anew at each access."""
+        return self.drawn.whole()
 
 
 def full_slam(
@@ -132,7 +138,7 @@ def full_slam(
         key_covariances = _marginals(graph)
         loops = _loops(state.memory, memory, said, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
-    return FullSlam(poses, covariances, graph, maps.occupancy(row), loops)
+    return FullSlam(poses, covariances, graph, maps.tiled(row), loops)
 
 
 def _marginals(graph: PoseGraph) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ImageFont
 
-from gridslam.types import FloatArray, OccupancyGrid
+from gridslam.types import FloatArray, GridRows
 
 __all__ = [
     "KEY_GAP", "MARGIN", "SCALE_WIDTH", "TEXT_LINE", "TEXT_SIZE", "TIME_WIDTH", "TITLE_LINE", "TITLE_SIZE", "Layout",
@@ -24,6 +24,7 @@ SCALE_WIDTH, TIME_WIDTH, KEY_GAP, _KEY_HEIGHT = 280, 280, 60, 80
 
 _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the page is 1400 to 4000
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
+_ROWS = 256  # rows of cells looked at a time
 _CELL_PX = 64  # cells are not enlarged further
 _PAGE_SIDE_PX = 1400
 
@@ -64,9 +65,9 @@ class Layout:
         return np.stack([x, y], axis=1)
 
 
-def lay_out(grid: OccupancyGrid, title: str = "", caption: Sequence[str] = ()) -> Layout:
+def lay_out(grid: GridRows, title: str = "", caption: Sequence[str] = ()) -> Layout:
     """Decide what part of the grid is shown, how large, and where; a grid without a known cell is shown whole."""
-    rows, columns = _extent(grid.known, axis=1), _extent(grid.known, axis=0)
+    rows, columns = _known_part(grid)
     height, width = rows.stop - rows.start, columns.stop - columns.start
     least, most = _MAP_SIDE_PX
     scale = min(math.ceil(least / max(height, width)), _CELL_PX)
@@ -101,10 +102,21 @@ def footer_size(title: str, caption: Sequence[str], unit: float) -> tuple[int, i
     return math.ceil(max(lengths)), round(unit * height)
 
 
-def _extent(known: NDArray[np.bool_], axis: int) -> slice:
-    """From the first to the last row (axis 1) or column (axis 0) with a known cell, at least one cell long."""
-    occupied = np.flatnonzero(known.any(axis=axis))
-    return slice(int(occupied[0]), int(occupied[-1]) + 1) if len(occupied) else slice(0, max(1, known.shape[1 - axis]))
+def _known_part(grid: GridRows) -> tuple[slice, slice]:
+    """The rows and columns from the first to the last with a known cell; all of them, where there is none."""
+    height, width = grid.shape
+    in_row, in_column = np.zeros(height, np.bool_), np.zeros(width, np.bool_)
+    for top in range(0, height, _ROWS):
+        known = grid.rows(top, min(top + _ROWS, height)).known
+        in_row[top : top + _ROWS] = known.any(axis=1)
+        in_column |= known.any(axis=0)
+    return _extent(in_row), _extent(in_column)
+
+
+def _extent(known: NDArray[np.bool_]) -> slice:
+    """From the first to the last that is known; at least one long."""
+    found = np.flatnonzero(known)
+    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, max(1, len(known)))
 
 
 @functools.lru_cache(maxsize=8)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
-from gridslam.types import FloatArray, OccupancyGrid, Trajectory
+from gridslam.types import FloatArray, GridRows, Trajectory
 from gridslam.viz.footer import paint_footer
 from gridslam.viz.layout import Layout, lay_out
 from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
@@ -31,7 +32,7 @@ _CRISP = _ramp(52, 204)  # sharpens an enlarged edge to about half a cell
 
 
 def draw_map(
-    grid: OccupancyGrid,
+    grid: GridRows,
     trajectory: Trajectory | None = None,
     *,
     title: str = "",
@@ -44,7 +45,7 @@ def draw_map(
 
     Parameters
     ----------
-    grid : OccupancyGrid
+    grid : OccupancyGrid, or another that gives rows
     trajectory : Trajectory, optional
         In the frame of the grid; coloured by time, with its start (white) and end (filled) marked.
     title : str
@@ -77,22 +78,32 @@ def draw_map(
     return page
 
 
-def _paint_cells(page: Image.Image, grid: OccupancyGrid, layout: Layout) -> None:
+def _paint_cells(page: Image.Image, grid: GridRows, layout: Layout) -> None:
     """Blend FREE and then OCCUPIED into the page, each through a mask of how much a cell is so."""
-    log_odds, known = grid.log_odds[layout.rows, layout.columns], grid.known[layout.rows, layout.columns]
-    levels = np.full(known.shape, _EVEN, dtype=np.uint8)
-    for top in range(0, len(known), _ROWS):
-        block = np.clip(log_odds[top : top + _ROWS] * _LEVELS_PER_NAT + _EVEN, 0, 255)
-        np.copyto(levels[top : top + _ROWS], block, where=known[top : top + _ROWS], casting="unsafe")
+    levels = _levels(grid, layout)
     if not levels.size:
         return
-    cells = Image.fromarray(levels[::-1])
+    cells = Image.fromarray(levels)
     left, top, right, bottom = layout.map_box
     size = (right - left, bottom - top)
     larger = size[0] > cells.width
     for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
         mask = cells.point(table).resize(size, Image.Resampling.BICUBIC if larger else Image.Resampling.BOX)
         page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
+
+
+def _levels(grid: GridRows, layout: Layout) -> NDArray[np.uint8]:
+    """Log-odds of the cells shown as bytes, the uppermost row first."""
+    below, columns = layout.rows.start, layout.columns
+    height = min(layout.rows.stop, grid.shape[0]) - below
+    levels = np.full((height, min(columns.stop, grid.shape[1]) - columns.start), _EVEN, dtype=np.uint8)
+    for first in range(0, height, _ROWS):
+        last = min(first + _ROWS, height)
+        band = grid.rows(below + first, below + last)
+        shown = np.clip(band.log_odds[:, columns] * _LEVELS_PER_NAT + _EVEN, 0, 255)
+        to = levels[height - last : height - first][::-1]
+        np.copyto(to, shown, where=band.known[:, columns], casting="unsafe")
+    return levels
 
 
 def _path(trajectory: Trajectory, layout: Layout) -> tuple[FloatArray, FloatArray]:
