@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import gridslam
+from gridslam.cli.map import map_shown
 from gridslam.config import override
 from gridslam.evaluation import absolute_errors
 from gridslam.io.trajectory import read_tum
+from gridslam.pipeline import Stopwatch
 
 
 def test_import_is_quick_because_it_imports_nothing():
@@ -43,6 +45,18 @@ def test_five_lines_from_a_log_to_a_map(log, tmp_path):
     assert result.statistics.scans == 120
     assert len(result.state.poses) == 3
     assert (tmp_path / "out" / "map.yaml").is_file()
+
+
+def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
+    """The command keeps no others: the last word draws its own maps."""
+    every, best = gridslam.map_log(log, particles=3), gridslam.map_log(log, particles=3, keep_particles=False)
+    assert len(best.state.poses) == 1
+    assert best.state.maps.nbytes < best.maps_bytes == every.maps_bytes == every.state.maps.nbytes
+    assert best.state.poses.tobytes() == every.state.poses[every.state.best].tobytes()
+    assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
+    assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
+    source, shown = gridslam.CarmenLog(log), gridslam.Configuration(particles=3)
+    assert len(map_shown(source, shown, 0, 1, False, Stopwatch()).state.poses) == 1
 
 
 def test_ones_own_loop_gives_the_same(log):

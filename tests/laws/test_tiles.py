@@ -121,6 +121,10 @@ class Maps(RuleBasedStateMachine):
         maps.clear(row)
         models[row].clear()
 
+    @rule(which=st.integers(0, 9))
+    def compact(self, which):
+        self._owner(which)[0].compact()
+
     @precondition(lambda self: len(self.owners) > 1)
     @rule(which=st.integers(0, 9))
     def delete(self, which):

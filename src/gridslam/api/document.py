@@ -127,16 +127,16 @@ def _learned(state: TrackerState) -> dict[str, Any]:
 
 
 def _filter(result: MapResult) -> dict[str, Any]:
-    statistics, state, grid = result.statistics, result.state, result.drawn
+    statistics, grid = result.statistics, result.drawn
     height, width = (side * grid.resolution_m for side in grid.shape)
     return {
-        "particles": len(state.poses),
+        "particles": result.configuration.particles,
         "resamplings": statistics.resamplings,
         "n_eff_mean": statistics.n_eff_mean,
         "n_eff_min": statistics.n_eff_min,
         "map_width_m": width,
         "map_height_m": height,
-        "maps_bytes": state.maps.nbytes,
+        "maps_bytes": result.maps_bytes,
     }
 
 

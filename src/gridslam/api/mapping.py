@@ -44,6 +44,7 @@ def map_log(
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
+    keep_particles: bool = True,
 ) -> MapResult:
     """Map a log with grid-based FastSLAM and loop closure.
 
@@ -79,6 +80,9 @@ def map_log(
         Called now and then while the last word is found, after the last scan.
     stopwatch : Stopwatch, optional
         To go on with.
+    keep_particles : bool
+        False: after the last scan the best particle alone is kept, so that the last word has the memory of the others'
+        maps for its own. The answer is the same.
 
     Raises
     ------
@@ -102,16 +106,20 @@ def map_log(
     slam, rng = build(config, threads), np.random.default_rng(seed)
     watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
     state = run(gate(source), slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    maps_bytes = state.maps.nbytes
+    if not keep_particles:
+        state.keep_best()
     full = full_slam(
         state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
     )  # fmt: skip
     watch.lap("last word")
-    return _result(full, state, trajectory, statistics, record, source, config, seed, threads, watch)
+    return _result(full, state, maps_bytes, trajectory, statistics, record, source, config, seed, threads, watch)
 
 
 def _result(
-    full: FullSlam, state: GridFastSlamState, trajectory: TrajectoryRecorder, statistics: StatisticsRecorder,
-    record: RecordWriter, source: Log, config: Configuration, seed: int, threads: int, watch: Stopwatch,
+    full: FullSlam, state: GridFastSlamState, maps_bytes: int, trajectory: TrajectoryRecorder,
+    statistics: StatisticsRecorder, record: RecordWriter, source: Log, config: Configuration, seed: int, threads: int,
+    watch: Stopwatch,
 ) -> MapResult:  # fmt: skip
     """Put together what a run gives."""
     online = trajectory.online()
@@ -124,6 +132,7 @@ def _result(
         loops=full.loops,
         key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
         state=state,
+        maps_bytes=maps_bytes,
         statistics=statistics.summary(),
         log=source.statistics,
         configuration=config,

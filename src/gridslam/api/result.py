@@ -54,7 +54,9 @@ class MapResult:
     key_stamps_ns : (T,) int64, ns
         Stamps of the key scans, the nodes of the graph.
     state : GridFastSlamState
-        The filter after the last scan.
+        The filter after the last scan; of its particles maybe only the best (see `map_log`).
+    maps_bytes : int
+        Bytes of all particles' maps then.
     statistics : RunStatistics
         Counts and latencies.
     log : LogStatistics
@@ -83,6 +85,7 @@ class MapResult:
     loops: Loops | None
     key_stamps_ns: IntArray
     state: GridFastSlamState
+    maps_bytes: int
     statistics: RunStatistics
     log: LogStatistics
     configuration: Configuration

@@ -91,6 +91,7 @@ def map_shown(
         result = map_log(
             source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
             observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
+            keep_particles=page is not None,
         )  # fmt: skip
         for onlooker in (page, recording):
             show_result(onlooker, result)

@@ -15,6 +15,9 @@ __all__ = ["TileArena", "renumbered"]
 
 Int32Array = NDArray[np.int32]
 
+_MOVED = 1024
+"""Tiles that are copied at a time."""
+
 
 @final
 class TileArena:
@@ -126,6 +129,27 @@ class TileArena:
         self.tile_refs -= tiles.astype(np.int32)
         dead_tiles = np.flatnonzero((tiles > 0) & (self.tile_refs == 0))
         self._free_tiles = np.concatenate([self._free_tiles, dead_tiles.astype(np.int32)])
+
+    def tiles_of(self, roots: Int32Array) -> int:
+        """Number of tiles on the pages of `roots`, each counted once."""
+        pages, tiles = np.zeros(len(self.pages), np.bool_), np.zeros(len(self.log_odds), np.bool_)
+        pages[roots] = True
+        tiles[self.pages[pages]] = True
+        return int(np.count_nonzero(tiles[1:]))
+
+    def compact(self) -> None:
+        """Move the tiles in use to the front, in their order, and give the memory behind them back."""
+        used = np.append(0, np.flatnonzero(self.tile_refs))
+        places = np.zeros(len(self.tile_refs), np.int32)
+        places[used] = np.arange(len(used), dtype=np.int32)
+        self.pages[:] = places[self.pages]
+        for first in range(0, len(used), _MOVED):
+            tiles = used[first : first + _MOVED]  # none of them lies before its new place, where others were moved to
+            self.log_odds[first : first + len(tiles)] = self.log_odds[tiles]
+            self.field[first : first + len(tiles)] = self.field[tiles]
+        self.log_odds.resize((len(used), TILE, TILE), refcheck=False)
+        self.field.resize((len(used), TILE, TILE), refcheck=False)
+        self.tile_refs, self._free_tiles = self.tile_refs[used], np.zeros(0, np.int32)
 
 
 def renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:

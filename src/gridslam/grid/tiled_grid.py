@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.grid.evidence import LOG_ODDS_UNIT
 from gridslam.grid.frame import cell_corner
@@ -14,7 +15,7 @@ from gridslam.types import OccupancyGrid
 if TYPE_CHECKING:
     from gridslam.grid.tiles import TileMaps
 
-__all__ = ["TiledGrid"]
+__all__ = ["TiledGrid", "cut"]
 
 
 @final
@@ -39,17 +40,12 @@ class TiledGrid:
     def __init__(self, maps: TileMaps, row: int) -> None:
         """Take map `row` as it is now."""
         self._maps = maps.snapshot(np.array([row]))
-        ids, first = maps.tile_ids(row)
-        tile_rows, tile_columns = np.nonzero(ids)
-        if len(tile_rows):
-            (top, left), (bottom, right) = (
-                (int(side(tile_rows)), int(side(tile_columns))) for side in (np.min, np.max)
-            )
-            self._cut = slice(top, bottom + 1), slice(left, right + 1)
-            self._corner = (first[0] + top) * TILE, (first[1] + left) * TILE
-            self.shape = (bottom + 1 - top) * TILE, (right + 1 - left) * TILE
-        else:
-            self._cut, self._corner, self.shape = (slice(1), slice(1)), (0, 0), (1, 1)
+        ids, (row0, column0) = maps.tile_ids(row)
+        self._cut = rows, columns = cut(ids)
+        self._corner = (row0 + rows.start) * TILE, (column0 + columns.start) * TILE
+        self.shape = (rows.stop - rows.start) * TILE, (columns.stop - columns.start) * TILE
+        if not ids.any():
+            self._corner, self.shape = (0, 0), (1, 1)
         self.resolution_m = maps.resolution_m
         self.origin = cell_corner(*self._corner, maps.resolution_m)
 
@@ -71,3 +67,9 @@ class TiledGrid:
     def whole(self) -> OccupancyGrid:
         """Unfold all of it."""
         return self.rows(0, self.shape[0])
+
+
+def cut(ids: NDArray[np.int32]) -> tuple[slice, slice]:
+    """The rows and columns of ids (R, C) of tiles from the first to the last that is not 0; the first, if all are."""
+    rows, columns = (np.append(np.flatnonzero(ids.any(axis=axis)), [0] * (not ids.any())) for axis in (1, 0))
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

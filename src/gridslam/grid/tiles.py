@@ -13,7 +13,7 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena, renumbered
 from gridslam.grid.evidence import Evidence
 from gridslam.grid.frame import cells_of
-from gridslam.grid.tiled_grid import TiledGrid
+from gridslam.grid.tiled_grid import TiledGrid, cut
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
@@ -78,6 +78,10 @@ class TileMaps:
         """Number of tiles that the arena's maps use together."""
         return self._arena.tiles_used
 
+    def tiles_of(self, rows: IntArray) -> int:
+        """Number of tiles that maps `rows` (K,) use together."""
+        return self._arena.tiles_of(self._roots[rows])
+
     @property
     def nbytes(self) -> int:
         """Bytes held by the arena and this table."""
@@ -106,6 +110,10 @@ class TileMaps:
         self._arena.retain(roots)
         self._arena.release(self._roots)
         self._roots = roots
+
+    def compact(self) -> None:
+        """Give the memory back that no map uses; ids of tiles change, and what is written to a map stays its own."""
+        self._arena.compact()
 
     def clear(self, row: int) -> None:
         """Empty one map."""
@@ -190,18 +198,13 @@ class TileMaps:
 
         255 at an occupied cell, falling with the distance to 0 at the field's reach.
         """
-        page_rows, page_cols = np.nonzero(self._roots[row])
-        tiles = self._arena.pages[self._roots[row, page_rows, page_cols]]
-        which, ty, tx = np.nonzero(tiles)
-        if not len(which):
+        ids, (row0, column0) = self.tile_ids(row)
+        if not ids.any():
             return np.zeros((1, 1), np.uint8), (0, 0)
-        rows = (page_rows[which] + self._first[0]) * PAGE + ty
-        cols = (page_cols[which] + self._first[1]) * PAGE + tx
-        row0, col0 = int(rows.min()), int(cols.min())
-        shape = int(rows.max()) - row0 + 1, int(cols.max()) - col0 + 1, TILE, TILE
-        blocks = np.zeros(shape, np.uint8)
-        blocks[rows - row0, cols - col0] = self._arena.field[tiles[which, ty, tx]]
-        return blocks.swapaxes(1, 2).reshape(shape[0] * TILE, -1), (row0 * TILE, col0 * TILE)
+        rows, columns = cut(ids)
+        blocks = self._arena.field[ids[rows, columns]]
+        corner = (row0 + rows.start) * TILE, (column0 + columns.start) * TILE
+        return blocks.swapaxes(1, 2).reshape(len(blocks) * TILE, -1), corner
 
     def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:
         """Ids (R, C) of the tiles of one map, 0 where there is none, and of their corner the (row, column) in tiles.

@@ -16,7 +16,7 @@ from gridslam.types import GridRows, OccupancyGrid
 
 __all__ = ["LoadedMap", "load_map", "read_map", "write_map"]
 
-_BAND = 256  # rows turned to pixels at a time
+_BAND = 64  # rows turned to pixels at a time
 _SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
 
 

@@ -157,6 +157,7 @@ class TakenSession:
             loops=full.loops,
             key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
             state=state,
+            maps_bytes=state.maps.nbytes,
             statistics=StatisticsRecorder.from_arrays(self.statistics).summary(),
             log=self.log,
             configuration=config,

@@ -24,7 +24,7 @@ SCALE_WIDTH, TIME_WIDTH, KEY_GAP, _KEY_HEIGHT = 280, 280, 60, 80
 
 _MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the page is 1400 to 4000
 _MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
-_ROWS = 256  # rows of cells looked at a time
+_ROWS = 64  # rows of cells looked at a time
 _CELL_PX = 64  # cells are not enlarged further
 _PAGE_SIDE_PX = 1400
 

@@ -11,13 +11,13 @@ from PIL import Image
 from gridslam.types import FloatArray, GridRows, Trajectory
 from gridslam.viz.footer import paint_footer
 from gridslam.viz.layout import Layout, lay_out
-from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, Colour, time_colours
 from gridslam.viz.strokes import disc, stroke
 
 __all__ = ["draw_map"]
 
 _NODE_PX = 3.0  # a path is thinned to nodes this far apart
-_ROWS = 256  # cells are turned to bytes this many rows at a time
+_ROWS = 64  # cells are turned to bytes this many rows at a time
 _LEVELS_PER_NAT, _EVEN = 32, 128  # log-odds as a byte: 128 is even odds, also for an unknown cell
 
 
@@ -80,29 +80,33 @@ def draw_map(
 
 def _paint_cells(page: Image.Image, grid: GridRows, layout: Layout) -> None:
     """Blend FREE and then OCCUPIED into the page, each through a mask of how much a cell is so."""
-    levels = _levels(grid, layout)
-    if not levels.size:
+    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
+        _blend(page, colour, _levels(grid, layout, np.array(table, np.uint8)), layout)
+
+
+def _blend(page: Image.Image, colour: Colour, cells: NDArray[np.uint8], layout: Layout) -> None:
+    """Blend one colour into the page, through cells (H, W) enlarged or reduced to the map's box."""
+    if not cells.size:
         return
-    cells = Image.fromarray(levels)
     left, top, right, bottom = layout.map_box
     size = (right - left, bottom - top)
-    larger = size[0] > cells.width
-    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
-        mask = cells.point(table).resize(size, Image.Resampling.BICUBIC if larger else Image.Resampling.BOX)
-        page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
+    larger = size[0] > cells.shape[1]
+    mask = Image.fromarray(cells).resize(size, Image.Resampling.BICUBIC if larger else Image.Resampling.BOX)
+    page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
 
 
-def _levels(grid: GridRows, layout: Layout) -> NDArray[np.uint8]:
-    """Log-odds of the cells shown as bytes, the uppermost row first."""
+def _levels(grid: GridRows, layout: Layout, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first."""
     below, columns = layout.rows.start, layout.columns
     height = min(layout.rows.stop, grid.shape[0]) - below
-    levels = np.full((height, min(columns.stop, grid.shape[1]) - columns.start), _EVEN, dtype=np.uint8)
+    levels = np.empty((height, min(columns.stop, grid.shape[1]) - columns.start), np.uint8)
     for first in range(0, height, _ROWS):
         last = min(first + _ROWS, height)
         band = grid.rows(below + first, below + last)
-        shown = np.clip(band.log_odds[:, columns] * _LEVELS_PER_NAT + _EVEN, 0, 255)
-        to = levels[height - last : height - first][::-1]
-        np.copyto(to, shown, where=band.known[:, columns], casting="unsafe")
+        log_odds, shown = band.log_odds[:, columns], np.full((last - first, levels.shape[1]), _EVEN, np.uint8)
+        scaled = np.clip(log_odds * _LEVELS_PER_NAT + _EVEN, 0, 255)
+        np.copyto(shown, scaled, where=band.known[:, columns], casting="unsafe")
+        levels[height - last : height - first] = table[shown][::-1]
     return levels
 
 
