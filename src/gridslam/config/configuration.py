@@ -23,6 +23,7 @@ from gridslam.slam.confidence import Confidence
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.joint_matching import JointMatching
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Gaussian, Peak, Prior
 from gridslam.slam.tracker import Tracker
@@ -76,7 +77,7 @@ class Configuration:
         Beams outside are not used (see `GridFastSlam`).
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
-    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, confidence
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, confidence
         The parts of `GridFastSlam`.
     loop_closure : bool
         Whether old places are recognized and the past is corrected; False for the filter alone.
@@ -97,6 +98,7 @@ class Configuration:
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     when_to_update: MovedAtLeast = MovedAtLeast()
     when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
+    map_limit: MapLimit = MapLimit()
     confidence: Confidence = Confidence()
     loop_closure: bool = True
     closure: LoopClosure = LoopClosure()
@@ -114,6 +116,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         resampler=_RESAMPLERS[config.resampler](),
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
+        map_limit=config.map_limit,
         confidence=config.confidence,
         loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,

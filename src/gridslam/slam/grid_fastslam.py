@@ -25,6 +25,7 @@ from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, 
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
@@ -68,6 +69,8 @@ class GridFastSlam:
         Which scans are key scans, at which the particles are stepped: by what moved since the last one of its laser.
     when_to_resample : ResamplingPolicy
         When resampling is worth its loss of diversity.
+    map_limit : MapLimit
+        How much the particles' maps may take.
     confidence : Confidence
         How poses' covariances and the lost flag are told.
     loop_closure : LoopClosure or None
@@ -89,6 +92,7 @@ class GridFastSlam:
     resampler: Resampler = Systematic()
     when_to_update: UpdatePolicy = MovedAtLeast()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+    map_limit: MapLimit = MapLimit()
     confidence: Confidence = Confidence()
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
@@ -152,7 +156,16 @@ class GridFastSlam:
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
             report = replace(report, parents=parents, best=state.best)
-        return self._close_loops(state, report, beams)
+        return self._close_loops(state, self._bounded(state, report), beams)
+
+    def _bounded(self, state: GridFastSlamState, report: StepReport) -> StepReport:
+        """Keep the particles' maps within their limit."""
+        kept = self.map_limit(state)
+        if kept is None:
+            return report
+        state.resample(kept)
+        parents = kept if report.parents is None else report.parents[kept]
+        return replace(report, parents=parents, best=state.best)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams

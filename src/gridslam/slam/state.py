@@ -99,12 +99,6 @@ class GridFastSlamState:
         self.log_ancestry = self.log_ancestry[parents]
         self.log_weights = np.full(len(parents), -np.log(len(parents)))
 
-    def give_way(self, parents: IntArray) -> None:
-        """Let particle i continue particle parents[i], with its share of that one's weight."""
-        shares = self.log_weights[parents] - np.log(np.bincount(parents)[parents])
-        self.resample(parents)
-        self.log_weights = normalize(shares)
-
     def keep_best(self) -> None:
         """Let the best particle be the only one, and give back the memory of the others' maps and of all caches."""
         self.resample(np.array([self.best]))
