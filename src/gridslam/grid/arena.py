@@ -86,7 +86,7 @@ class TileArena:
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
-        """Make more pages or tiles, or both, where none is free: an eighth of what there is."""
+        """Make more pages or tiles, or both, where none is free: a sixteenth of what there is."""
         if not len(self._free_pages):
             self._free_pages, new = self._more(self.page_refs)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
@@ -101,7 +101,7 @@ class TileArena:
     @staticmethod
     def _more(refs: Int32Array) -> tuple[Int32Array, int]:
         """Ids to be added to those that `refs` counts, and how many there are then."""
-        size = len(refs) + max(len(refs) // 8, 64)
+        size = len(refs) + max(len(refs) // 16, 64)
         return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
 
     def take(self, pages: int, tiles: int) -> None:

@@ -17,7 +17,7 @@ _EVERY = 16
 """Key scans from one count of the tiles to the next."""
 
 _LEFT = 0.75
-"""Share of the limit down to which particles give way."""
+"""Share of the tiles beside the best map's down to which particles give way."""
 
 
 @final
@@ -33,12 +33,13 @@ class MapLimit:
     Parameters
     ----------
     tiles_per_particle : int
-        By so many tiles, of 3 KB, the maps may differ from the best particle's, times the number of particles. With
-        1500 and 30 particles that is 138 MB; 300 to 1400 are needed where robots drive inside. More than that are
-        needed where a scan alone covers as many: a full turn of 35 m, all of it open, in cells of 5 cm.
+        So many tiles, of 3 KB, all maps may take together, times the number of particles; but a third of that beside
+        the best particle's map, however large it is. With 1700 and 30 particles that is 157 MB; 370 to 1430 are needed
+        where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of it open, in
+        cells of 5 cm.
     """
 
-    tiles_per_particle: int = Field(default=1500, ge=1)
+    tiles_per_particle: int = Field(default=1700, ge=1)
 
     def __call__(self, state: GridFastSlamState) -> IntArray | None:
         """Say which particle each is to continue, (N,); None if the maps are within the limit, or not counted now."""
@@ -47,8 +48,8 @@ class MapLimit:
         if state.ancestry.steps % _EVERY or maps.tiles_used <= limit:
             return None
         best, order = maps.tiles_of(np.array([state.best])), np.argsort(-state.log_weights, kind="stable")
-        kept = count
-        while kept > 1 and maps.tiles_of(order[:kept]) - best > (limit if kept == count else _LEFT * limit):
+        apart, kept = max(limit - best, limit // 3), count
+        while kept > 1 and maps.tiles_of(order[:kept]) - best > (apart if kept == count else _LEFT * apart):
             kept = kept * 4 // 5
         return None if kept == count else _shared_out(state.log_weights, order[:kept])
 

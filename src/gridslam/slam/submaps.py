@@ -20,6 +20,9 @@ __all__ = ["ROW", "Submaps", "anchor_of", "draw", "drawn", "joint_map", "keys_of
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
 
+_MOST_BYTES = 32_000_000
+"""Of submaps that are kept: 32 of them inside, and few where a laser sees 80 m of open ground."""
+
 _FEW = 12
 """Of so many submaps every other scan is drawn into one map, of more one in four."""
 
@@ -67,7 +70,7 @@ class Submaps:
     __slots__ = ("_joint", "_kept", "_most", "_pyramids")
 
     def __init__(self, most: int = 32) -> None:
-        """Keep `most` submaps at a time: about 1 MB each."""
+        """Keep `most` submaps at a time, about 1 MB each, and less where they are larger."""
         self._kept: dict[int, TileMaps] = {}
         self._joint: dict[tuple[int, ...], TileMaps] = {}
         self._pyramids: dict[tuple[int, ...], Pyramid] = {}
@@ -79,10 +82,15 @@ class Submaps:
         if maps is None:
             keys, anchor = keys_of(block, graph), anchor_of(block)
             maps = drawn(mapper, scans, keys, graph.tracked_from(anchor, keys))
-            if len(self._kept) >= self._most:
+            while self._kept and (len(self._kept) >= self._most or self.nbytes + maps.nbytes > _MOST_BYTES):
                 del self._kept[next(iter(self._kept))]
         self._kept[block] = maps  # the last used one comes last
         return maps
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the submaps that are kept."""
+        return sum(maps.nbytes for maps in self._kept.values())
 
     def joint(
         self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph

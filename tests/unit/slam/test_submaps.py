@@ -64,6 +64,18 @@ def test_room_is_made_by_dropping_what_was_not_used_for_longest(memory):
     assert again[2] is not drawn_first[1]
 
 
+def test_large_submaps_are_kept_only_as_far_as_they_fit(memory, monkeypatch):
+    parts = hall.MAPPER, memory.scans, memory.graph
+    sizes = [Submaps()(block, *parts).nbytes for block in range(4)]
+    monkeypatch.setattr("gridslam.slam.submaps._MOST_BYTES", sizes[2] + sizes[3])
+    submaps = Submaps()
+    drawn_first = [submaps(block, *parts) for block in range(4)]
+    assert submaps.nbytes == sizes[2] + sizes[3]
+    assert submaps(3, *parts) is drawn_first[3]
+    assert contents(submaps(0, *parts)) == contents(drawn_first[0])
+    assert submaps.nbytes <= sizes[2] + sizes[3]
+
+
 def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
     """One block alone is every other of its scans, moved to the anchor's pose in the map."""
     graph = memory.graph.snapshot()
