@@ -192,7 +192,8 @@ class JointMatching:
         if not new:
             return None
         known.ties = [*new, *begin.ties]
-        solution = closure.solver.solve(known.graph(begin.increments))
+        solver = replace(closure.solver, first_guess="either")  # a wide loop is not reached from where the poses are
+        solution = solver.solve(known.graph(begin.increments))
         true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
         recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
         memory.rejected[Rejection.IMPLAUSIBLE] += len(new) - len(recognized)
