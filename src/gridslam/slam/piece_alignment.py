@@ -37,6 +37,7 @@ class _Hit:
     pose: FloatArray
     share: float
     plausible: bool
+    alone: bool
 
 
 @final
@@ -44,12 +45,14 @@ class _Hit:
 class _Alignment:
     """A piece followed through the map of another one from the best of the hits that agree.
 
-    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there.
+    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; so many of the hits had no other
+    place that fits nearly as well.
     """
 
     poses: FloatArray
     nats: float
     plausible: bool
+    alone: int
 
 
 @final
@@ -80,6 +83,8 @@ class PieceAlignment:
         What the best hypothesis must say at least.
     rival : float
         What any other hypothesis may say at most, as a part of what the best one says.
+    rival_alone : float
+        The same where enough of the searches, by themselves, found nothing else that fits nearly as well.
     same_m : float, m
         Hypotheses nearer than this, in the median of the key scans, are one.
     alike : float
@@ -88,7 +93,7 @@ class PieceAlignment:
     share : float
         Share of the beams that must agree for a key scan to give a constraint.
     least : int
-        Constraints that an alignment must give.
+        Constraints that an alignment must give, and searches that must have found nothing else.
     search : BranchAndBound
         How a key scan is searched for.
     matcher : GaussNewton
@@ -104,6 +109,7 @@ class PieceAlignment:
     tempering: float = Field(default=0.03, gt=0, le=1)
     least_nats: float = Field(default=12.0, gt=0)
     rival: float = Field(default=0.15, ge=0, lt=1)
+    rival_alone: float = Field(default=0.5, ge=0, lt=1)
     same_m: float = Field(default=0.3, gt=0)
     alike: float = Field(default=0.85, gt=0, le=1)
     share: float = Field(default=0.5, gt=0, le=1)
@@ -166,7 +172,8 @@ class PieceAlignment:
             return None
         best = followed[0]
         rivals = (other.nats for other in followed[1:] if not self._same(best, other))
-        return best if max(rivals, default=0.0) <= self.rival * best.nats else None
+        rival = self.rival_alone if best.alone >= self.least else self.rival
+        return best if max(rivals, default=0.0) <= rival * best.nats else None
 
     def _same(self, one: _Alignment, other: _Alignment) -> bool:
         return float(np.median(np.hypot(*(one.poses - other.poses)[:, :2].T))) < self.same_m
@@ -182,10 +189,12 @@ class PieceAlignment:
             found = self.search.search(pyramid, guess, way.covariance + beyond, self._points(memory, places, key))
             if found is None:
                 continue
-            for pose, share in ((found.pose, found.share), (found.other_pose, found.other_share)):
+            alone = found.other_share <= places.other_share * found.share
+            two = (found.pose, found.share, alone), (found.other_pose, found.other_share, False)
+            for pose, share, alone in two:
                 if pose is not None:
                     missed = np.append((pose - guess)[:2], between(guess, pose)[2])
-                    hits.append(_Hit(key, pose, share, places.is_plausible(way.covariance, missed)))
+                    hits.append(_Hit(key, pose, share, places.is_plausible(way.covariance, missed), alone))
         return hits
 
     def _points(self, memory: Memory, places: PlaceParameters, key: int) -> FloatArray:
@@ -218,7 +227,7 @@ class PieceAlignment:
                 spread = np.array(memory.graph.variances[max(key, last)]) + np.square([0.02, 0.01])
                 pose, said = self._matched(memory, maps, key, guess, spread)
                 poses[index], last, nats = pose, key, nats + said
-        return _Alignment(poses, nats, any(hit.plausible for hit in group))
+        return _Alignment(poses, nats, any(hit.plausible for hit in group), sum(hit.alone for hit in group))
 
     def _matched(
         self, memory: Memory, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
