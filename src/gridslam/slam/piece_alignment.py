@@ -45,7 +45,7 @@ class _Hit:
 class _Alignment:
     """A piece followed through the map of another one from the best of the hits that agree.
 
-    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; so many of the hits had no other
+    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; `alone` of the hits had no other
     place that fits nearly as well.
     """
 
@@ -155,7 +155,8 @@ class PieceAlignment:
         guesses = np.array([self._guess(graph, way) for way in ways.values()])
         poses = np.array([graph.poses[key] for key in old.tolist()])
         away = np.hypot(*(poses[:, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-        return old[away < 2 * self.search.window_m]
+        near: IntArray = old[away < 2 * self.search.window_m]
+        return near
 
     def _guess(self, graph: KeyGraph, way: Nearby) -> FloatArray:
         return compose(graph.poses[way.block * BLOCK], way.pose)

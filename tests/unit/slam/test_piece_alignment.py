@@ -90,7 +90,7 @@ def test_a_rival_that_says_as_much_refutes(seen):
     """The same beams stand in the map twice, 12 m apart: which of the two the piece shows cannot be told."""
     half = 40
     truth = seen.truth[:half]
-    shifted = truth + [12.0, 12.0, 0.0]
+    shifted = truth + np.array([12.0, 12.0, 0.0])
     twice = np.concatenate([truth, shifted, truth])
     memory, beams = Memory(), [*seen.beams[:half]] * 3
     for k, pose in enumerate(twice):
