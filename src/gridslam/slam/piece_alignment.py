@@ -45,7 +45,7 @@ class _Hit:
 class _Alignment:
     """A piece followed through the map of another one from the best of the hits that agree.
 
-    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; `alone` of the hits had no other
+    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; `alone` hits had no other
     place that fits nearly as well.
     """
 
