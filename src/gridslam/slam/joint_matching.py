@@ -21,6 +21,7 @@ from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.piece_alignment import PieceAlignment
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW
 from gridslam.slam.ties import Source, Tie
@@ -93,6 +94,8 @@ class JointMatching:
         it.
     other_share, confirmations
         As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
+    pieces : PieceAlignment
+        How pieces between which the robot went on blindly are aligned.
     robust : Cauchy
         How the graph is solved, and what a measurement counts that is off.
     score : JointMapScore
@@ -114,6 +117,7 @@ class JointMatching:
     searches: int = Field(default=3, ge=0)
     other_share: float = Field(default=0.85, gt=0, le=1)
     confirmations: int = Field(default=3, ge=1)
+    pieces: PieceAlignment = PieceAlignment()
     robust: Cauchy = Cauchy()
     score: JointMapScore = JointMapScore()
 
@@ -184,10 +188,12 @@ class JointMatching:
         memory.correct(begin.graph.poses)
         recognition = replace(closure.recognition, other_share=self.other_share, confirmations=self.confirmations)
         new = recognition.search_all(memory, mapper, begin.believed, tick)
+        new += self.pieces(memory, mapper, closure.recognition, tick)
         if not new:
             return None
         known.ties = [*new, *begin.ties]
-        solution = closure.solver.solve(known.graph(begin.increments))
+        solver = replace(closure.solver, first_guess="either")  # a wide loop is not reached from where the poses are
+        solution = solver.solve(known.graph(begin.increments))
         true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
         recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
         memory.rejected[Rejection.IMPLAUSIBLE] += len(new) - len(recognized)

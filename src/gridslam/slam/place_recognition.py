@@ -16,6 +16,7 @@ from gridslam.slam.known_places import tie_known_place
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.place_parameters import PlaceParameters
 from gridslam.slam.place_search import candidate_pieces, search_place
+from gridslam.slam.submaps import anchor_of
 from gridslam.slam.ties import Tie
 
 __all__ = ["PlaceRecognition"]
@@ -74,14 +75,14 @@ class PlaceRecognition(PlaceParameters):
         again, by as many searches as confirm it. The graph's poses and ties are those of the best answer so far.
         """
         graph, near = memory.graph, range(-self.every, self.every + 1)
-        tied = {tie.to + k for tie in known for k in near}
+        tied, labels = {tie.to + k for tie in known for k in near}, graph.pieces()
         groups: list[list[Tie]] = []
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
                 continue
             for piece in candidate_pieces(self, graph, key):
-                if piece[0].sigma_m < 2 * self.known_m:
-                    continue  # key scans are matched to it without search
+                if piece[0].sigma_m < 2 * self.known_m or labels[anchor_of(piece[0].block)] != labels[key]:
+                    continue  # key scans are matched to it without search; another piece is aligned as a whole
                 found = self._searched(memory, mapper, key, piece)
                 tick()
                 if isinstance(found, Rejection):
