@@ -283,7 +283,8 @@ class TileMaps:
         """Grow the tables until every cell that the scan can write lies inside."""
         reach = beams.reach_m + 2 * self.reach_m
         page_m = self.resolution_m * _PAGE_CELLS
-        (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
+        xs, ys, _ = poses.T.tolist()
+        x0, y0, x1, y1 = min(xs), min(ys), max(xs), max(ys)
         low = (math.floor((y0 - reach) / page_m), math.floor((x0 - reach) / page_m))
         high = (math.floor((y1 + reach) / page_m) + 1, math.floor((x1 + reach) / page_m) + 1)
         (row, column), (_, rows, columns) = self._first, self._roots.shape
