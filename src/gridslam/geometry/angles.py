@@ -39,6 +39,8 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     float, or array of the same shape, float64, rad
         `angle` minus a whole number of turns (2 * math.pi as a double).
     """
+    if type(angle) is float and -math.pi <= angle < math.pi:
+        return angle
     if isinstance(angle, float | int):
         if -math.pi <= angle < math.pi:
             return float(angle)

@@ -25,6 +25,7 @@ __all__ = [
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
+_FLOAT64 = np.dtype(np.float64)  # NumPy's one and only, so that it need not be compared
 Component: TypeAlias = Any  # a float for a single pose, else an array over the leading dimensions
 
 
@@ -46,8 +47,7 @@ def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
     ArgumentError
         If the last dimension of an argument is not 3.
     """
-    ax, ay, at = _components(a, "a")
-    bx, by, bt = _components(b, "b")
+    (ax, ay, at), (bx, by, bt) = _components(a, "a"), _components(b, "b")
     c, s = _cos_sin(at)
     return _pose(ax + c * bx - s * by, ay + s * bx + c * by, at + bt)
 
@@ -57,8 +57,7 @@ def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
     Raises ArgumentError if the last dimension of an argument is not 3.
     """
-    ax, ay, at = _components(a, "a")
-    bx, by, bt = _components(b, "b")
+    (ax, ay, at), (bx, by, bt) = _components(a, "a"), _components(b, "b")
     c, s = _cos_sin(at)
     dx, dy = bx - ax, by - ay
     return _pose(c * dx + s * dy, c * dy - s * dx, bt - at)
@@ -252,14 +251,14 @@ def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:
 
 
 def _components(values: ArrayLike, name: str, width: int = 3) -> Component:
-    if type(values) is np.ndarray and values.dtype == np.float64 and values.shape == (width,):
+    if type(values) is np.ndarray and values.shape == (width,) and values.dtype is _FLOAT64:
         return values.tolist()  # what a filter asks most
     array = _as_poses(values, name, width)
     return array.tolist() if array.ndim == 1 else tuple(array[..., k] for k in range(width))
 
 
 def _cos_sin(angle: Component) -> tuple[Component, Component]:
-    return (math.cos(angle), math.sin(angle)) if isinstance(angle, float) else (np.cos(angle), np.sin(angle))
+    return (math.cos(angle), math.sin(angle)) if type(angle) is float else (np.cos(angle), np.sin(angle))
 
 
 def _sinc(angle: Component) -> Component:

@@ -20,6 +20,7 @@ from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 __all__ = ["TileMaps"]
 
 _PAGE_CELLS = TILE * PAGE
+_TILE_BITS, _PAGE_BITS = TILE.bit_length() - 1, _PAGE_CELLS.bit_length() - 1  # shifts take a tenth of a division's time
 
 
 @final
@@ -175,14 +176,13 @@ class TileMaps:
 
     def known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
         """Whether any beam has told anything about the cells of points (B, 2) of the world, in one map."""
-        cells = cells_of(points, self.resolution_m)
-        page = cells // _PAGE_CELLS - self._first
-        inside = ((page >= 0) & (page < self._roots.shape[1:])).all(axis=1)
-        tile, cell = cells // TILE % PAGE, cells % TILE
-        at = self._roots[row, page[inside, 0], page[inside, 1]]
-        tiles = self._arena.pages[at, tile[inside, 0], tile[inside, 1]]
-        found = np.zeros(len(points), bool)
-        found[inside] = self._arena.log_odds[tiles, cell[inside, 0], cell[inside, 1]] != UNKNOWN
+        y, x = np.ascontiguousarray(cells_of(points, self.resolution_m).T)
+        page_y, page_x = (y >> _PAGE_BITS) - self._first[0], (x >> _PAGE_BITS) - self._first[1]
+        (_, rows, columns) = self._roots.shape
+        inside = (page_y >= 0) & (page_y < rows) & (page_x >= 0) & (page_x < columns)
+        pages = self._roots[row, page_y * inside, page_x * inside] * inside  # beyond the table: the empty one
+        tiles = self._arena.pages[pages, (y >> _TILE_BITS) & (PAGE - 1), (x >> _TILE_BITS) & (PAGE - 1)]
+        found: NDArray[np.bool_] = self._arena.log_odds[tiles, y & (TILE - 1), x & (TILE - 1)] != UNKNOWN
         return found
 
     def tiled(self, row: int) -> TiledGrid:
@@ -283,7 +283,8 @@ class TileMaps:
         """Grow the tables until every cell that the scan can write lies inside."""
         reach = beams.reach_m + 2 * self.reach_m
         page_m = self.resolution_m * _PAGE_CELLS
-        (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
+        xs, ys, _ = poses.T.tolist()
+        x0, y0, x1, y1 = min(xs), min(ys), max(xs), max(ys)
         low = (math.floor((y0 - reach) / page_m), math.floor((x0 - reach) / page_m))
         high = (math.floor((y1 + reach) / page_m) + 1, math.floor((x1 + reach) / page_m) + 1)
         (row, column), (_, rows, columns) = self._first, self._roots.shape

@@ -1,6 +1,10 @@
 // Branch and bound over a pyramid of maxima (Hess et al. 2016, Algorithm 3), best first: the sum over the beams of a
 // node's maxima bounds the score of every pose in it, so the first single pose that comes out of the queue is the best.
 
+#include <bit>
+#include <cstring>
+#include <memory>
+
 #include "correlate.hpp"
 
 namespace gridslam {
@@ -14,22 +18,43 @@ GRIDSLAM_VERSIONS static void maxima(const uint8_t* in, int rows, int cols, int 
   }
 }
 
+// Cell x of a row goes to place x / 8 of row x % 8 of those that begin `apart` from each other, 64 cells at a time; returns
+// how many places of each are filled.
+static int split_by_eight(const uint8_t* in, int n, uint8_t* out, int64_t apart) {
+  static_assert(std::endian::native == std::endian::little, "the order of bytes in a word is that of the cells");
+  const auto exchange = [](uint64_t& a, uint64_t& b, int shift, uint64_t mask) {
+    const uint64_t differ = ((a >> shift) ^ b) & mask;
+    a ^= differ << shift, b ^= differ;
+  };
+  int done = 0;
+  for (; (done + 8) * 8 <= n; done += 8) {
+    uint64_t w[8];
+    std::memcpy(w, in + done * 8, sizeof(w));
+    for (int k = 0; k < 4; ++k) exchange(w[k], w[k + 4], 32, 0x00000000ffffffffu);
+    for (int k : {0, 1, 4, 5}) exchange(w[k], w[k + 2], 16, 0x0000ffff0000ffffu);
+    for (int k : {0, 2, 4, 6}) exchange(w[k], w[k + 1], 8, 0x00ff00ff00ff00ffu);
+    for (int k = 0; k < 8; ++k) std::memcpy(out + k * apart + done, w + k, sizeof(uint64_t));
+  }
+  return done;
+}
+
 void max_pyramid(const uint8_t* likelihood, int rows, int cols, const Pyramid<uint8_t>& out) {
   const int64_t cells = static_cast<int64_t>(out.rows) * out.cols;
-  const int side = out.side();
+  const int side = out.side(), levels = out.levels, across = out.cols, stride = out.stride();
   std::fill_n(out.fine, cells, uint8_t{0});
   for (int y = 0; y < rows; ++y)
-    std::copy_n(likelihood + static_cast<int64_t>(y) * cols, cols, out.fine + static_cast<int64_t>(y + side) * out.cols + side);
-  for (int h = 1; h < out.levels; ++h) maxima(out.level(h - 1), out.rows, out.cols, 1 << (h - 1), out.level(h));
-  std::vector<uint8_t> coarsest(cells);
-  maxima(out.level(out.levels - 1), out.rows, out.cols, side / 2, coarsest.data());
-  std::fill_n(out.top, static_cast<int64_t>(side) * side * (out.top_rows() + 1) * out.stride(), uint8_t{0});
-  for (int y = 0; y < out.rows; ++y)
-    for (int px = 0; px < side; ++px) {
-      const uint8_t* in = coarsest.data() + static_cast<int64_t>(y) * out.cols;
-      uint8_t* row = out.phase(y, px) + static_cast<int64_t>(y >> out.levels) * out.stride();
-      for (int x = px; x < out.cols; x += side) row[x >> out.levels] = in[x];
-    }
+    std::copy_n(likelihood + static_cast<int64_t>(y) * cols, cols, out.fine + static_cast<int64_t>(y + side) * across + side);
+  for (int h = 1; h < levels; ++h) maxima(out.level(h - 1), out.rows, across, 1 << (h - 1), out.level(h));
+  const std::unique_ptr<uint8_t[]> coarsest(new uint8_t[cells]);
+  maxima(out.level(levels - 1), out.rows, across, side / 2, coarsest.get());
+  std::fill_n(out.top, static_cast<int64_t>(side) * side * (out.top_rows() + 1) * stride, uint8_t{0});
+  for (int y = 0; y < out.rows; ++y) {
+    const uint8_t* in = coarsest.get() + static_cast<int64_t>(y) * across;
+    uint8_t* first = out.phase(y, 0) + static_cast<int64_t>(y >> levels) * stride;
+    const int64_t apart = out.phase(y, 1) - out.phase(y, 0);
+    const int done = side == 8 ? split_by_eight(in, across, first, apart) : 0;
+    for (int x = done << levels; x < across; ++x) first[(x & (side - 1)) * apart + (x >> levels)] = in[x];
+  }
 }
 
 namespace {
@@ -44,15 +69,18 @@ struct Node {
   }
 };
 
+GRIDSLAM_VERSIONS void turn(const double* ends, int b, double c, double s, int border, int* x, int* y) {
+  for (int j = 0; j < b; ++j) {
+    x[j] = static_cast<int>(std::floor(c * ends[2 * j] - s * ends[2 * j + 1] + 0.5)) + border;
+    y[j] = static_cast<int>(std::floor(s * ends[2 * j] + c * ends[2 * j + 1] + 0.5)) + border;
+  }
+}
+
 // Beams' ends as seen from the centre of cell (0, 0) with one heading, as the cells of the frame that hold them.
 struct Turned {
   std::vector<int> x, y;
   Turned(const double* ends, int b, double heading, int border) : x(b), y(b) {
-    const double c = std::cos(heading), s = std::sin(heading);
-    for (int j = 0; j < b; ++j) {
-      x[j] = static_cast<int>(std::floor(c * ends[2 * j] - s * ends[2 * j + 1] + 0.5)) + border;
-      y[j] = static_cast<int>(std::floor(s * ends[2 * j] + c * ends[2 * j + 1] + 0.5)) + border;
-    }
+    turn(ends, b, std::cos(heading), std::sin(heading), border, x.data(), y.data());
   }
 };
 
@@ -107,6 +135,29 @@ GRIDSLAM_VERSIONS void bound_children(const Pyramid<const uint8_t>& p, const Tur
   bounds[0] = s0, bounds[1] = s1, bounds[2] = s2, bounds[3] = s3;
 }
 
+// The gate's quadratic form along a row of nodes of one level, y and heading.
+class Form {
+ public:
+  Form(const Gate& gate, const Node& node, double heading)
+      : x0_(gate.centre[0]), xx_(gate.information[0]), half_(0.5 * ((1 << node.level) - 1)), is_pose_(node.level == 0) {
+    const double *c = gate.centre, *m = gate.information, y = node.y + half_ + 0.5 - c[1], t = heading - c[2];
+    across_ = 2 * (m[1] * y + m[2] * t), aside_ = y * (m[4] * y + 2 * m[5] * t), turned_ = m[8] * t * t;
+    const double reach = gate.distance + half_ * std::sqrt(m[0] + m[4] + 2 * std::abs(m[1]));
+    most_ = is_pose_ ? gate.distance * gate.distance : reach * reach * (1 + 1e-9);
+  }
+
+  // Whether some pose of the node that begins at x may be within the gate; for a single pose, whether it is. The root of the
+  // form is a norm: it changes by no more than the norm of the way from the node's centre to its farthest pose.
+  bool may_pass(int node_x) const {
+    const double x = node_x + half_ + 0.5 - x0_;
+    return x * (xx_ * x + across_) + aside_ + turned_ <= most_;
+  }
+
+ private:
+  double x0_, xx_, half_, across_, aside_, turned_, most_;
+  bool is_pose_;
+};
+
 class Search {
  public:
   Search(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const Wanted& wanted)
@@ -141,9 +192,11 @@ class Search {
       row.aim(p_, turned_[a], lattice_.x0, lattice_.y0);
       for (int j = 0; j < ny; ++j) {
         const auto node = [&](int i) { return Node{0, a, lattice_.y0 + j * side, lattice_.x0 + i * side, p_.levels}; };
+        const Form form(gate_, node(0), lattice_.headings[a]);
         int first = 0, last = nx;
-        while (first < last && !may_pass(node(first))) ++first;
-        while (first < last && !may_pass(node(last - 1))) --last;
+        while (first < last && !form.may_pass(node(first).x)) ++first;
+        while (first < last && !form.may_pass(node(last - 1).x)) --last;
+        if (first == last) continue;
         bound_row(p_, row, first, last, j, bounds.data());
         for (int i = first; i < last; ++i)
           if (bounds[i] >= least_) queue_.push_back(node(i)), queue_.back().bound = bounds[i];
@@ -164,16 +217,7 @@ class Search {
     }
   }
 
-  // Whether some pose of the node may be within the gate; for a single pose, whether it is. The root of the quadratic
-  // form is a norm: it changes by no more than the norm of the way from the node's centre to its farthest pose.
-  bool may_pass(const Node& node) const {
-    const double *c = gate_.centre, *m = gate_.information, half = 0.5 * ((1 << node.level) - 1);
-    const double x = node.x + half + 0.5 - c[0], y = node.y + half + 0.5 - c[1], t = lattice_.headings[node.heading] - c[2];
-    const double form = x * (m[0] * x + 2 * (m[1] * y + m[2] * t)) + y * (m[4] * y + 2 * m[5] * t) + m[8] * t * t;
-    if (node.level == 0) return form <= gate_.distance * gate_.distance;
-    const double reach = gate_.distance + half * std::sqrt(m[0] + m[4] + 2 * std::abs(m[1]));
-    return form <= reach * reach * (1 + 1e-9);
-  }
+  bool may_pass(const Node& node) const { return Form(gate_, node, lattice_.headings[node.heading]).may_pass(node.x); }
 
   // Whether all poses of the node are at one of the places found.
   bool at_a_known_place(const Node& node, const std::vector<Place>& found) const {

@@ -25,6 +25,12 @@
 
 namespace gridslam {
 
+inline void prefetch([[maybe_unused]] const void* p) {
+#if defined(__GNUC__)
+  __builtin_prefetch(p, 1);
+#endif
+}
+
 constexpr int kTileBits = 5;
 constexpr int kTile = 1 << kTileBits;
 constexpr int kTileMask = kTile - 1;

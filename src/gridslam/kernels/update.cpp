@@ -3,17 +3,21 @@
 #include <bit>
 #include <cstring>
 
-#include "maps.hpp"
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
+
+#include "rays.hpp"
 
 namespace gridslam {
 namespace {
 
 inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
 
-// Frees the passed cells of a tile; says whether some of them stop being occupied. All in 16 bits and without a branch inside
-// a row, for many cells at once.
+// Frees the passed cells of a tile; returns a bit for each two rows in which some stop being occupied. All in 16 bits and without
+// a branch inside a row, for many cells at once.
 template <class Count>
-inline bool free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
+inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
   const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above), miss = static_cast<int16_t>(-e.miss);
   const int16_t enough = static_cast<int16_t>((e.max - e.min) / miss + 1);  // passes that free any cell
   int16_t left[kTile] = {};
@@ -22,41 +26,64 @@ inline bool free_tile(int16_t* cells, const Count* passes, int stride, const Evi
     std::memcpy(words, passes, sizeof(words));
     for (uint64_t w : words) any |= w;
     if (any == 0) continue;
+    const int16_t pair = static_cast<int16_t>(1 << (y >> 1));
     for (int i = 0; i < kTile; ++i) {
       const int16_t count = std::min(static_cast<int16_t>(passes[i]), enough);
       const int16_t before = cells[i] == kUnknown ? int16_t{0} : cells[i];
       const int16_t above = static_cast<int16_t>(before - least), loss = static_cast<int16_t>(count * miss);
       const int16_t after = static_cast<int16_t>((above > loss ? static_cast<int16_t>(above - loss) : int16_t{0}) + least);
-      left[i] = static_cast<int16_t>(left[i] | ((before > occupied) & (after <= occupied)));
+      left[i] = static_cast<int16_t>(left[i] | (-((before > occupied) & (after <= occupied)) & pair));
       cells[i] = count ? after : cells[i];
     }
   }
   int16_t some = 0;
   for (int i = 0; i < kTile; ++i) some = static_cast<int16_t>(some | left[i]);
-  return some != 0;
+  return static_cast<uint16_t>(some);
 }
 
-GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) { return free_tile<uint8_t>(cells, passes, stride, e); }
-GRIDSLAM_VERSIONS bool free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) { return free_tile<uint16_t>(cells, passes, stride, e); }
+GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) { return free_tile<uint8_t>(cells, passes, stride, e); }
+GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) { return free_tile<uint16_t>(cells, passes, stride, e); }
 
-// High bit of each byte that is 255, eight cells at once.
-inline uint64_t occupied_bytes(const uint8_t* cells) {
-  constexpr uint64_t kLow = 0x7f7f7f7f7f7f7f7fu;
-  uint64_t word;
-  std::memcpy(&word, cells, sizeof(word));
-  const uint64_t zero_where_occupied = ~word;
-  return ~(((zero_where_occupied & kLow) + kLow) | zero_where_occupied | kLow);
+// A bit for each of the 32 cells of a tile's row that equals `wanted` and is not 0.
+inline uint32_t equal_bytes(const uint8_t* cells, const uint8_t* wanted) {
+  uint32_t bits = 0;
+#if defined(__SSE2__)
+  for (int i = 0; i < kTile; i += 16) {
+    const __m128i a = _mm_loadu_si128(reinterpret_cast<const __m128i*>(cells + i)), b = _mm_loadu_si128(reinterpret_cast<const __m128i*>(wanted + i));
+    const __m128i found = _mm_andnot_si128(_mm_cmpeq_epi8(b, _mm_setzero_si128()), _mm_cmpeq_epi8(a, b));
+    bits |= static_cast<uint32_t>(_mm_movemask_epi8(found)) << i;
+  }
+#else
+  for (int i = 0; i < kTile; ++i) bits |= static_cast<uint32_t>(cells[i] == wanted[i] && wanted[i] != 0) << i;
+#endif
+  return bits;
 }
 
-// How often the rays of one scan pass each cell of the tiles around it: a rectangle of counters, cut at tiles.
+// A bit for each occupied cell of a tile's row, read off the field.
+inline uint32_t occupied_bits(const uint8_t* cells) {
+  static constexpr std::array<uint8_t, kTile> kOccupied = [] {
+    std::array<uint8_t, kTile> row{};
+    row.fill(kOccupiedField);
+    return row;
+  }();
+  return equal_bytes(cells, kOccupied.data());
+}
+
+// How often the rays of one scan pass each cell: a rectangle of counters, of which only the tiles that they cross are used.
 template <class Count>
 class Passes {
  public:
-  Passes(int y_min, int y_max, int x_min, int x_max, std::vector<Count>& memory)
-      : y0_(y_min & ~kTileMask), x0_(x_min & ~kTileMask), height_((y_max | kTileMask) + 1 - y0_), width_((x_max | kTileMask) + 1 - x0_), counts_(memory) {
-    counts_.assign(static_cast<size_t>(height_) * width_, 0);
+  Passes(const TileSet& tiles, std::vector<Count>& memory)
+      : y0_(tiles.y0 * kTile), x0_(tiles.x0 * kTile), width_(tiles.cols * kTile), tiles_(tiles) {
+    const size_t size = static_cast<size_t>(tiles.rows) * kTile * width_;
+    if (memory.size() < size) memory.resize(size);
+    counts_ = memory.data();
+    tiles.each([&](int ty, int tx) {
+      Count* first = at(ty * kTile, tx * kTile);
+      for (int y = 0; y < kTile; ++y) std::fill_n(first + static_cast<size_t>(y) * width_, kTile, Count{0});
+    });
   }
-  Count* at(int y, int x) { return counts_.data() + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
+  Count* at(int y, int x) { return counts_ + static_cast<size_t>(y - y0_) * width_ + (x - x0_); }
 
   // Counts the cells of a line but its last.
   void add(const Line& line) {
@@ -70,25 +97,32 @@ class Passes {
 
   // Frees the cells that were passed; those that stop being occupied, as their field still says they are, go to `changed`.
   void apply(const Maps& m, const int32_t* root, const Evidence& e, int row, std::vector<Cell>& changed) {
-    for (int y = y0_; y < y0_ + height_; y += kTile)
-      for (int x = x0_; x < x0_ + width_; x += kTile) {
-        const int64_t tile = m.tile(root, y >> kTileBits, x >> kTileBits) * static_cast<int64_t>(kTileCells);
-        if (tile == 0 || !free_tile(m.log_odds + tile, at(y, x), width_, e)) continue;
-        for (int word = 0; word < kTileCells; word += 8)
-          for (uint64_t left = occupied_bytes(m.field + tile + word); left != 0; left &= left - 1) {
-            const int i = word + (std::countr_zero(left) >> 3);
-            if (m.log_odds[tile + i] <= e.occupied_above) changed.push_back({row, y + (i >> kTileBits), x + (i & kTileMask), 0});
+    int64_t tile = 0;
+    int y = 0, x = 0;
+    const auto pass = [&] {
+      if (tile == 0) return;
+      for (unsigned pairs = free_tile(m.log_odds + tile, at(y, x), width_, e); pairs != 0; pairs &= pairs - 1)
+        for (int down = 2 * std::countr_zero(pairs), last = down + 1; down <= last; ++down) {
+          const int64_t first = tile + down * kTile;
+          for (uint32_t left = occupied_bits(m.field + first); left != 0; left &= left - 1) {
+            const int across = std::countr_zero(left);
+            if (m.log_odds[first + across] <= e.occupied_above) changed.push_back({row, y + down, x + across, 0});
           }
-      }
+        }
+    };
+    tiles_.each([&](int ty, int tx) {  // a tile comes from memory while the one before it is freed
+      const int64_t next = m.tile(root, ty, tx) * static_cast<int64_t>(kTileCells);
+      for (int i = 0; i < kTileCells; i += 64 / sizeof(int16_t)) prefetch(m.log_odds + next + i);
+      pass();
+      tile = next, y = ty * kTile, x = tx * kTile;
+    });
+    pass();
   }
 
  private:
-  int y0_, x0_, height_, width_;
-  std::vector<Count>& counts_;
-};
-
-struct End {
-  int y, x;
+  int y0_, x0_, width_;
+  const TileSet& tiles_;
+  Count* counts_;
 };
 
 template <class Count>
@@ -96,93 +130,114 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
                 std::vector<Cell>& changed) {
   thread_local std::vector<Count> memory;
   const int32_t* root = m.root(row);
-  const int ox = cell_of(pose.world_x(origin), scale), oy = cell_of(pose.world_y(origin), scale);
-  std::vector<End> hits(b);
-  int x_min = ox, x_max = ox, y_min = oy, y_max = oy;
-  for (int j = 0; j < b; ++j) {
-    hits[j] = {cell_of(pose.world_y(ends + 2 * j), scale), cell_of(pose.world_x(ends + 2 * j), scale)};
-    x_min = std::min(x_min, hits[j].x), x_max = std::max(x_max, hits[j].x);
-    y_min = std::min(y_min, hits[j].y), y_max = std::max(y_max, hits[j].y);
-  }
-  Passes<Count> passes(y_min, y_max, x_min, x_max, memory);
-  for (const End& h : hits) passes.add(Line(ox, oy, h.x, h.y));
-  for (const End& h : hits) *passes.at(h.y, h.x) = 0;  // an end cell of this scan is not freed by it
+  const Fan fan(pose, ends, b, origin, scale);
+  const TileSet tiles = fan.tiles();
+  Passes<Count> passes(tiles, memory);
+  for (int j = 0; j < b; ++j) passes.add(fan.line(j));
+  for (int j = 0; j < b; ++j) *passes.at(fan.ys[j], fan.xs[j]) = 0;  // an end cell of this scan is not freed by it
   passes.apply(m, root, e, row, changed);
-  for (const End& h : hits) {
-    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, h.y >> kTileBits, h.x >> kTileBits)) * kTileCells + Maps::inside(h.y, h.x)];
+  for (int j = 0; j < b; ++j) {
+    const int y = fan.ys[j], x = fan.xs[j];
+    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x)];
     const int before = value_or_zero(cell), after = std::min(before + e.hit, e.max);
     cell = static_cast<int16_t>(after);
-    if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, h.y, h.x, 1});
+    if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, y, x, 1});
   }
 }
 
-// Calls visit(offset of the first cell, y, first x, last x) for the rows of a window, cut at tiles; the empty tile is left out.
+// The cone of an obstacle in a frame of zeros, so that any row of it can be laid over a tile's whole row.
+class Cone {
+ public:
+  const int reach;
+  Cone(const uint8_t* cone, int r) : reach(r), width_(2 * kTile + 2 * r + 1), rows_(static_cast<size_t>(2 * r + 1) * width_, 0) {
+    for (int y = -r; y <= r; ++y) std::copy_n(cone + (y + r) * (2 * r + 1), 2 * r + 1, rows_.data() + (y + r) * width_ + kTile);
+    for (int y = 0; y <= r; ++y)
+      for (int x = 0; x <= r; ++x) by_square_[y * y + x * x] = cone[(y + r) * (2 * r + 1) + x + r];
+  }
+  // Over cells x, x + 1, ... of row y, as seen from the obstacle.
+  const uint8_t* over(int y, int x) const { return rows_.data() + (y + reach) * width_ + x + reach + kTile; }
+  // At so many squared cells from the obstacle.
+  uint8_t at(int squared) const { return squared <= 2 * reach * reach ? by_square_[squared] : uint8_t{0}; }
+
+ private:
+  int width_;
+  std::vector<uint8_t> rows_;
+  uint8_t by_square_[2 * kTile * kTile] = {};
+};
+
+// Calls visit(offset of a tile's row, y, x of its first cell) for the tiles' rows that a window crosses; the empty tile is left out.
 template <class Visit>
 void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
-  for (int xs = x0; xs <= x1; xs = (xs | kTileMask) + 1) {
-    const int xe = std::min(x1, xs | kTileMask);
+  for (int x = x0 & ~kTileMask; x <= x1; x += kTile)
     for (int ys = y0; ys <= y1; ys = (ys | kTileMask) + 1) {
-      const int ye = std::min(y1, ys | kTileMask);
-      const int64_t tile = m.tile(root, ys >> kTileBits, xs >> kTileBits);
+      const int64_t tile = m.tile(root, ys >> kTileBits, x >> kTileBits);
       if (tile == 0) continue;
-      for (int y = ys; y <= ye; ++y) visit(tile * kTileCells + Maps::inside(y, xs), y, xs, xe);
+      for (int y = ys; y <= std::min(y1, ys | kTileMask); ++y) visit(tile * kTileCells + Maps::inside(y, 0), y, x);
     }
-  }
 }
 
 // A newly occupied cell's cone, as a maximum over what is there.
-void stamp(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach) {
-  window_rows(m, root, cy - reach, cy + reach, cx - reach, cx + reach, [&](int64_t first, int y, int xs, int xe) {
+void stamp(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
+  const int r = cone.reach;
+  window_rows(m, root, cy - r, cy + r, cx - r, cx + r, [&](int64_t first, int y, int x) {
     uint8_t* to = m.field + first;
-    const uint8_t* from = cone + (y - cy + reach) * (2 * reach + 1) + xs - cx + reach;
-    for (int x = 0; x <= xe - xs; ++x) to[x] = std::max(to[x], from[x]);
+    const uint8_t* from = cone.over(y - cy, x - cx);
+    for (int i = 0; i < kTile; ++i) to[i] = std::max(to[i], from[i]);
   });
 }
 
-struct Obstacles {  // relative to some cell, near enough for squares in 16 bits
-  std::vector<int16_t> y, x;
+struct Row {
+  int square;  // of its distance
+  uint64_t bits;
 };
 
-// Occupied cells of the window of this half width around a cell, read off the field.
-void find_occupied(const Maps& m, const int32_t* root, int cy, int cx, int half, Obstacles& out) {
-  static_assert(std::endian::native == std::endian::little, "the order of bytes in a word is that of the cells");
-  out.y.clear(), out.x.clear();
-  window_rows(m, root, cy - half, cy + half, cx - half, cx + half, [&](int64_t first, int y, int xs, int xe) {
-    const int skipped = xs & kTileMask;
-    const uint8_t* row = m.field + first - skipped;
-    for (int word = skipped & ~7; word <= skipped + xe - xs; word += 8)
-      for (uint64_t left = occupied_bytes(row + word); left != 0; left &= left - 1) {
-        const int x = xs - skipped + word + (std::countr_zero(left) >> 3);
-        if (x >= xs && x <= xe) out.y.push_back(static_cast<int16_t>(y - cy)), out.x.push_back(static_cast<int16_t>(x - cx));
-      }
-  });
-}
+// The occupied cells within 2 * reach of a cell, a bit for each: at most 61 a side.
+struct Obstacles {
+  std::array<uint64_t, 2 * kTile> rows;
+  int half;
 
-GRIDSLAM_VERSIONS int nearest_squared(const Obstacles& o, int16_t y, int16_t x) {
-  int16_t nearest = std::numeric_limits<int16_t>::max();
-  for (size_t i = 0; i < o.y.size(); ++i) {
-    const int16_t dy = static_cast<int16_t>(o.y[i] - y), dx = static_cast<int16_t>(o.x[i] - x);
-    const int16_t squared = static_cast<int16_t>(dy * dy + dx * dx);
-    nearest = std::min(nearest, squared);
+  Obstacles(const Maps& m, const int32_t* root, int cy, int cx, int reach) : half(2 * reach) {
+    std::fill_n(rows.begin(), 2 * half + 1, uint64_t{0});
+    window_rows(m, root, cy - half, cy + half, cx - half, cx + half, [&](int64_t first, int y, int x) {
+      const uint64_t bits = occupied_bits(m.field + first);
+      const int shift = x - (cx - half);
+      rows[y - cy + half] |= shift >= 0 ? bits << shift : bits >> -shift;
+    });
   }
-  return nearest;
+
+  // Those of the rows within reach of row y that hold some, nearest first; rows on both sides together.
+  int about(int y, Row* found) const {
+    int n = 0;
+    for (int d = 0; d <= half / 2; ++d)
+      if (const uint64_t bits = rows[y + half - d] | rows[y + half + d]) found[n++] = {d * d, bits};
+    return n;
+  }
+};
+
+// Mends cells of a tile's row, which have bits `left`: column is that of the row's first cell among those of `rows`.
+GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row* rows, int n, const Cone& cone) {
+  for (; left != 0; left &= left - 1) {
+    const int i = std::countr_zero(left), at = column + i;
+    int nearest = std::numeric_limits<int>::max();
+    for (int k = 0; k < n && rows[k].square < nearest; ++k) {
+      const int aside = std::min(std::countr_zero(rows[k].bits >> at), std::countl_zero(rows[k].bits << (63 - at)));  // 64 where there is none
+      nearest = std::min(nearest, rows[k].square + aside * aside);
+    }
+    cells[i] = cone.at(nearest);
+  }
 }
 
 // Mends the field around a cell that is no longer occupied: only where that cell was the nearest obstacle.
-void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const uint8_t* cone, int reach, Obstacles& near) {
-  find_occupied(m, root, cy, cx, 2 * reach, near);
-  const int side = 2 * reach + 1;
-  uint8_t by_square[2 * kTile * kTile] = {};
-  for (int y = 0; y <= reach; ++y)
-    for (int x = 0; x <= reach; ++x) by_square[y * y + x * x] = cone[(y + reach) * side + x + reach];
-  window_rows(m, root, cy - reach, cy + reach, cx - reach, cx + reach, [&](int64_t first, int y, int xs, int xe) {
-    const uint8_t* was = cone + (y - cy + reach) * side + xs - cx + reach;
-    for (int x = 0; x <= xe - xs; ++x) {
-      uint8_t& value = m.field[first + x];
-      if (was[x] == 0 || (value != was[x] && (y != cy || xs + x != cx))) continue;
-      const int squared = nearest_squared(near, static_cast<int16_t>(y - cy), static_cast<int16_t>(xs + x - cx));
-      value = squared <= 2 * reach * reach ? by_square[squared] : 0;
-    }
+void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
+  const int r = cone.reach;
+  const Obstacles near(m, root, cy, cx, r);
+  window_rows(m, root, cy - r, cy + r, cx - r, cx + r, [&](int64_t first, int y, int x) {
+    uint32_t left = equal_bytes(m.field + first, cone.over(y - cy, x - cx));
+    if (y == cy && x == (cx & ~kTileMask)) left |= 1u << (cx - x);
+    if (left == 0) return;
+    Row about[kTile];
+    const int n = near.about(y - cy, about);
+    mend(m.field + first, left, x - cx + near.half, about, n, cone);
   });
 }
 
@@ -198,23 +253,23 @@ void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, in
   for (const auto& part : found) changed.insert(changed.end(), part.begin(), part.end());
 }
 
-void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads) {
+void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone_cells, int reach, int threads) {
+  const Cone cone(cone_cells, reach);
   std::vector<int> starts;  // cells come grouped by row
   for (int i = 0; i < n; ++i)
     if (i == 0 || cells[i].row != cells[i - 1].row) starts.push_back(i);
   starts.push_back(n);
   parallel_for(static_cast<int>(starts.size()) - 1, threads, [&](int g) {
     const int32_t* root = m.root(cells[starts[g]].row);
-    Obstacles near;
     for (int i = starts[g]; i < starts[g + 1]; ++i) {
       const Cell& c = cells[i];
       if (c.occupied)
-        stamp(m, root, c.y, c.x, cone, reach);
+        stamp(m, root, c.y, c.x, cone);
       else  // no cell's nearest obstacle is found at it from now on
         m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells + Maps::inside(c.y, c.x)] = 0;
     }
     for (int i = starts[g]; i < starts[g + 1]; ++i)
-      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone, reach, near);
+      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone);
   });
 }
 

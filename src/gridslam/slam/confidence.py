@@ -19,7 +19,6 @@ from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepRepo
 
 __all__ = ["Confidence"]
 
-_DIAGONAL = np.diag_indices(3)
 
 _LEAST_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
@@ -64,7 +63,9 @@ class Confidence:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         dx, dy, turn = key_from_base.tolist()
         covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
-        covariance[_DIAGONAL] += (moved * self.drift_m**2, moved * self.drift_m**2, moved * self.drift_rad**2)
+        covariance[0, 0] += moved * self.drift_m**2
+        covariance[1, 1] += moved * self.drift_m**2
+        covariance[2, 2] += moved * self.drift_rad**2
         return StepReport(
             scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
             skipped=reason, best=best,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import heapq
-import math
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple, final
+from collections.abc import Mapping
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.slam.nearby import Moments, Nearby, covariances, moments_of
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
 from gridslam.types import FloatArray, IntArray
@@ -20,30 +20,12 @@ __all__ = ["BLOCK", "KeyGraph", "Nearby"]
 _Crossing = tuple[int, FloatArray] | None
 """The block that a tie leads from, and its first key scan seen from that of the block that it leads to."""
 
-_Moments = tuple[float, ...]
-"""See `_moments`."""
-
 BLOCK = 10
 """Key scans of a submap: about 5 m of driving."""
 
 
 GAP_M, GAP_RAD = 0.5, 0.1
 """Standard deviations of an increment from which on it tells next to nothing."""
-
-
-@final
-class Nearby(NamedTuple):
-    """A submap, and where a key scan is as seen from its first one, by the most certain way there."""
-
-    block: int
-    pose: FloatArray  # (3,)
-    covariance: FloatArray  # (3, 3), map frame
-
-    @property
-    def sigma_m(self) -> float:
-        """Greatest standard deviation of the position."""
-        (xx, xy, _), (_, yy, _), _ = self.covariance.tolist()
-        return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
 
 
 @final
@@ -67,9 +49,9 @@ class KeyGraph:
         self.ties: list[Tie] = []
         self._gaps: list[int] = []  # blind stretches of way up to each key scan
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
-        self._steps: list[_Moments] = []  # from each submap's first key scan to the next one's
+        self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
         # block -> block -> the first seen from the second (3,), and the moments (7,), of the best tie
-        self._links: dict[int, dict[int, tuple[FloatArray, FloatArray]]] = {}
+        self._links: dict[int, dict[int, tuple[FloatArray, Moments]]] = {}
 
     def __len__(self) -> int:
         """Return the number of key scans."""
@@ -86,7 +68,7 @@ class KeyGraph:
         self.poses.append(pose)
         self.variances.append(variances)
         self._count_gaps()
-        moments = _moments(np.array([pose]), np.array([variances]))[0]
+        moments = moments_of(np.array([pose]), np.array([variances]))[0]
         self._sums.append(moments + self._sums[-1] if self._sums else moments)
         self._add_steps()
 
@@ -98,7 +80,7 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Let all poses be poses (T, 3)."""
         self.poses = list(poses)
-        self._sums = list(np.cumsum(_moments(poses, np.array(self.variances)), axis=0))
+        self._sums = list(np.cumsum(moments_of(poses, np.array(self.variances)), axis=0))
         self._links, self._steps = {}, []
         self._add_steps()
         for tie in self.ties:
@@ -127,38 +109,55 @@ class KeyGraph:
 
         The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
         """
+        return self._seen(key, self._ways(key, limit_m, most))
+
+    def way_to(self, block: int, key: int, limit_m: float, most: int) -> Nearby | None:
+        """Give the one of `nearby` that is a submap; None if it is not among them."""
+        found = self._ways(key, limit_m, most, last=block)
+        return self._seen(key, {block: found[block]})[0] if block in found else None
+
+    def _ways(self, key: int, limit_m: float, most: int, last: int = -1) -> dict[int, tuple[Moments, FloatArray]]:
+        """Moments of the most certain ways to submaps, and the key scan as the tracker had it if they were certain.
+
+        In the order of `nearby`; the search ends at submap `last`, too.
+        """
         here, tracked = key // BLOCK, self.tracked
         x, y, _ = self.poses[key].tolist()
-        away = x * x + y * y
-        ends = [tracked[key]]  # the key scan as the tracker would have it, had it come by certain ties
-        start: _Moments = tuple((self._sums[key] - self._sums[here * BLOCK]).tolist())
-        queue: list[tuple[float, int, int, _Moments, int, _Crossing]] = [(0.0, 0, here, start, 0, None)]
+        away, limit = x * x + y * y, limit_m**2
+        start: Moments = tuple((self._sums[key] - self._sums[here * BLOCK]).tolist())
+        queue = list[tuple[float, int, int, Moments, FloatArray, _Crossing]]()
+        queue.append((0.0, 0, here, start, tracked[key], None))
         pushed = 0  # keeps the order of equals
-        done = dict[int, tuple[_Moments, int]]()
-        while queue and len(done) < most:
+        done = dict[int, tuple[Moments, FloatArray]]()
+        least = dict[int, float]()
+        while queue and len(done) < most and last not in done:
             cost, _, block, moments, end, crossing = heapq.heappop(queue)
             if block in done:
                 continue
             if crossing is not None:
-                last, step = crossing
-                ends.append(compose(tracked[block * BLOCK], compose(step, between(tracked[last * BLOCK], ends[end]))))
-                end = len(ends) - 1
+                before, step = crossing
+                end = compose(tracked[block * BLOCK], compose(step, between(tracked[before * BLOCK], end)))
             done[block] = moments, end
-            for other, there, more in self._neighbours(block):
-                if other not in done:
-                    a, b = moments, more
-                    total = a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6]
-                    position, s, sx, sy, sxx, _, syy = total
-                    across = s * away - 2 * (sx * x + sy * y) + sxx + syy
-                    spread = max(cost, 2 * position + max(across, 0.0))  # of the position, the covariance's trace
-                    if spread < limit_m**2:
-                        pushed += 1
-                        way = None if there is None else (block, there)
-                        heapq.heappush(queue, (spread, pushed, other, total, end, way))
-        firsts = np.array([tracked[block * BLOCK] for block in done])
-        poses = between(firsts, np.array([ends[end] for _, end in done.values()]))
-        covariances = self._covariances(self.poses[key], np.array([moments for moments, _ in done.values()]))
-        return [Nearby(*found) for found in zip(done, poses, covariances, strict=True)]
+            position, s, sx, sy, sxx, sxy, syy = moments
+            for other, there, (p, t, tx, ty, txx, txy, tyy) in self._neighbours(block):
+                if other in done:
+                    continue
+                across = (s + t) * away - 2 * ((sx + tx) * x + (sy + ty) * y) + (sxx + txx) + (syy + tyy)
+                spread = max(cost, 2 * (position + p) + max(across, 0.0))  # of the position, the covariance's trace
+                if spread < least.get(other, limit):
+                    least[other] = spread
+                    pushed += 1
+                    total = position + p, s + t, sx + tx, sy + ty, sxx + txx, sxy + txy, syy + tyy
+                    way = None if there is None else (block, there)
+                    heapq.heappush(queue, (spread, pushed, other, total, end, way))
+        return done
+
+    def _seen(self, key: int, ways: Mapping[int, tuple[Moments, FloatArray]]) -> list[Nearby]:
+        """Where a key scan is as seen from submaps, by the ways there."""
+        firsts = np.array([self.tracked[block * BLOCK] for block in ways])
+        poses = between(firsts, np.array([end for _, end in ways.values()]))
+        spreads = covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
+        return [Nearby(*found) for found in zip(ways, poses, spreads, strict=True)]
 
     def pieces(self) -> IntArray:
         """For each key scan the rigid piece (T,) that it belongs to, by number.
@@ -237,27 +236,19 @@ class KeyGraph:
         self._add_steps()
         self.ties = ties_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
-            self._links.setdefault(a, {})[b] = moments[:3], moments[3:]
+            self._links.setdefault(a, {})[b] = moments[:3], tuple(moments[3:].tolist())
         return self
 
-    def _covariances(self, pose: FloatArray, moments: FloatArray) -> FloatArray:
-        """Covariances (K, 3, 3) of a pose (3,): a heading error in q moves it across, by the distance from q."""
-        position, s, sx, sy, sxx, sxy, syy = moments.T
-        x, y, _ = pose.tolist()
-        xx = s * y * y - 2 * sy * y + syy + position
-        yy = s * x * x - 2 * sx * x + sxx + position
-        xy = -(s * x * y - sx * y - sy * x + sxy)
-        xt, yt = -(s * y - sy), s * x - sx
-        return np.stack([xx, xy, xt, xy, yy, yt, xt, yt, s], axis=1).reshape(-1, 3, 3)
-
-    def _neighbours(self, block: int) -> Iterator[tuple[int, FloatArray | None, _Moments]]:
+    def _neighbours(self, block: int) -> list[tuple[int, FloatArray | None, Moments]]:
         """Submaps one step away: this one's first key scan seen from theirs, None if as tracked, and the moments."""
-        for other, (there, more) in self._links.get(block, {}).items():
-            yield other, there, tuple(more.tolist())
+        found: list[tuple[int, FloatArray | None, Moments]] = []
+        if block in self._links:
+            found += [(other, there, more) for other, (there, more) in self._links[block].items()]
         if block:
-            yield block - 1, None, self._steps[block - 1]
+            found.append((block - 1, None, self._steps[block - 1]))
         if block < len(self._steps):
-            yield block + 1, None, self._steps[block]
+            found.append((block + 1, None, self._steps[block]))
+        return found
 
     def _count_gaps(self) -> None:
         """Count the blind stretches up to the key scans that are new."""
@@ -278,7 +269,8 @@ class KeyGraph:
         a, b = tie.from_ // BLOCK, tie.to // BLOCK
         within = sum(self._sums[k] - self._sums[k // BLOCK * BLOCK] for k in (tie.from_, tie.to))
         xx, yy, heading = np.linalg.inv(tie.information).diagonal().tolist()
-        moments = within + _moments(self.poses[tie.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
+        own = moments_of(self.poses[tie.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
+        moments: Moments = tuple((within + own).tolist())
         known = self._links.get(a, {}).get(b)
         if known is None or moments[0] + moments[1] < known[1][0] + known[1][1]:
             to_anchor = between(self.tracked[a * BLOCK], self.tracked[tie.from_])
@@ -286,12 +278,3 @@ class KeyGraph:
             there = compose(to_anchor, compose(tie.measurement, from_key))
             self._links.setdefault(a, {})[b] = inverse(there), moments
             self._links.setdefault(b, {})[a] = there, moments
-
-
-def _moments(poses: FloatArray, spread: FloatArray) -> FloatArray:
-    """Variances of position and heading of steps, and the heading's with where it happened, (K, 7)."""
-    position, heading = spread.T
-    x, y = poses[:, 0], poses[:, 1]
-    return np.stack(
-        [position, heading, heading * x, heading * y, heading * x * x, heading * x * y, heading * y * y], axis=1
-    )

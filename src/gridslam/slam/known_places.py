@@ -33,8 +33,7 @@ def tie_known_place(places: PlaceParameters, memory: Memory, mapper: OccupancyGr
     if isinstance(tie, Rejection):
         return False
     if followed is None:
-        near = graph.nearby(newest, places.search.window_m, 256)
-        way = next((n for n in near if n.block == guess[0]), None)
+        way = graph.way_to(guess[0], newest, places.search.window_m, 256)
         if way is None:
             return False
         missed, far = evidence.missed_by(graph, way, tie), places.believed_m

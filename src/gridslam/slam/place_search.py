@@ -90,8 +90,8 @@ def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list
     for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
         if nearby.block > oldest:
             continue
-        away = _away(places, nearby)
-        if away * nearby.sigma_m < places.search.gate * nearby.sigma_m + places.unlike_m:
+        away, sigma_m = _away(places, nearby), nearby.sigma_m
+        if away * sigma_m < places.search.gate * sigma_m + places.unlike_m:
             found.setdefault(int(labels[anchor_of(nearby.block)]), []).append((away, nearby))
     for piece in found.values():
         piece.sort(key=lambda f: (f[0], f[1].block))

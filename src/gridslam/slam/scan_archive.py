@@ -60,7 +60,7 @@ class ScanArchive:
             ends = ends[:0]
         else:
             ends = ends[:: max(1, -(-len(ends) // _BETWEEN_KEYS))]
-        step_m = float(np.abs(ends).max(initial=0.0)) / _STEPS or 1.0
+        step_m = (len(ends) and float(np.abs(ends).max()) / _STEPS) or 1.0
         self._ends.append(np.rint(ends / step_m).astype(np.int16) if len(ends) else _NOTHING)
         self._steps_m.append(step_m)
         self._origins.append(beams.origin)

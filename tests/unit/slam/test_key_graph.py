@@ -12,6 +12,7 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.drift import Drift
 from gridslam.slam.key_graph import BLOCK, KeyGraph
+from gridslam.slam.nearby import covariances
 from gridslam.slam.ties import Source, Tie
 
 DRIFT = Drift()
@@ -183,13 +184,29 @@ def test_no_way_through_the_graph_is_more_certain(seed):
             hops = list(itertools.pairwise((6, *way)))
             if all(b in ways[a] for a, b in hops):
                 total = start + sum(ways[a][b] for a, b in hops)
-                covariance = graph._covariances(graph.poses[-1], total[None])[0]
+                covariance = covariances(graph.poses[-1], total[None])[0]
                 least[way[-1]] = min(least[way[-1]], np.trace(covariance[:2, :2]))
     found = nearby(graph)
     for block, variance in least.items():
         assert np.trace(found[block].covariance[:2, :2]) == pytest.approx(variance, rel=1e-9)
     traces = [np.trace(f.covariance[:2, :2]) for f in found.values()]
     assert traces == sorted(traces)
+
+
+def test_the_way_to_one_submap_is_that_among_all_of_them():
+    graph = chain(300, 3)
+    for from_, to in ((12, 250), (100, 290), (31, 144)):
+        graph.add(tie(graph, from_, to, 1e2))
+    whole = graph.nearby(len(graph) - 1, 1e3, 20)
+    for found in whole:
+        way = graph.way_to(found.block, len(graph) - 1, 1e3, 20)
+        assert way is not None
+        assert way.block == found.block
+        np.testing.assert_array_equal(way.pose, found.pose)
+        np.testing.assert_array_equal(way.covariance, found.covariance)
+    beyond = set(range(30)) - {found.block for found in whole}
+    assert len(beyond) == 10
+    assert all(graph.way_to(block, len(graph) - 1, 1e3, 20) is None for block in beyond)
 
 
 def test_the_search_ends_where_it_is_told_to():
