@@ -101,7 +101,7 @@ def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
     algorithm: GridFastSlam,
     *,
-    particles: int = 30,
+    particles: int | None = None,
     rng: np.random.Generator,
     observers: Sequence[Observer] = (),
     state: GridFastSlamState | None = None,
@@ -125,7 +125,7 @@ def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
     algorithm: Any,
     *,
-    particles: int = 30,
+    particles: int | None = None,
     rng: np.random.Generator,
     observers: Sequence[Callable[[Any, Any, float], None]] = (),
     state: Any = None,
@@ -139,8 +139,8 @@ def run(
         Measurements in their true order; None where a scan has no odometry.
     algorithm : Filter
         `GridFastSlam`, or any other, of which a `state` is given to begin with.
-    particles : int
-        How many particles GridFastSlam begins with, where no `state` is given.
+    particles : int, optional
+        How many particles GridFastSlam begins with, where no `state` is given; its own number if not given.
     rng : numpy.random.Generator
         Where all randomness comes from.
     observers : sequence of Observer

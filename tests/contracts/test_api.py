@@ -46,11 +46,21 @@ def test_five_lines_from_a_log_to_a_map(log, tmp_path):
 
 
 def test_ones_own_loop_gives_the_same(log):
-    slam, rng, state, poses = gridslam.build(gridslam.Configuration()), np.random.default_rng(0), None, []
+    slam, rng, state, poses = gridslam.build(gridslam.preset("default", 3)), np.random.default_rng(0), None, []
     for odometry, scan in gridslam.CarmenLog(log):
-        state, report = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan, 3)
+        state, report = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
         poses.append(report.pose)
     assert np.array_equal(poses, gridslam.map_log(log, particles=3).online_trajectory.poses)
+
+
+def test_a_built_filter_knows_its_number_of_particles(log):
+    measurements = list(gridslam.CarmenLog(log))[:2]
+    for configured in (gridslam.preset("accurate"), gridslam.preset("fast"), gridslam.Configuration(particles=7)):
+        slam = gridslam.build(configured)
+        state, _ = slam.init(*measurements[0])
+        assert len(state.poses) == slam.particles == configured.particles
+        assert len(slam.init(*measurements[0], 4)[0].poses) == 4
+        assert len(gridslam.run(measurements, slam, rng=np.random.default_rng(0)).poses) == configured.particles
 
 
 @pytest.mark.parametrize(

@@ -101,7 +101,7 @@ def map_log(
     watch.lap("start")
     slam, rng = build(config, threads), np.random.default_rng(seed)
     watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
-    state = run(gate(source), slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    state = run(gate(source), slam, rng=rng, observers=watched, stopwatch=watch)
     full = full_slam(
         state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
     )  # fmt: skip

@@ -75,6 +75,8 @@ class GridFastSlam:
     range_min_m, range_max_m : float
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
+    particles : int, >= 1
+        How many particles `init` begins with, unless it is told otherwise.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -93,13 +95,14 @@ class GridFastSlam:
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
+    particles: int = 30
     threads: int = 1
 
     def init(
         self,
         odometry: Odometry | None,
         scan: LaserScan,
-        particles: int | FloatArray = 30,
+        particles: int | FloatArray | None = None,
         pose: ArrayLike = (0.0, 0.0, 0.0),
     ) -> tuple[GridFastSlamState, StepReport]:
         """Begin with a first scan.
@@ -110,9 +113,13 @@ class GridFastSlam:
             None where there is none: here, at any later scan, or at all of them.
         scan : LaserScan
             One without a usable beam is fine.
-        particles : int or (N, 3) float64
-            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`).
+        particles : int or (N, 3) float64, optional
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`); as many as
+            the filter's own `particles` if not given.
+        pose : (3,) float64
+            Where they start, map frame [x m, y m, theta rad].
         """
+        particles = self.particles if particles is None else particles
         poses = at_pose(int(particles), pose) if np.ndim(particles) == 0 else np.array(particles, np.float64)
         if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
             raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", f"{particles!r:.60}")
