@@ -6,6 +6,7 @@ nanoseconds; angles are counter-clockwise radians.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol, final, runtime_checkable
@@ -13,6 +14,7 @@ from typing import Protocol, final, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.arguments import frozen, require_array, require_covariance, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import (
     BeamEnds,
@@ -24,33 +26,56 @@ from gridslam.scan import (
     LaserScan,
     Rows,
     ScanGeometry,
-    frozen,
 )
 
 __all__ = [
     "BeamEnds", "BeamStatus", "Beams", "DistanceMaps", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Match",
     "MotionModel", "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel",
     "SkipReason", "StepReport", "Trajectory", "Weigher",
+    "require_measurement",
 ]  # fmt: skip
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """A stamped pose (3,) in the odometry frame; optionally the covariance (3, 3) of the motion since the last."""
+    """Where the wheels believe the robot to be; `at` makes it of plain numbers.
+
+    Attributes
+    ----------
+    stamp_ns : int, ns
+        When.
+    pose : (3,) float64
+        Of the base in the odometry frame, [x m, y m, theta rad], finite.
+    covariance : (3, 3) float64 or None, m^2, m rad, rad^2
+        Of the motion since the log's odometry before this one, by x, y and theta in the base frame at that time;
+        symmetric and positive definite. None where nothing trustworthy is known.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is of another type, shape or range.
+    """
 
     stamp_ns: int
     pose: FloatArray
     covariance: FloatArray | None = None
 
+    def __post_init__(self) -> None:
+        """Check what is given."""
+        require_instance("stamp_ns", self.stamp_ns, int, np.integer)
+        require_array("pose", self.pose, np.float64, (3,))
+        if not math.isfinite(sum(self.pose.tolist())):
+            raise ArgumentError("pose", "finite x, y, theta", self.pose.tolist())
+        if self.covariance is not None:
+            require_covariance("covariance", self.covariance)
+
     @classmethod
     def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
-        """Validate and copy; raises ArgumentError for a wrong shape or a value that is not finite."""
+        """Copy what is given; raises ArgumentError as the constructor does."""
         checked = frozen(pose, np.float64, (3,), "pose")
-        if not np.isfinite(checked).all():
-            raise ArgumentError("pose", "finite x, y, theta", checked.tolist())
         spread = None if covariance is None else frozen(covariance, np.float64, (3, 3), "covariance")
-        return cls(int(stamp_ns), checked, spread)
+        return cls(stamp_ns, checked, spread)
 
 
 @final
@@ -63,8 +88,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Check that there is one stamp for each pose."""
-        if self.poses.shape != (len(self.stamps_ns), 3):
-            raise ArgumentError("poses", f"shape ({len(self.stamps_ns)}, 3)", self.poses.shape)
+        require_array("stamps_ns", self.stamps_ns, np.int64, (len(self.stamps_ns),))
+        require_array("poses", self.poses, np.float64, (len(self.stamps_ns), 3))
 
     def __len__(self) -> int:
         """Return the number of poses."""
@@ -93,11 +118,27 @@ class OccupancyGrid:
     resolution_m: float
     origin: tuple[float, float]
 
+    def __post_init__(self) -> None:
+        """Check that all belongs together."""
+        require_instance("log_odds", self.log_odds, np.ndarray)
+        if self.log_odds.ndim != 2:
+            raise ArgumentError("log_odds", "shape (H, W)", self.log_odds.shape)
+        require_array("known", self.known, np.bool_, self.log_odds.shape)
+        if not 0 < self.resolution_m < math.inf:
+            raise ArgumentError("resolution_m", "a finite length > 0 m", self.resolution_m)
+        frozen(self.origin, np.float64, (2,), "origin")
+
     @property
     def probability(self) -> NDArray[np.float32]:
         """Occupancy probability (H, W); 0.5 where unknown."""
         odds = np.where(self.known, self.log_odds, np.float32(0))
         return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+
+
+def require_measurement(odometry: object, scan: object) -> None:
+    """Refuse what is no measurement for a filter: neither of them, or both in the wrong order."""
+    require_instance("odometry", odometry, Odometry, optional=True)
+    require_instance("scan", scan, LaserScan)
 
 
 class SkipReason(Enum):

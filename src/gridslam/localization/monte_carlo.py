@@ -14,6 +14,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import require_generator, require_instance
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import Estimate, estimate, moved_covariance
 from gridslam.localization.known_map import KnownMap, PoseWeigher
@@ -23,7 +24,16 @@ from gridslam.models.endpoint import CauchyAgreement
 from gridslam.particles.initial import spread
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize
-from gridslam.types import Beams, FloatArray, LaserScan, MotionModel, MotionSampler, Odometry, Resampler
+from gridslam.types import (
+    Beams,
+    FloatArray,
+    LaserScan,
+    MotionModel,
+    MotionSampler,
+    Odometry,
+    Resampler,
+    require_measurement,
+)
 
 __all__ = ["MonteCarloLocalization"]
 
@@ -81,7 +91,13 @@ class MonteCarloLocalization:
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Take one scan; consumes `state` (keep one for later with `state.snapshot()`)."""
+        """Take one scan; consumes `state` (keep one for later with `state.snapshot()`).
+
+        Raises ArgumentError for an argument of another kind; `state` is kept then.
+        """
+        require_instance("state", state, MonteCarloState)
+        require_measurement(odometry, scan)
+        require_generator(rng)
         state = state.take()
         moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
         beams = self._beams(state, odometry, moved, scan)

@@ -11,13 +11,13 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import frozen
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import Estimate, is_near
 from gridslam.localization.recovery import Averages
 from gridslam.localization.rivals import NO_RIVALS, Rivals
-from gridslam.scan import frozen
 from gridslam.types import FloatArray, IntArray, Odometry
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]

@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
 from gridslam.sim.floor_plan import clearance, near
@@ -106,6 +107,7 @@ def simulate_stream(
     ArgumentError
         If the robot would touch a wall, or no scan is taken during its drive.
     """
+    require_generator(rng)
     lidars = [lidar] if isinstance(lidar, LidarConfig) else list(lidar)
     way = Drive(world.route, robot)
     times = [one.times(way.duration_s) for one in lidars]

@@ -13,6 +13,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import require_generator, require_instance, told
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
@@ -40,6 +41,7 @@ from gridslam.types import (
     SensorModel,
     SkipReason,
     StepReport,
+    require_measurement,
 )
 
 __all__ = ["GridFastSlam"]
@@ -118,11 +120,15 @@ class GridFastSlam:
             the filter's own `particles` if not given.
         pose : (3,) float64
             Where they start, map frame [x m, y m, theta rad].
+
+        Raises
+        ------
+        ArgumentError
+            An argument is of another kind, or the tracker needs odometry and there is none.
         """
+        require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
-        poses = at_pose(int(particles), pose) if np.ndim(particles) == 0 else np.array(particles, np.float64)
-        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
-            raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", f"{particles!r:.60}")
+        poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = scan.beams(self.range_min_m, self.range_max_m)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
@@ -143,7 +149,23 @@ class GridFastSlam:
         """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
 
         Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
+
+        Parameters
+        ----------
+        state : GridFastSlamState
+        odometry : Odometry or None
+            None where there is none.
+        scan : LaserScan
+        rng : numpy.random.Generator
+
+        Raises
+        ------
+        ArgumentError
+            An argument is of another kind, or the tracker needs odometry and there is none; `state` is kept then.
         """
+        require_instance("state", state, GridFastSlamState)
+        require_measurement(odometry, scan)
+        require_generator(rng)
         state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
         tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
         beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
@@ -175,3 +197,14 @@ class GridFastSlam:
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM
+
+
+def _given(particles: object) -> FloatArray:
+    """Poses (N, 3) that were given as particles, copied."""
+    try:
+        poses = np.array(particles, np.float64)
+    except (TypeError, ValueError):
+        poses = np.empty(0)
+    if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
+        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", told(particles))
+    return poses
