@@ -25,6 +25,7 @@ from gridslam.errors import ConfigurationError as ConfigurationError
 from gridslam.errors import ConsumedStateError as ConsumedStateError
 from gridslam.errors import GridslamError as GridslamError
 from gridslam.errors import InputError as InputError
+from gridslam.errors import MissingDependencyError as MissingDependencyError
 from gridslam.errors import OutputError as OutputError
 from gridslam.io.carmen import CarmenLog as CarmenLog
 from gridslam.io.log import Log as Log

@@ -10,8 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from gridslam.errors import ArgumentError
 
 __all__ = [
-    "frozen", "is_covariance", "require_array", "require_covariance", "require_generator", "require_instance",
-    "require_seed", "require_threads", "told",
+    "describe",
+    "frozen",
+    "is_covariance",
+    "require_array",
+    "require_covariance",
+    "require_generator",
+    "require_instance",
+    "require_seed",
+    "require_threads",
 ]  # fmt: skip
 
 
@@ -20,7 +27,7 @@ def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: 
     try:
         array: NDArray[Any] = np.array(values, dtype=dtype)
     except (TypeError, ValueError):
-        raise ArgumentError(name, f"numbers of shape {shape} (None: any)", told(values)) from None
+        raise ArgumentError(name, f"numbers of shape {shape} (None: any)", describe(values)) from None
     fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
     if not fits:
         raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
@@ -31,7 +38,7 @@ def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: 
 def require_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
     """Refuse what is no NumPy array of exactly this dtype and shape; nothing is converted."""
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
-        got = f"one of {array.dtype}" if isinstance(array, np.ndarray) else told(array)
+        got = f"one of {array.dtype}" if isinstance(array, np.ndarray) else describe(array)
         raise ArgumentError(name, f"an array of {np.dtype(dtype)}", got)
     if array.shape != shape:
         raise ArgumentError(name, f"shape {shape}", array.shape)
@@ -62,13 +69,13 @@ def require_instance(name: str, value: object, *kinds: type, optional: bool = Fa
     if (optional and value is None) or (isinstance(value, kinds) and not isinstance(value, bool)):
         return
     expected = " or ".join([kind.__name__ for kind in kinds] + ["None"] * optional)
-    raise ArgumentError(name, expected, told(value))
+    raise ArgumentError(name, expected, describe(value))
 
 
 def require_generator(rng: object) -> None:
     """Refuse what is no random generator, such as a seed."""
     if not isinstance(rng, np.random.Generator):
-        raise ArgumentError("rng", "a numpy.random.Generator, as numpy.random.default_rng(seed) makes it", told(rng))
+        raise ArgumentError("rng", "a numpy.random.Generator, as numpy.random.default_rng makes it", describe(rng))
 
 
 def require_seed(seed: object) -> None:
@@ -87,7 +94,7 @@ def require_threads(threads: object) -> None:
         raise ArgumentError("threads", "at least one", threads)
 
 
-def told(value: object) -> str:
+def describe(value: object) -> str:
     """A value in a message: itself where it is short, else its class."""
     text = "" if isinstance(value, np.ndarray) else repr(value)
     kind = type(value).__name__

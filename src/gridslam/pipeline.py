@@ -8,7 +8,7 @@ from typing import Any, Protocol, TypeVar, final, overload
 
 import numpy as np
 
-from gridslam.arguments import require_generator, told
+from gridslam.arguments import describe, require_generator
 from gridslam.errors import ArgumentError
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.state import GridFastSlamState
@@ -185,9 +185,9 @@ def _measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]
     """What a source gives; a path is none, nor is a list of scans."""
     expected = "measurements, pairs of odometry and a scan, such as open_log(path) gives"
     if isinstance(source, str) or not isinstance(source, Iterable):
-        raise ArgumentError("source", expected, told(source))
+        raise ArgumentError("source", expected, describe(source))
     for measurement in source:
         if not isinstance(measurement, tuple | list) or len(measurement) != 2:
-            raise ArgumentError("source", expected, told(measurement))
+            raise ArgumentError("source", expected, describe(measurement))
         odometry, scan = measurement
         yield odometry, scan

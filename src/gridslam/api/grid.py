@@ -13,7 +13,7 @@ from gridslam.api.grid_result import GridResult
 from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, override, with_laser
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, repaired_log
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions, LogSource
@@ -104,7 +104,7 @@ def map_with_poses(
     require_threads(threads)
     config = _configuration(configuration, laser, resolution_m)
     watch = stopwatch or Stopwatch()
-    source = repaired_log(log, options, repair)
+    source = open_repaired(log, options, repair)
     path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
     given = _given(trajectory, config)
     poses = KnownPoses(given, max_gap_s)

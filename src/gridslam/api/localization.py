@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, repaired_log
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions, LogSource
@@ -101,7 +101,7 @@ def localize(
     require_instance("map", map, str, Path, OccupancyGrid, KnownMap)
     require_instance("parts", parts, MonteCarloParts, optional=True)
     watch, parts = stopwatch or Stopwatch(), parts or MonteCarloParts()
-    source = repaired_log(log, options, repair)
+    source = open_repaired(log, options, repair)
     path, known, remarks = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
     rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, parts)
     state = mcl.init() if pose is None else mcl.around(pose, covariance, rng)

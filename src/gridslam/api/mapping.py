@@ -12,7 +12,7 @@ from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, build, override, with_laser
 from gridslam.config import preset as preset_of
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, repaired_log
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
 from gridslam.io.log import Log, LogOptions, LogSource
@@ -94,7 +94,7 @@ def map_log(
     config = config if laser is None else with_laser(config, laser)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
-    source = repaired_log(log, options, repair)
+    source = open_repaired(log, options, repair)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
     slam, rng = build(config, threads), np.random.default_rng(seed)

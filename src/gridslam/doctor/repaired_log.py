@@ -15,7 +15,7 @@ from gridslam.io.log import Log, LogOptions, LogSource, opened_log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["RepairedLog", "repaired_log"]
+__all__ = ["RepairedLog", "open_repaired"]
 
 
 @final
@@ -83,7 +83,7 @@ def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
         yield measurement
 
 
-def repaired_log(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
+def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
     """Open a log as `opened_log` does, and take out of it what `RepairedLog` does, or nothing.
 
     Raises ArgumentError for another `kind`, too.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, final, runtime_checkable
 
-from gridslam.arguments import told
+from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text_source import head_of
 from gridslam.models.sightings import LandmarkStep, SightingKind
@@ -126,5 +126,5 @@ def opened_landmark_log(log: str | Path | LandmarkLog) -> LandmarkLog:
     if isinstance(log, str | Path):
         return open_landmark_log(log)
     if not isinstance(log, LandmarkLog):
-        raise ArgumentError("log", "str, Path or a log as open_landmark_log gives it", told(log))
+        raise ArgumentError("log", "str, Path or a log as open_landmark_log gives it", describe(log))
     return log

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, TypeAlias, final, runtime_checkable
 
-from gridslam.arguments import told
+from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
@@ -135,7 +135,7 @@ def opened_log(log: LogSource, options: LogOptions | None = None) -> Log:
     if isinstance(log, str | Path):
         return open_log(log, options or LogOptions())
     if not isinstance(log, Log):
-        raise ArgumentError("log", "str, Path or a log as open_log gives it", told(log))
+        raise ArgumentError("log", "str, Path or a log as open_log gives it", describe(log))
     if options is not None:
         raise ArgumentError("options", "none for a log that is open already", options)
     return log

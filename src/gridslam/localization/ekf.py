@@ -39,6 +39,10 @@ class KnownLandmarks:
     names: IntArray
     positions: FloatArray
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"KnownLandmarks({len(self.names)} landmarks)"
+
     @classmethod
     def of(cls, names: ArrayLike, positions: ArrayLike) -> KnownLandmarks:
         """Validate and copy; ArgumentError for wrong shapes, no landmark, a name twice, a value that is not finite."""

@@ -47,6 +47,10 @@ class Beams:
         """Return the number of usable beams K."""
         return len(self.ends)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"Beams({len(self)} of {len(self.scan)}, up to {self.reach_m:.2f} m)"
+
     @property
     def reach_m(self) -> float:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""

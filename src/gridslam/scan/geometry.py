@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import final
 
 import numpy as np
@@ -54,6 +55,12 @@ class ScanGeometry:
         self.origin: FloatArray = frozen(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
         gaps = np.abs(wrap(self.bearings - np.roll(self.bearings, 1)))
         self.widths: FloatArray = frozen(gaps, np.float64, (None,), "widths")
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        first, last = np.degrees(self.bearings[[0, -1]]) if len(self.bearings) else (math.nan, math.nan)
+        x, y = self.origin.tolist()
+        return f"ScanGeometry({len(self.bearings)} beams, {first:.1f} to {last:.1f} deg, at x {x:.3f} m, y {y:.3f} m)"
 
     @classmethod
     def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:

@@ -186,6 +186,12 @@ class LaserScan:
         """Return the number of beams B."""
         return len(self.ranges)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        hits = self.ranges[self.status == _HIT]
+        reach = f" of {hits.min():.2f} to {hits.max():.2f} m" if len(hits) else ""
+        return f"LaserScan({self.sensor}, {self.stamp_ns * 1e-9:.3f} s: {len(self)} beams, {len(hits)} hits{reach})"
+
     def beams(self, min_m: float, max_m: float, spacing_m: float = 0.025) -> Beams:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame.
 

@@ -48,6 +48,10 @@ class SimulatedLog:
         """Return the number of scans N."""
         return len(self.measurements)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"SimulatedLog({len(self)} scans, {self.truth})"
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,6 +69,10 @@ class SimulatedStream:
     def __len__(self) -> int:
         """Return the number of scans N, those already given included."""
         return len(self.truth)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"SimulatedStream({len(self)} scans, {self.truth})"
 
 
 def simulate(

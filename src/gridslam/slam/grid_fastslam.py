@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import require_generator, require_instance, told
+from gridslam.arguments import describe, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
@@ -206,5 +206,5 @@ def _given(particles: object) -> FloatArray:
     except (TypeError, ValueError):
         poses = np.empty(0)
     if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
-        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", told(particles))
+        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", describe(particles))
     return poses

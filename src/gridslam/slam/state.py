@@ -17,7 +17,7 @@ from gridslam.particles.weights import normalize
 from gridslam.slam.memory import Memory
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.tracker import TrackerState
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
@@ -67,6 +67,13 @@ class GridFastSlamState:
     lost: bool = False
     memory: Memory | None = None
     consumed: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        if self.consumed:
+            return "GridFastSlamState(consumed)"
+        best, lost = describe_pose(self.poses[self.best]), ", lost" if self.lost else ""
+        return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
 
     @property
     def best(self) -> int:

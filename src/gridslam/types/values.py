@@ -1,39 +1,21 @@
-"""The values that travel between the parts, and the small Protocols by which parts are swapped.
-
-Poses are rows ``[x m, y m, theta rad]`` with theta in [-pi, pi); grids are ``[row = y, column = x]``; a stamp is int64
-nanoseconds; angles are counter-clockwise radians.
-"""
+"""The values that travel between the parts: odometry, trajectories, matches and reports."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, final, runtime_checkable
+from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridslam.arguments import frozen, require_array, require_covariance, require_instance
 from gridslam.errors import ArgumentError
-from gridslam.scan import (
-    BeamEnds,
-    Beams,
-    BeamStatus,
-    EndPoints,
-    FloatArray,
-    IntArray,
-    LaserScan,
-    Rows,
-    ScanGeometry,
-)
+from gridslam.scan import FloatArray, IntArray, LaserScan
+from gridslam.types.words import describe_pose, describe_time
 
-__all__ = [
-    "BeamEnds", "BeamStatus", "Beams", "DistanceMaps", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Match",
-    "MotionModel", "MotionSampler", "OccupancyGrid", "Odometry", "Resampler", "Rows", "ScanGeometry", "SensorModel",
-    "SkipReason", "StepReport", "Trajectory", "Weigher",
-    "require_measurement",
-]  # fmt: skip
+__all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "require_measurement"]
 
 
 @final
@@ -70,6 +52,11 @@ class Odometry:
         if self.covariance is not None:
             require_covariance("covariance", self.covariance)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        known = "" if self.covariance is None else ", with covariance"
+        return f"Odometry({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}{known})"
+
     @classmethod
     def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
         """Copy what is given; raises ArgumentError as the constructor does."""
@@ -95,44 +82,13 @@ class Trajectory:
         """Return the number of poses."""
         return len(self.stamps_ns)
 
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class OccupancyGrid:
-    """A rectangular map, as it is published and written.
-
-    Attributes
-    ----------
-    log_odds : (H, W) float32, nats
-        Log-odds of occupancy; meaningful where `known`.
-    known : (H, W) bool
-        Whether any beam has told anything about the cell.
-    resolution_m : float
-        Side of a cell.
-    origin : (float, float), m
-        World coordinates of the lower left corner of cell [0, 0].
-    """
-
-    log_odds: NDArray[np.float32]
-    known: NDArray[np.bool_]
-    resolution_m: float
-    origin: tuple[float, float]
-
-    def __post_init__(self) -> None:
-        """Check that all belongs together."""
-        require_instance("log_odds", self.log_odds, np.ndarray)
-        if self.log_odds.ndim != 2:
-            raise ArgumentError("log_odds", "shape (H, W)", self.log_odds.shape)
-        require_array("known", self.known, np.bool_, self.log_odds.shape)
-        if not 0 < self.resolution_m < math.inf:
-            raise ArgumentError("resolution_m", "a finite length > 0 m", self.resolution_m)
-        frozen(self.origin, np.float64, (2,), "origin")
-
-    @property
-    def probability(self) -> NDArray[np.float32]:
-        """Occupancy probability (H, W); 0.5 where unknown."""
-        odds = np.where(self.known, self.log_odds, np.float32(0))
-        return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+    def __repr__(self) -> str:
+        """Return one line."""
+        if not len(self):
+            return "Trajectory(0 poses)"
+        seconds = float(self.stamps_ns.max() - self.stamps_ns.min()) * 1e-9
+        metres = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+        return f"Trajectory({len(self)} poses, {seconds:.1f} s, {metres:.1f} m)"
 
 
 def require_measurement(odometry: object, scan: object) -> None:
@@ -217,68 +173,8 @@ class StepReport:
     closures: tuple[tuple[int, int], ...] = ()
     corrected: bool = False
 
-
-@runtime_checkable
-class DistanceMaps(Protocol):
-    """Maps that tell distances: one row of a table of maps for each particle (see `gridslam.grid.TileMaps`)."""
-
-    def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
-        """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`.
-
-        Of points (B, 2) in the base frame, seen from poses (K, 3).
-        """
-
-    def cast_rays(
-        self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
-    ) -> NDArray[np.float32]:
-        """Range in m (K, B) to the first occupied cell; `max_m` where there is none.
-
-        Along directions (B, 2) from origin (2,), both in the base frame, seen from poses (K, 3).
-        """
-
-    @property
-    def reach_m(self) -> float:
-        """Where `distances` saturates."""
-
-
-@runtime_checkable
-class MotionSampler(Protocol):
-    """A motion model conditioned on one increment: p(x_t | u_t, x_{t-1})."""
-
-    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Draw one successor (N, 3) for each pose (N, 3)."""
-
-    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean successors (N, 3) and their covariances (N, 3, 3) in the world frame, to first order."""
-
-
-@runtime_checkable
-class MotionModel(Protocol):
-    """Conditions on an increment: the pose (3,) of the robot now seen from where it was."""
-
-    def __call__(self, increment: FloatArray) -> MotionSampler:
-        """Return the sampler for this increment."""
-
-
-@runtime_checkable
-class Weigher(Protocol):
-    """A measurement model conditioned on one scan: log p(z_t | x_t, m) up to a constant."""
-
-    def __call__(self, maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
-        """Log likelihoods (K,) of poses (K, 3) in the maps `rows` (K,)."""
-
-
-@runtime_checkable
-class SensorModel(Protocol):
-    """Conditions on the usable beams of a scan."""
-
-    def __call__(self, beams: Beams) -> Weigher:
-        """Return the weigher for this scan."""
-
-
-@runtime_checkable
-class Resampler(Protocol):
-    """Draws which particles survive."""
-
-    def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Indices (size,) of the drawn particles, ascending, for weights (N,) >= 0 that sum to anything positive."""
+    def __repr__(self) -> str:
+        """Return one line."""
+        what = f"key scan, n_eff {self.n_eff:.1f}" if self.skipped is None else self.skipped.value
+        lost = ", lost" if self.lost else ""
+        return f"StepReport({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}, {what}{lost})"
