@@ -97,11 +97,7 @@ def map_with_poses(
     ConfigurationError
         There is no such laser.
     """
-    if model not in ("bayes", "counting"):
-        raise ArgumentError("model", "bayes or counting", model)
-    require_instance("trajectory", trajectory, str, Path, Trajectory)
-    require_instance("configuration", configuration, Configuration, optional=True)
-    require_threads(threads)
+    _check(model, trajectory, configuration, threads)
     config = _configuration(configuration, laser, resolution_m)
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
@@ -122,6 +118,14 @@ def map_with_poses(
     )  # fmt: skip
     watch.lap("map")
     return result
+
+
+def _check(model: str, trajectory: object, configuration: object, threads: int) -> None:
+    if model not in ("bayes", "counting"):
+        raise ArgumentError("model", "bayes or counting", model)
+    require_instance("trajectory", trajectory, str, Path, Trajectory)
+    require_instance("configuration", configuration, Configuration, optional=True)
+    require_threads(threads)
 
 
 def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajectory:

@@ -14,7 +14,6 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import require_generator, require_instance
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import Estimate, estimate, moved_covariance
 from gridslam.localization.known_map import KnownMap, PoseWeigher
@@ -32,7 +31,7 @@ from gridslam.types import (
     MotionSampler,
     Odometry,
     Resampler,
-    require_measurement,
+    require_step,
 )
 
 __all__ = ["MonteCarloLocalization"]
@@ -95,9 +94,7 @@ class MonteCarloLocalization:
 
         Raises ArgumentError for an argument of another kind; `state` is kept then.
         """
-        require_instance("state", state, MonteCarloState)
-        require_measurement(odometry, scan)
-        require_generator(rng)
+        require_step(MonteCarloState, state, odometry, scan, rng)
         state = state.take()
         moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
         beams = self._beams(state, odometry, moved, scan)

@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import describe, require_generator, require_instance
+from gridslam.arguments import describe
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
@@ -26,22 +26,25 @@ from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, 
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
+from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import Tracker
+from gridslam.slam.tracker import Tracked, Tracker
 from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,
     FloatArray,
     LaserScan,
     MotionModel,
+    MotionSampler,
     Odometry,
     Resampler,
     SensorModel,
     SkipReason,
     StepReport,
     require_measurement,
+    require_step,
 )
 
 __all__ = ["GridFastSlam"]
@@ -149,29 +152,14 @@ class GridFastSlam:
         """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
 
         Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
-
-        Parameters
-        ----------
-        state : GridFastSlamState
-        odometry : Odometry or None
-            None where there is none.
-        scan : LaserScan
-        rng : numpy.random.Generator
-
-        Raises
-        ------
-        ArgumentError
-            An argument is of another kind, or the tracker needs odometry and there is none; `state` is kept then.
         """
-        require_instance("state", state, GridFastSlamState)
-        require_measurement(odometry, scan)
-        require_generator(rng)
+        require_step(GridFastSlamState, state, odometry, scan, rng)
         state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
-        tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
+        tracked, noise = self._track(state, odometry, beams)
         beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
-        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)  # predict
+        motion = self._predict(state, tracked, noise)  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.joint, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
@@ -182,6 +170,23 @@ class GridFastSlam:
             state.resample(parents)
             report = replace(report, parents=parents, best=state.best)
         return self._close_loops(state, report, beams)
+
+    def _track(
+        self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
+    ) -> tuple[Tracked, OdometryNoise | None]:
+        """Track a scan, by odometry unless that is told to be of no use; and what is told of its noise."""
+        tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
+        if odometry is not None and isinstance(tracker, Tracker):
+            seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
+            odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
+        noise = OdometryNoise.told(state, odometry, matched=isinstance(tracker, Tracker))
+        state.odometry_covariance = None if noise is None else noise.covariance
+        return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
+
+    def _predict(self, state: GridFastSlamState, tracked: Tracked, noise: OdometryNoise | None) -> MotionSampler:
+        """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
+        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)
+        return motion if noise is None else noise.added(motion, state.key_pose, tracked.predicted)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams

@@ -53,6 +53,8 @@ class GridFastSlamState:
         Whether the last key scan agreed with the best map too little.
     memory : Memory or None
         What loop closure remembers, where it is at work.
+    odometry_covariance : (3, 3) float64 or None
+        What the log told of the odometry's noise since the pose from which it goes on (see `OdometryNoise`).
     """
 
     tracker: TrackerState
@@ -66,6 +68,7 @@ class GridFastSlamState:
     ancestry: Ancestry
     lost: bool = False
     memory: Memory | None = None
+    odometry_covariance: FloatArray | None = None
     consumed: bool = False
 
     def __repr__(self) -> str:
@@ -86,7 +89,7 @@ class GridFastSlamState:
         self.consumed = True
         return GridFastSlamState(
             self.tracker, self.key_pose, self.sensor_key_poses, self.poses, self.log_weights, self.log_ancestry,
-            self.covariance, self.maps, self.ancestry, self.lost, self.memory,
+            self.covariance, self.maps, self.ancestry, self.lost, self.memory, self.odometry_covariance,
         )  # fmt: skip
 
     def advance(self, proposed: Proposed, key_pose: FloatArray, sensor: str) -> None:
@@ -129,6 +132,8 @@ class GridFastSlamState:
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
         own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))
+        if self.odometry_covariance is not None:
+            own["odometry_covariance"] = self.odometry_covariance
         own["sensors"] = np.array(list(self.sensor_key_poses), np.str_)
         parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
         parts.append(("ancestry", self.ancestry.to_arrays()))
@@ -151,6 +156,7 @@ class GridFastSlamState:
 
         try:
             own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+            own["odometry_covariance"] = arrays.get("odometry_covariance")
             memory = part("memory")
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),

@@ -17,7 +17,7 @@ from gridslam.scan import (
 )
 from gridslam.types.grid import OccupancyGrid
 from gridslam.types.protocols import DistanceMaps, MotionModel, MotionSampler, Resampler, SensorModel, Weigher
-from gridslam.types.values import Match, Odometry, SkipReason, StepReport, Trajectory, require_measurement
+from gridslam.types.values import Match, Odometry, SkipReason, StepReport, Trajectory, require_measurement, require_step
 from gridslam.types.words import describe_pose, describe_time
 
 __all__ = [
@@ -45,4 +45,5 @@ __all__ = [
     "describe_pose",
     "describe_time",
     "require_measurement",
+    "require_step",
 ]  # fmt: skip

@@ -10,12 +10,12 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen, require_array, require_covariance, require_instance
+from gridslam.arguments import frozen, require_array, require_covariance, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
 from gridslam.types.words import describe_pose, describe_time
 
-__all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "require_measurement"]
+__all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "require_measurement", "require_step"]
 
 
 @final
@@ -95,6 +95,13 @@ def require_measurement(odometry: object, scan: object) -> None:
     """Refuse what is no measurement for a filter: neither of them, or both in the wrong order."""
     require_instance("odometry", odometry, Odometry, optional=True)
     require_instance("scan", scan, LaserScan)
+
+
+def require_step(kind: type, state: object, odometry: object, scan: object, rng: object) -> None:
+    """Refuse what is no state of this kind, no measurement or no random generator: before a step consumes the state."""
+    require_instance("state", state, kind)
+    require_measurement(odometry, scan)
+    require_generator(rng)
 
 
 class SkipReason(Enum):
