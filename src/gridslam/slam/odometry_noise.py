@@ -13,6 +13,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.geometry.compounding import compound_covariance
 from gridslam.geometry.se2 import between, compose, compose_jacobians
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.state import GridFastSlamState
@@ -62,7 +63,6 @@ class OdometryNoise:
         To be called before the tracker takes the scan. `matched` says whether it matches scans; else the control is
         odometry alone, from one key scan to the next.
 
-        Source: Smith, Self and Cheeseman, Estimating uncertain spatial relationships in robotics (1990).
         """
         tracker = state.tracker
         if odometry is None or odometry.covariance is None or math.isnan(tracker.odometry[0]):
@@ -73,8 +73,8 @@ class OdometryNoise:
         if before is None:
             return None
         moved, increment = between(base, tracker.pose), between(tracker.odometry, odometry.pose)
-        by_moved, by_increment = compose_jacobians(moved, increment)
-        covariance = by_moved @ before @ by_moved.T + by_increment @ odometry.covariance @ by_increment.T
+        moves = bool(increment.any())  # one reading may serve several scans
+        covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
         since = between(tracker.matched_odometry, odometry.pose)
         reached = compose(tracker.matched_pose, tracker.learned.corrected(since) if matched else since)
         return cls(base, reached, covariance)
