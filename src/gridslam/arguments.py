@@ -37,6 +37,8 @@ def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: 
 
 def require_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
     """Refuse what is no NumPy array of exactly this dtype and shape; nothing is converted."""
+    if isinstance(array, np.ndarray) and array.dtype.type is dtype and array.dtype.isnative and array.shape == shape:
+        return  # the way of every scan
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         got = f"one of {array.dtype}" if isinstance(array, np.ndarray) else describe(array)
         raise ArgumentError(name, f"an array of {np.dtype(dtype)}", got)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen, require_generator
+from gridslam.arguments import frozen, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
@@ -32,6 +32,7 @@ def at_pose(count: int, pose: ArrayLike) -> FloatArray:
     ArgumentError
         If `count` or `pose` is anything else.
     """
+    require_instance("count", count, int, np.integer)
     if count < 1:
         raise ArgumentError("count", "at least one particle", count)
     mean = frozen(pose, np.float64, (3,), "pose").copy()

@@ -34,7 +34,7 @@ class BeamStatus(IntEnum):
     INVALID = 2
 
 
-_HIT = np.uint8(BeamStatus.HIT)
+_HIT, _GREATEST = np.uint8(BeamStatus.HIT), int(max(BeamStatus))
 
 
 @final
@@ -84,8 +84,8 @@ class LaserScan:
         shape = self.geometry.bearings.shape
         require_array("ranges", self.ranges, np.float64, shape)
         require_array("status", self.status, np.uint8, shape)
-        if self.status.max(initial=0) > BeamStatus.INVALID:
-            raise ArgumentError("status", "values of BeamStatus: 0, 1 or 2", int(self.status.max()))
+        if (greatest := int(self.status.max(initial=0))) > _GREATEST:
+            raise ArgumentError("status", "values of BeamStatus: 0, 1 or 2", greatest)
         if not 0 <= self.range_min_m < math.inf:
             raise ArgumentError("range_min_m", "a finite number >= 0", self.range_min_m)
         if not self.range_max_m > self.range_min_m:
