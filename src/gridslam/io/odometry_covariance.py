@@ -20,7 +20,7 @@ _STILL = 1e-3  # m and rad: noise of no more motion is not seen
 _FLOOR = 1e-8 * np.eye(3)  # of a robot that stands: a tenth of a millimetre and of a milliradian
 _MOST = 1.0  # m^2 and rad^2, from one reading to the next: no odometry is so bad
 _PROOF = 3  # readings in a row that must have grown before one is believed: drivers switch between two constants, too
-
+_HUGE = 1e12  # of a pose: what is not known is often told by such a number, or by infinity
 
 
 @final
@@ -42,6 +42,8 @@ class PoseCovariances:
 
     def add(self, stamp_ns: int, pose: FloatArray, covariance: Triangle | None) -> None:
         """Take a reading: pose (3,) in the odometry frame and its covariance; None where none is told."""
+        if covariance is not None and not all(abs(value) < _HUGE for value in covariance):
+            covariance = None
         last, self._last = self._last, covariance
         if covariance is None or last is None or stamp_ns <= self._stamps_ns[-1]:
             self._begin(stamp_ns, pose, covariance)

@@ -67,6 +67,8 @@ def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
         lambda at_s: np.diag([1e-9, 1e-3, 1e-9]) if at_s < 1 else np.diag([1e-3, 1e-3, 1e3]),
         lambda at_s: 1e9 * np.eye(3),
         lambda at_s: np.full((3, 3), np.nan),
+        lambda at_s: np.diag([at_s, at_s, np.inf]),
+        lambda at_s: 1e307 * at_s * np.eye(3),
         lambda at_s: -grown(at_s),
         lambda at_s: np.diag([at_s, at_s, 0.0]),
         lambda at_s: np.diag([1e-3 * at_s, 1e-3 * at_s, 1e-3]),
@@ -74,8 +76,10 @@ def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
         lambda at_s: 1e5 * grown(at_s),
         lambda at_s: np.diag([1e-3, 1e-3, 1e-3]) if round(at_s * 20) % 2 else np.diag([1e-2, 1e-2, 1e-2]),
     ],
-    ids=["zero", "constant", "absurd heading", "two constants", "huge", "nan", "negative", "no heading",
-         "heading that does not grow", "falling", "growing by metres", "alternating"],
+    ids=[
+        "zero", "constant", "absurd heading", "two constants", "huge", "nan", "infinite", "large as can be", "negative",
+        "no heading", "heading that does not grow", "falling", "growing by metres", "alternating",
+    ],
 )  # fmt: skip
 def test_what_tells_nothing_is_absent(tmp_path, covariance):
     assert covariances(tmp_path, drive(covariance=covariance)) == [None] * 20
