@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["ArgumentError", "ConfigurationError", "ConsumedStateError", "GridslamError", "InputError", "OutputError"]
+__all__ = [
+    "ArgumentError", "ConfigurationError", "ConsumedStateError", "GridslamError", "InputError",
+    "MissingDependencyError", "OutputError",
+]  # fmt: skip
 
 
 class GridslamError(Exception):
@@ -38,6 +41,13 @@ class InputError(GridslamError):
         super().__init__(f"{where}: {problem}")
         self.path = Path(path)
         self.line = line
+
+
+class MissingDependencyError(GridslamError, ImportError):
+    """Something needs a library that is not installed: names the extra which brings it."""
+
+    def __init__(self, what: str, library: str, extra: str) -> None:
+        super().__init__(f"{what} needs {library}, which is not installed: pip install 'gridslam[{extra}]'")
 
 
 class OutputError(GridslamError):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol, TypeVar, final, overload
 
 import numpy as np
 
+from gridslam.arguments import describe, require_generator
 from gridslam.errors import ArgumentError
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.state import GridFastSlamState
@@ -101,7 +102,7 @@ def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
     algorithm: GridFastSlam,
     *,
-    particles: int = 30,
+    particles: int | None = None,
     rng: np.random.Generator,
     observers: Sequence[Observer] = (),
     state: GridFastSlamState | None = None,
@@ -125,7 +126,7 @@ def run(
     source: Iterable[tuple[Odometry | None, LaserScan]],
     algorithm: Any,
     *,
-    particles: int = 30,
+    particles: int | None = None,
     rng: np.random.Generator,
     observers: Sequence[Callable[[Any, Any, float], None]] = (),
     state: Any = None,
@@ -139,8 +140,8 @@ def run(
         Measurements in their true order; None where a scan has no odometry.
     algorithm : Filter
         `GridFastSlam`, or any other, of which a `state` is given to begin with.
-    particles : int
-        How many particles GridFastSlam begins with, where no `state` is given.
+    particles : int, optional
+        How many particles GridFastSlam begins with, where no `state` is given; its own number if not given.
     rng : numpy.random.Generator
         Where all randomness comes from.
     observers : sequence of Observer
@@ -159,10 +160,12 @@ def run(
     Raises
     ------
     ArgumentError
-        The source is empty and there is no state, or a scan has no odometry and the filter's tracker needs it.
+        The source is empty and there is no state, or gives something else than measurements, or a scan has no odometry
+        and the filter's tracker needs it; `rng` is none.
     """
+    require_generator(rng)
     watch = stopwatch or Stopwatch()
-    for odometry, scan in source:
+    for odometry, scan in _measurements(source):
         watch.lap("read")
         if state is None:
             state, report = algorithm.init(odometry, scan, particles)
@@ -176,3 +179,15 @@ def run(
     if state is None:
         raise ArgumentError("source", "at least one measurement", "none")
     return state
+
+
+def _measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]:
+    """What a source gives; a path is none, nor is a list of scans."""
+    expected = "measurements, pairs of odometry and a scan, such as open_log(path) gives"
+    if isinstance(source, str) or not isinstance(source, Iterable):
+        raise ArgumentError("source", expected, describe(source))
+    for measurement in source:
+        if not isinstance(measurement, tuple | list) or len(measurement) != 2:
+            raise ArgumentError("source", expected, describe(measurement))
+        odometry, scan = measurement
+        yield odometry, scan

@@ -26,11 +26,12 @@ ONLY_IN = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
+    "pandas": {"api"},
 }
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 
 
-EXTRAS = {"pooch"}
+EXTRAS = {"pooch", "pandas"}
 """Of these, what is installed on demand."""
 
 UNSEEN = {"backports"}

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from landmark_world import MOTION, drive, ring
 from loops import loop_drive
 
 from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
+from gridslam.models.landmark import RelativePosition
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory
 
@@ -51,3 +53,20 @@ def loop_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("loop") / "loop.clf.gz"
     write_carmen(path, loop_drive().measurements)
     return path
+
+
+@pytest.fixture(scope="session")
+def park(tmp_path_factory):
+    """A log in Victoria Park's form: once around a ring of 10 landmarks, seen with 5 cm of noise."""
+    path, sensor = tmp_path_factory.mktemp("park") / "ring.txt", RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
+    steps, truth = drive(ring(10), 140, np.random.default_rng(1), sensor)
+    covariance = MOTION(steps[0].increment).moments(np.zeros((1, 3)))[1][0]
+    spread = " ".join(f"{v:.9g}" for v in covariance[np.triu_indices(3)])
+    lines = []
+    for k, step in enumerate(steps):
+        x, y, theta = step.increment
+        lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
+        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
+            lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
+    path.write_text("\n".join(lines) + "\n")
+    return path, truth

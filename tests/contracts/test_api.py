@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gridslam
+from gridslam import errors
 from gridslam.cli.map import map_shown
 from gridslam.config import override
+from gridslam.doctor import quick_check
 from gridslam.evaluation import absolute_errors
 from gridslam.io.trajectory import read_tum
 from gridslam.pipeline import Stopwatch
@@ -25,6 +31,22 @@ def test_import_is_quick_because_it_imports_nothing():
 def test_every_public_name_is_there(name):
     assert getattr(gridslam, name) is not None
     assert name in dir(gridslam)
+
+
+def test_public_names_stand_in_the_stub_alone():
+    stub = Path(gridslam.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    imported = [node for node in ast.parse(stub).body if isinstance(node, ast.ImportFrom)]
+    names = [(alias.name, alias.asname, node.module) for node in imported for alias in node.names]
+    assert all(name == seen for name, seen, _ in names)  # without "as" a stub's import is private
+    assert sorted([*(name for name, _, _ in names), "__version__"]) == gridslam.__all__ == dir(gridslam)
+    for name, _, module in names:
+        assert getattr(gridslam, name) is getattr(import_module(module), name)
+
+
+def test_documented_names_are_the_public_ones():
+    text = Path(__file__).parents[2].joinpath("docs", "api.md").read_text(encoding="utf-8")
+    told = set(re.findall(r":: gridslam\.(\w+)$", text, re.MULTILINE)) - {"errors"}
+    assert told | {*errors.__all__, "__version__"} == set(gridslam.__all__)
 
 
 def test_other_names_are_not():
@@ -60,11 +82,21 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
 
 
 def test_ones_own_loop_gives_the_same(log):
-    slam, rng, state, poses = gridslam.build(gridslam.Configuration()), np.random.default_rng(0), None, []
+    slam, rng, state, poses = gridslam.build(gridslam.preset("default", 3)), np.random.default_rng(0), None, []
     for odometry, scan in gridslam.CarmenLog(log):
-        state, report = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan, 3)
+        state, report = slam.step(state, odometry, scan, rng) if state else slam.init(odometry, scan)
         poses.append(report.pose)
     assert np.array_equal(poses, gridslam.map_log(log, particles=3).online_trajectory.poses)
+
+
+def test_a_built_filter_knows_its_number_of_particles(log):
+    measurements = list(gridslam.CarmenLog(log))[:2]
+    for configured in (gridslam.preset("accurate"), gridslam.preset("fast"), gridslam.Configuration(particles=7)):
+        slam = gridslam.build(configured)
+        state, _ = slam.init(*measurements[0])
+        assert len(state.poses) == slam.particles == configured.particles
+        assert len(slam.init(*measurements[0], 4)[0].poses) == 4
+        assert len(gridslam.run(measurements, slam, rng=np.random.default_rng(0)).poses) == configured.particles
 
 
 @pytest.mark.parametrize(
@@ -97,3 +129,28 @@ def test_every_choice_of_a_part_maps_the_log(log, choice):
     # no figure of merit, but whoever is lost, or takes a sign wrong, is off by more on 12 m
     assert errors.trans_rmse_m < 0.15
     assert errors.rot_rmse_deg < 3
+
+
+def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, tmp_path):
+    truth, result = log.with_name("truth.tum"), gridslam.map_log(log, particles=2)
+    calls = {
+        "map_log": lambda given: gridslam.map_log(given, particles=2).trajectory.poses,
+        "map_with_poses": lambda given: gridslam.map_with_poses(given, truth).map.log_odds,
+        "localize": lambda given: gridslam.localize(given, result.map, pose=np.zeros(3)).trajectory.poses,
+        "diagnose": lambda given: np.array(len(gridslam.diagnose(given).findings)),
+        "quick_check": lambda given: np.array(len(quick_check(given))),
+        "convert_log": lambda given: np.array(gridslam.convert_log(given, tmp_path / "out.csv").scans),
+    }
+    for name, call in calls.items():
+        first, *others = (call(given) for given in (str(log), log, gridslam.open_log(log)))
+        assert all(np.array_equal(first, other) for other in others), name
+        with pytest.raises(gridslam.ArgumentError, match="log: expected str, Path or a log as open_log"):
+            call(7)
+        with pytest.raises(gridslam.InputError, match="no such file"):
+            call("nothing.clf")
+
+
+@pytest.mark.parametrize("read", [gridslam.map_landmarks, gridslam.localize_by_landmarks])
+def test_what_is_no_log_of_landmarks_is_told(read):
+    with pytest.raises(gridslam.ArgumentError, match="log: expected str, Path or a log as open_landmark_log gives it"):
+        read(7)

@@ -7,7 +7,6 @@ import json
 import click
 import numpy as np
 import pytest
-from landmark_world import MOTION, drive, ring
 from PIL import Image
 
 from gridslam import __version__
@@ -19,31 +18,20 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
 from gridslam.localization.ekf import KnownLandmarks
-from gridslam.models.landmark import RelativePosition
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.png", "run.json"}
 
 
 @pytest.fixture(scope="session")
-def park(tmp_path_factory):
+def mapped_park(park, tmp_path_factory):
     """A log in Victoria Park's form, the map that EKF SLAM makes of it, and the true poses."""
-    folder, sensor = tmp_path_factory.mktemp("park"), RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    steps, truth = drive(ring(10), 140, np.random.default_rng(1), sensor)
-    covariance = MOTION(steps[0].increment).moments(np.zeros((1, 3)))[1][0]
-    spread = " ".join(f"{v:.9g}" for v in covariance[np.triu_indices(3)])
-    lines = []
-    for k, step in enumerate(steps):
-        x, y, theta = step.increment
-        lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
-        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
-            lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
-    (folder / "ring.txt").write_text("\n".join(lines) + "\n")
-    map_landmarks(folder / "ring.txt", "ekf").save(folder / "slam")
-    return folder / "ring.txt", folder / "slam" / "landmarks.csv", truth
+    (log, truth), folder = park, tmp_path_factory.mktemp("park")
+    map_landmarks(log, "ekf").save(folder / "slam")
+    return log, folder / "slam" / "landmarks.csv", truth
 
 
-def test_files_and_figures(park, tmp_path, capsys):
-    log, landmarks, truth = park
+def test_files_and_figures(mapped_park, tmp_path, capsys):
+    log, landmarks, truth = mapped_park
     localize_to_folder(log, tmp_path / "out", landmarks, None, False, True)
     document = json.loads(capsys.readouterr().out)
     assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
@@ -63,16 +51,16 @@ def test_files_and_figures(park, tmp_path, capsys):
         assert min(picture.size) > 800
 
 
-def test_in_words(park, tmp_path, capsys):
-    localize_to_folder(park[0], tmp_path / "out", park[1], None, True, False)
+def test_in_words(mapped_park, tmp_path, capsys):
+    localize_to_folder(mapped_park[0], tmp_path / "out", mapped_park[1], None, True, False)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("ring.txt: 141 steps, ")
     assert lines[1].startswith("localized by 10 landmarks in ")
     assert lines[-1].startswith("results: ")
 
 
-def test_what_the_log_tells_of_correspondences_can_be_left_unread(park):
-    known, found = (localize_by_landmarks(*park[:2], unknown=unknown) for unknown in (False, True))
+def test_what_the_log_tells_of_correspondences_can_be_left_unread(mapped_park):
+    known, found = (localize_by_landmarks(*mapped_park[:2], unknown=unknown) for unknown in (False, True))
     np.testing.assert_allclose(found.trajectory.poses, known.trajectory.poses, atol=1e-9)
 
 
@@ -84,8 +72,8 @@ def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
     assert errors["trans_rmse_m"] < 0.2
 
 
-def test_the_command(park, tmp_path, capsys):
-    log, landmarks, _ = park
+def test_the_command(mapped_park, tmp_path, capsys):
+    log, landmarks, _ = mapped_park
     how = ["landmarks", str(log), "-o", str(tmp_path / "out"), "--method", "ekf-localization"]
     assert main([*how, "--landmarks", str(landmarks), "--initial-pose", "0,0,0.0", "--unknown", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -101,8 +89,8 @@ def test_the_command(park, tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
-def test_what_is_refused(park, tmp_path):
-    log, landmarks, _ = park
+def test_what_is_refused(mapped_park, tmp_path):
+    log, landmarks, _ = mapped_park
     with pytest.raises(InputError, match=r"ring.txt: expected true landmarks beside it, as no others are given"):
         localize_by_landmarks(log)
     bad = tmp_path / "bad.csv"

@@ -7,7 +7,6 @@ import json
 import click
 import numpy as np
 import pytest
-from landmark_world import MOTION, drive, ring
 from PIL import Image
 
 from gridslam import __version__
@@ -18,26 +17,8 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_files import read_landmarks
 from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
-from gridslam.models.landmark import RelativePosition
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "run.json"}
-
-
-@pytest.fixture(scope="session")
-def park(tmp_path_factory):
-    """A log in Victoria Park's form: once around a ring of 10 landmarks, seen with 5 cm of noise."""
-    path, sensor = tmp_path_factory.mktemp("park") / "ring.txt", RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    steps, truth = drive(ring(10), 140, np.random.default_rng(1), sensor)
-    covariance = MOTION(steps[0].increment).moments(np.zeros((1, 3)))[1][0]
-    spread = " ".join(f"{v:.9g}" for v in covariance[np.triu_indices(3)])
-    lines = []
-    for k, step in enumerate(steps):
-        x, y, theta = step.increment
-        lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
-        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
-            lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
-    path.write_text("\n".join(lines) + "\n")
-    return path, truth
 
 
 @pytest.mark.parametrize("method", METHODS)

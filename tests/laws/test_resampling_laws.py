@@ -163,10 +163,11 @@ def test_one_particle_is_always_drawn(resampler, size: int, weight: float, seed:
     np.testing.assert_array_equal(resampler(np.array([weight]), size, np.random.default_rng(seed)), np.zeros(size))
 
 
-class ExtremeGenerator:
+class ExtremeGenerator(np.random.Generator):
     """A generator whose uniform numbers in [0, 1) are all the least or all the greatest possible."""
 
     def __init__(self, value: float) -> None:
+        super().__init__(np.random.PCG64(0))
         self.value = value
 
     def random(self, size: int | None = None) -> float | np.ndarray:

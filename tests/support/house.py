@@ -12,6 +12,7 @@ PACKAGE = ROOT / "src" / "gridslam"
 
 RANKS = {
     "errors": 0,
+    "arguments": 1,
     "geometry": 1,
     "scan": 2,
     "types": 3,

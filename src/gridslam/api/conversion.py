@@ -11,12 +11,11 @@ from typing import final
 
 import numpy as np
 
-from gridslam.api.source import opened_log
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen_form import carmen_form
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.csv_writer import write_csv_log
-from gridslam.io.log import Log, LogOptions
+from gridslam.io.log import Log, LogOptions, LogSource, opened_log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import written_aside
@@ -92,7 +91,7 @@ def format_of_name(out: str | Path, to: str | None = None) -> OutFormat:
 
 
 def convert_log(
-    log: str | Path | Log,
+    log: LogSource,
     out: str | Path,
     to: str | None = None,
     *,
@@ -135,6 +134,8 @@ def convert_log(
         nonlocal scans
         for measurement in measurements:
             scans += 1
+            odometry = measurement.odometry
+            lost["covariances of odometry"] += odometry is not None and odometry.covariance is not None
             yield measurement
             tick()
 

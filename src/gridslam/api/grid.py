@@ -10,13 +10,13 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from gridslam.api.grid_result import GridResult
-from gridslam.api.source import opened_log
+from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, override, with_laser
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import digest_of
-from gridslam.io.log import Log, LogOptions
+from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.trajectory import read_tum
 from gridslam.mapping.beam_counts import BeamCounts
 from gridslam.mapping.counted_map import bayes_map, counting_map
@@ -33,7 +33,7 @@ GridModel: TypeAlias = Literal["bayes", "counting"]
 
 
 def map_with_poses(
-    log: str | Path | Log,
+    log: LogSource,
     trajectory: str | Path | Trajectory,
     *,
     model: GridModel = "bayes",
@@ -97,12 +97,10 @@ def map_with_poses(
     ConfigurationError
         There is no such laser.
     """
-    if model not in ("bayes", "counting"):
-        raise ArgumentError("model", "bayes or counting", model)
+    _check(model, trajectory, configuration, threads)
     config = _configuration(configuration, laser, resolution_m)
     watch = stopwatch or Stopwatch()
-    read = opened_log(log, options)
-    source = read if repair == "none" else RepairedLog(read, repair)
+    source = open_repaired(log, options, repair)
     path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
     given = _given(trajectory, config)
     poses = KnownPoses(given, max_gap_s)
@@ -120,6 +118,14 @@ def map_with_poses(
     )  # fmt: skip
     watch.lap("map")
     return result
+
+
+def _check(model: str, trajectory: object, configuration: object, threads: int) -> None:
+    if model not in ("bayes", "counting"):
+        raise ArgumentError("model", "bayes or counting", model)
+    require_instance("trajectory", trajectory, str, Path, Trajectory)
+    require_instance("configuration", configuration, Configuration, optional=True)
+    require_threads(threads)
 
 
 def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajectory:

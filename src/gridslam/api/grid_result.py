@@ -6,9 +6,10 @@ import os
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 from gridslam import __version__
+from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
@@ -19,6 +20,11 @@ from gridslam.io.output import OutputFolder
 from gridslam.mapping.known_poses import Unplaced
 from gridslam.pipeline import Stopwatch
 from gridslam.types import OccupancyGrid, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from gridslam.viz.notebook import Picture
 
 __all__ = ["GRID_SCHEMA", "GridResult"]
 
@@ -90,7 +96,7 @@ class GridResult:
         self.stopwatch.resume()
         write_map(out.file("map.yaml"), self.map)
         self.stopwatch.lap("write")
-        self._draw(out.file("map.png"))
+        self.picture().save(out.file("map.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = self._document()
         out.write_json("run.json", document)
@@ -107,11 +113,30 @@ class GridResult:
             f"{self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
         ]
 
-    def _draw(self, path: Path) -> None:
+    def picture(self) -> Picture:
+        """Draw the map with the trajectory."""
         from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
 
-        picture = draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
-        picture.save(path, optimize=False)
+        return draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each mapped scan: stamp_ns, x_m, y_m and theta_rad.
+
+        Raises
+        ------
+        MissingDependencyError
+            pandas is not installed; the extra ``pandas`` brings it.
+        """
+        return tabulate(self.trajectory)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return describe_result(self, self.source.name, self.caption())
+
+    def _repr_png_(self) -> bytes:
+        from gridslam.viz.notebook import encode_png
+
+        return encode_png(self.picture())
 
     def _document(self) -> dict[str, Any]:
         """What run.json says."""

@@ -14,7 +14,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
 from gridslam.io.digest import digest_of
 from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
+from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import MaximumLikelihood, Told
 from gridslam.models.landmark import LandmarkModel
@@ -81,7 +81,7 @@ def localize_by_landmarks(
         of the map.
     """
     watch = stopwatch or Stopwatch()
-    source = open_landmark_log(log) if isinstance(log, str | Path) else log
+    source = opened_landmark_log(log)
     known = _known(source, landmarks)
     association = _SEEN_IN_MAP if unknown else Told()
     model = sensor or SENSORS[source.kind]

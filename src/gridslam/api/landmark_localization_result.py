@@ -6,11 +6,12 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from gridslam import __version__
+from gridslam.api.showing import describe_result, tabulate
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.landmark_log import LandmarkLog
@@ -19,6 +20,11 @@ from gridslam.io.trajectory import write_trajectory_csv, write_tum
 from gridslam.localization.ekf import EkfLocalizationReport, KnownLandmarks
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, IntArray, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from gridslam.viz.notebook import Picture
 
 __all__ = ["LANDMARK_LOCALIZATION_SCHEMA", "LandmarkLocalizationResult"]
 
@@ -96,7 +102,7 @@ class LandmarkLocalizationResult:
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
         self.stopwatch.lap("write")
-        self._draw(out.file("landmarks.png"))
+        self.picture().save(out.file("landmarks.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = self._document()
         out.write_json("run.json", document)
@@ -134,13 +140,33 @@ class LandmarkLocalizationResult:
             "time": self.stopwatch.to_dict(),
         }
 
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each step: stamp_ns and the columns of trajectory.csv.
+
+        Raises
+        ------
+        MissingDependencyError
+            pandas is not installed; the extra ``pandas`` brings it.
+        """
+        return tabulate(self.trajectory, self.covariances)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return describe_result(self, self.log.path.name, self.caption())
+
+    def _repr_png_(self) -> bytes:
+        from gridslam.viz.notebook import encode_png
+
+        return encode_png(self.picture())
+
     def _compared(self) -> tuple[Trajectory, Trajectory] | None:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
         return covered(self.trajectory, known)
 
-    def _draw(self, path: Path) -> None:
+    def picture(self) -> Picture:
+        """Draw the trajectory and the landmarks, and the truth where it is known."""
         from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
 
         compared = self._compared()
@@ -149,8 +175,7 @@ class LandmarkLocalizationResult:
             map_from_true = inverse(align(compared[0].poses[:, :2], truth.poses[:, :2]))
             truth = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
         exact = np.zeros((len(self.landmarks.names), 2, 2))
-        picture = draw_landmarks(
+        return draw_landmarks(
             self.trajectory, self.landmarks.positions, exact, title=self.log.path.name, caption=self.caption(),
             truth=truth, true_positions=self.landmarks.positions, stamped=self.log.stamped,
         )  # fmt: skip
-        picture.save(path, optimize=False)

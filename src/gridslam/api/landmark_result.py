@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from gridslam import __version__
+from gridslam.api.showing import describe_result, tabulate
 from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_place
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
 from gridslam.geometry.se2 import compose, inverse, transform_points
@@ -18,6 +19,11 @@ from gridslam.io.trajectory import write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.landmark_report import LandmarkMap
 from gridslam.types import FloatArray, IntArray, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from gridslam.viz.notebook import Picture
 
 __all__ = ["LANDMARKS_SCHEMA", "Estimate", "LandmarkResult"]
 
@@ -117,7 +123,7 @@ class LandmarkResult:
             write_tum(out.file("trajectory_online.tum"), Trajectory(self.stamps_ns, self.estimate.online))
         write_landmarks(out.file("landmarks.csv"), self.landmarks)
         self.stopwatch.lap("write")
-        self._draw(out.file("landmarks.png"))
+        self.picture().save(out.file("landmarks.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = self._document()
         out.write_json("run.json", document)
@@ -160,6 +166,25 @@ class LandmarkResult:
             lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")
         return [*lines, f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"]
 
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each step: stamp_ns and the columns of trajectory.csv.
+
+        Raises
+        ------
+        MissingDependencyError
+            pandas is not installed; the extra ``pandas`` brings it.
+        """
+        return tabulate(self.trajectory, self.estimate.covariances)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return describe_result(self, self.log.path.name, self.caption())
+
+    def _repr_png_(self) -> bytes:
+        from gridslam.viz.notebook import encode_png
+
+        return encode_png(self.picture())
+
     def _compared(self) -> tuple[Trajectory, Trajectory] | None:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
@@ -178,7 +203,8 @@ class LandmarkResult:
             pairs = pair_by_place(self.landmarks.positions, known.positions, _true_from_map(*compared))
         return pairs if len(pairs[0]) else None
 
-    def _draw(self, path: Path) -> None:
+    def picture(self) -> Picture:
+        """Draw the trajectory and the landmarks, and the truth where it is known."""
         from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
 
         compared, known, way, points = self._compared(), self.log.truth, None, None
@@ -186,11 +212,10 @@ class LandmarkResult:
             truth, map_from_true = compared[1], inverse(_true_from_map(*compared))
             way = Trajectory(truth.stamps_ns, compose(map_from_true, truth.poses))
             points = transform_points(map_from_true, known.positions)
-        picture = draw_landmarks(
+        return draw_landmarks(
             self.trajectory, self.landmarks.positions, self.landmarks.covariances, title=self.log.path.name,
             caption=self.caption(), truth=way, true_positions=points, stamped=self.log.stamped,
         )  # fmt: skip
-        picture.save(path, optimize=False)
 
 
 def _true_from_map(found: Trajectory, truth: Trajectory) -> FloatArray:

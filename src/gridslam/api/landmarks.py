@@ -11,9 +11,10 @@ import numpy as np
 
 from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
 from gridslam.api.landmark_result import Estimate, LandmarkResult
+from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
-from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
+from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
 from gridslam.models.association import AMBIGUOUS, Association, MaximumLikelihood, Told
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
@@ -100,7 +101,7 @@ def map_landmarks(
     """
     _check(method, particles, seed, unknown)
     watch = stopwatch or Stopwatch()
-    source = open_landmark_log(log) if isinstance(log, str | Path) else log
+    source = opened_landmark_log(log)
     if particles is None and method in PARTICLES:
         particles = PARTICLES_IN_DOUBT if unknown else PARTICLES[method]
     model, motion = sensor or SENSORS[source.kind], motion or (WIDE_MOTION if unknown else MOTION)
@@ -203,7 +204,6 @@ def _check(method: str, particles: int | None, seed: int, unknown: bool) -> None
         raise ArgumentError("method", f"one of {', '.join(METHODS)}", method)
     if particles is not None and (particles < 1 or method not in PARTICLES):
         raise ArgumentError("particles", "at least one, for FastSLAM only", f"{particles} for {method}")
-    if seed < 0:
-        raise ArgumentError("seed", "a number >= 0", seed)
+    require_seed(seed)
     if unknown and method == "graph":
         raise ArgumentError("unknown", "False for the graph, which needs known correspondences", unknown)

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.api.localization_result import LocalizationResult
-from gridslam.api.source import opened_log
+from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import digest_of
-from gridslam.io.log import Log, LogOptions
-from gridslam.io.map_server import LoadedMap, load_map
+from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.map_server import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
@@ -36,7 +36,7 @@ _FOUND, _TRIED_M = 0.2, 5.0  # found at a smaller share of the scans on so long 
 
 
 def localize(
-    log: str | Path | Log,
+    log: LogSource,
     map: str | Path | OccupancyGrid | KnownMap,
     *,
     pose: ArrayLike | None = None,
@@ -72,7 +72,7 @@ def localize(
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
     strict_thresholds : bool
-        Read the thresholds of the map's file literally (see `gridslam.io.map_server.load_map`).
+        Read the thresholds of the map's file literally (see `gridslam.io.map_server.read_map`).
     repair : "needed", "all" or "none"
         As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver
@@ -96,14 +96,13 @@ def localize(
         The log or the map cannot be read, the map has no free or no occupied cell, the log has no odometry or no scan
         that can be used, or nothing in it looks like the map.
     """
-    if seed < 0:
-        raise ArgumentError("seed", "a number >= 0", seed)
-    if threads < 1:
-        raise ArgumentError("threads", "at least one", threads)
+    require_seed(seed)
+    require_threads(threads)
+    require_instance("map", map, str, Path, OccupancyGrid, KnownMap)
+    require_instance("parts", parts, MonteCarloParts, optional=True)
     watch, parts = stopwatch or Stopwatch(), parts or MonteCarloParts()
-    read = opened_log(log, options)
-    source = read if repair == "none" else RepairedLog(read, repair)
-    path, loaded, known = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
+    source = open_repaired(log, options, repair)
+    path, known, remarks = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
     rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, parts)
     state = mcl.init() if pose is None else mcl.around(pose, covariance, rng)
     watch.lap("start")
@@ -112,8 +111,8 @@ def localize(
     driven, taken_out = np.array(told.driven_m), source.repair if isinstance(source, RepairedLog) else None
     _check(source, path, told.reports, driven, parts)
     result = LocalizationResult(
-        told.reports, driven, loaded.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed,
-        threads, source.statistics, source.path, path, digest_of(source.path), loaded.remarks, taken_out or Repair(),
+        told.reports, driven, known.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed,
+        threads, source.statistics, source.path, path, digest_of(source.path), remarks, taken_out or Repair(),
         watch,
     )  # fmt: skip
     watch.lap("finish")
@@ -123,18 +122,19 @@ def localize(
 def known_map(
     source: str | Path | OccupancyGrid | KnownMap, parts: MonteCarloParts, threads: int = 1, *,
     strict_thresholds: bool = False,
-) -> tuple[Path, LoadedMap, KnownMap]:  # fmt: skip
-    """Read a map and lay it out for the filter; the path is empty for one that is at hand.
+) -> tuple[Path, KnownMap, tuple[str, ...]]:  # fmt: skip
+    """Read a map and lay it out; also gives its path, empty for a map at hand, and what is odd about its file.
 
     Raises InputError where a file is no map in which a robot could be.
     """
     if isinstance(source, KnownMap):
-        return Path(), LoadedMap(source.grid, ()), source
+        return Path(), source, ()
     if isinstance(source, OccupancyGrid):
-        return Path(), LoadedMap(source, ()), KnownMap(source, reach_m=parts.reach_m, threads=threads)
-    loaded = load_map(source, strict_thresholds=strict_thresholds)
+        return Path(), KnownMap(source, reach_m=parts.reach_m, threads=threads), ()
+    remarks = list[str]()
+    grid = read_map(source, strict_thresholds=strict_thresholds, tell=remarks.append)
     try:
-        return Path(source), loaded, KnownMap(loaded.grid, reach_m=parts.reach_m, threads=threads)
+        return Path(source), KnownMap(grid, reach_m=parts.reach_m, threads=threads), tuple(remarks)
     except ArgumentError as error:
         raise InputError(source, str(error).removeprefix("map: ")) from None
 

@@ -6,12 +6,13 @@ import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import __version__
+from gridslam.api.showing import describe_result, tabulate
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
 from gridslam.io.log_statistics import LogStatistics
@@ -21,6 +22,11 @@ from gridslam.localization.parts import MonteCarloParts
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from gridslam.viz.notebook import Picture
 
 __all__ = ["BELIEF_HEADER", "LOCALIZATION_SCHEMA", "LocalizationResult", "Stretch"]
 
@@ -137,7 +143,7 @@ class LocalizationResult:
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
         out.file("belief.csv").write_text("\n".join([BELIEF_HEADER, *self._belief(), ""]), encoding="ascii")
         self.stopwatch.lap("write")
-        self._draw(out.file("localization.png"))
+        self.picture().save(out.file("localization.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = self.document()
         out.write_json("run.json", document)
@@ -170,6 +176,28 @@ class LocalizationResult:
             f"{start}; lost at {lost} of {scans} scans",
             f"seed {self.seed}, {self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
         ]
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each scan: stamp_ns, the columns of trajectory.csv, and
+        lost, lost_probability, agreement and particles.
+
+        Raises
+        ------
+        MissingDependencyError
+            pandas is not installed; the extra ``pandas`` brings it.
+        """
+        told = ("lost_probability", "agreement", "particles")
+        more = {name: [getattr(report, name) for report in self.reports] for name in told}
+        return tabulate(self.trajectory, self.covariances, lost=self.lost, **more)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return describe_result(self, self.source.name, self.caption()[:2])
+
+    def _repr_png_(self) -> bytes:
+        from gridslam.viz.notebook import encode_png
+
+        return encode_png(self.picture())
 
     def _input(self) -> dict[str, Any]:
         return {
@@ -211,10 +239,10 @@ class LocalizationResult:
                 f"{r.augmented:.4g}"
             )
 
-    def _draw(self, path: Path) -> None:
+    def picture(self) -> Picture:
+        """Draw the map with the trajectory, and where the robot was lost."""
         from gridslam.viz.localization_picture import draw_localization  # only drawing pays for the import of Pillow
 
-        picture = draw_localization(
+        return draw_localization(
             self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption()
         )  # fmt: skip
-        picture.save(path, optimize=False)

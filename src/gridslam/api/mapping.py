@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from gridslam.api.result import MapResult
-from gridslam.api.source import opened_log
+from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, build, override, with_laser
 from gridslam.config import preset as preset_of
 from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import digest_of
-from gridslam.io.log import Log, LogOptions
+from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
@@ -29,7 +28,7 @@ __all__ = ["map_log"]
 
 
 def map_log(
-    log: str | Path | Log,
+    log: LogSource,
     particles: int | None = None,
     seed: int = 0,
     *,
@@ -99,13 +98,12 @@ def map_log(
     config = config if laser is None else with_laser(config, laser)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
-    read = opened_log(log, options)
-    source = read if repair == "none" else RepairedLog(read, repair)
+    source = open_repaired(log, options, repair)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
     watch.lap("start")
     slam, rng = build(config, threads), np.random.default_rng(seed)
     watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
-    state = run(gate(source), slam, particles=config.particles, rng=rng, observers=watched, stopwatch=watch)
+    state = run(gate(source), slam, rng=rng, observers=watched, stopwatch=watch)
     maps_bytes = state.maps.nbytes
     if not keep_particles:
         state.keep_best()
@@ -149,10 +147,9 @@ def _result(
 
 
 def _check(seed: int, threads: int, chosen: int | str | None, configuration: Configuration | None) -> None:
-    if seed < 0:
-        raise ArgumentError("seed", "a number >= 0", seed)
-    if threads < 1:
-        raise ArgumentError("threads", "at least one", threads)
+    require_seed(seed)
+    require_threads(threads)
+    require_instance("configuration", configuration, Configuration, optional=True)
     if chosen is not None and configuration is not None:
         raise ArgumentError("particles, laser", "none where a configuration is given", chosen)
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from gridslam import __version__
 from gridslam.api.document import run_document
+from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.doctor.repair import Repair
 from gridslam.grid.tiled_grid import TiledGrid
@@ -25,6 +26,11 @@ from gridslam.slam.full_slam import Loops
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from gridslam.viz.notebook import Picture
 
 __all__ = ["MapResult"]
 
@@ -121,7 +127,7 @@ class MapResult:
         write_g2o(out.file("graph.g2o"), self.graph)
         self.record.write(out.file("record.npz"))
         self.stopwatch.lap("write")
-        self._draw(out.file("map.png"), truth)
+        self.picture(truth).save(out.file("map.png"), optimize=False)
         self.stopwatch.lap("draw")
         document = run_document(self)
         out.write_json("run.json", document)
@@ -150,14 +156,33 @@ class MapResult:
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]
 
-    def _draw(self, path: Path, truth: Trajectory | None) -> None:
+    def picture(self, truth: Trajectory | None = None) -> Picture:
+        """Draw the map with the trajectory and its closures; a true trajectory in the map's frame is drawn, too."""
         from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
 
-        picture = draw_map(
+        return draw_map(
             self.drawn, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
             closures=None if self.loops is None else self._drawn(self.loops),
         )  # fmt: skip
-        picture.save(path, optimize=False)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a pandas.DataFrame with a row for each scan: stamp_ns and the columns of trajectory.csv.
+
+        Raises
+        ------
+        MissingDependencyError
+            pandas is not installed; the extra ``pandas`` brings it.
+        """
+        return tabulate(self.trajectory, self.covariances)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return describe_result(self, self.source.name, self.caption())
+
+    def _repr_png_(self) -> bytes:
+        from gridslam.viz.notebook import encode_png
+
+        return encode_png(self.picture())
 
     def _drawn(self, loops: Loops) -> FloatArray:
         """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""

@@ -24,7 +24,7 @@ from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
-from gridslam.io.map_server import load_map
+from gridslam.io.map_server import read_map
 from gridslam.live.options import LiveOptions
 from gridslam.localization.parts import MonteCarloParts
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
@@ -62,7 +62,7 @@ def localize_to_folder(
     source = checked(open_log(log, options), options)
     name, range_max_m, known = source.path.name, read.parts.range_max_m, None
     if live is not None or rerun is not None:
-        known = load_map(map_path, strict_thresholds=strict_thresholds).grid
+        known = read_map(map_path, strict_thresholds=strict_thresholds)
     with ExitStack() as onlookers:
         recording = onlookers.enter_context(rerun_recording(rerun, name, range_max_m, known))
         page = onlookers.enter_context(live_page(live, name, range_max_m, known))

@@ -121,6 +121,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,
+        particles=config.particles,
         threads=threads,
     )
 

@@ -16,7 +16,7 @@ from gridslam.doctor.range_limits import RangeExaminer
 from gridslam.doctor.reader import reader_findings
 from gridslam.doctor.stamps import StampExaminer
 from gridslam.errors import InputError
-from gridslam.io.log import Log
+from gridslam.io.log import Log, LogOptions, LogSource, opened_log
 from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
@@ -80,24 +80,31 @@ class Doctor:
         return Diagnosis.of(log.path, list(findings), lasers, log.statistics, odometry.metres, odometry.radians)
 
 
-def diagnose(log: Log, *, tick: Callable[[], None] = lambda: None) -> Diagnosis:
+def diagnose(
+    log: LogSource, *, options: LogOptions | None = None, tick: Callable[[], None] = lambda: None
+) -> Diagnosis:
     """Read a log once and say what is in it and what is wrong with it.
 
     Parameters
     ----------
-    log : Log
+    log : str, Path or Log
+        The log, of any format that `open_log` knows.
+    options : LogOptions, optional
+        What to read of the log at a path.
     tick : callable
         Called after each scan, to show how far the reading is.
 
     Raises
     ------
+    ArgumentError
+        There are `options` for a log that is open already.
     InputError
         The log has no scan that can be read. One that cannot be read to its end is diagnosed as far as it goes, and
         that is a finding.
     """
-    doctor, broken, scans = Doctor(), None, 0
+    source, doctor, broken, scans = opened_log(log, options), Doctor(), None, 0
     try:
-        for measurement in log:
+        for measurement in source:
             doctor.take(measurement)
             scans += 1
             tick()
@@ -105,8 +112,8 @@ def diagnose(log: Log, *, tick: Callable[[], None] = lambda: None) -> Diagnosis:
         if not scans:
             raise
         broken = _unreadable(error, scans)
-    found = [*doctor.findings(), *reader_findings(log.statistics), doctor.cost()]
-    return doctor.diagnosis(log, found if broken is None else [broken, *found])
+    found = [*doctor.findings(), *reader_findings(source.statistics), doctor.cost()]
+    return doctor.diagnosis(source, found if broken is None else [broken, *found])
 
 
 def _unreadable(error: InputError, scans: int) -> Finding:

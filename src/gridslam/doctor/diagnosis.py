@@ -103,6 +103,11 @@ class Diagnosis:
         ordered = sorted(findings, key=lambda finding: -finding.severity.rank)
         return cls(path, tuple(ordered), lasers, statistics, metres, radians)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        codes = ", ".join(finding.code for finding in self.faults[:5]) + ", ..." * (len(self.faults) > 5)
+        return f"Diagnosis({self.path.name}: {self.worst.value}; {len(self.faults)} faults{': ' * bool(codes)}{codes})"
+
     @property
     def faults(self) -> tuple[Finding, ...]:
         """The findings that are more than information."""

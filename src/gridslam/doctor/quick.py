@@ -8,7 +8,7 @@ from typing import final
 
 from gridslam.doctor.diagnose import Doctor
 from gridslam.doctor.finding import Finding
-from gridslam.io.log import Log
+from gridslam.io.log import Log, LogSource, opened_log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
@@ -54,13 +54,13 @@ class CheckedLog:
         yield from measurements
 
 
-def quick_check(log: Log) -> tuple[Finding, ...]:
+def quick_check(log: LogSource) -> tuple[Finding, ...]:
     """Tell what the first minute of a log (300 scans at the most) shows that is doubtful or spoils the map.
 
     No scan is matched, and what only a whole log can tell, such as that the robot never moves, is left out.
     """
     found: list[Finding] = []
-    for _ in _looked_at(iter(log), found.extend):
+    for _ in _looked_at(iter(opened_log(log)), found.extend):
         pass
     return tuple(found)
 

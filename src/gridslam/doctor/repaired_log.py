@@ -10,11 +10,12 @@ from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
-from gridslam.io.log import Log
+from gridslam.errors import ArgumentError
+from gridslam.io.log import Log, LogOptions, LogSource, opened_log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["RepairedLog"]
+__all__ = ["RepairedLog", "open_repaired"]
 
 
 @final
@@ -80,3 +81,14 @@ def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
         if measurement.scan.sensor == sensor:
             counts.take(measurement.scan)
         yield measurement
+
+
+def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
+    """Open a log as `opened_log` does, and take out of it what `RepairedLog` does, or nothing.
+
+    Raises ArgumentError for another `kind`, too.
+    """
+    if kind not in ("needed", "all", "none"):
+        raise ArgumentError("repair", "needed, all or none", kind)
+    read = opened_log(log, options)
+    return read if kind == "none" else RepairedLog(read, kind)

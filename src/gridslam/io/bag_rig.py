@@ -16,6 +16,7 @@ from gridslam.io.bag_choice import Choice
 from gridslam.io.bag_survey import Step, Survey, moved
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M
+from gridslam.io.odometry_covariance import PoseCovariances
 from gridslam.io.ros_messages import OdometryMessage, StampedTransform
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
 from gridslam.types import Odometry
@@ -24,6 +25,7 @@ __all__ = ["MountedLaser", "Rig"]
 
 _KEEP_S = 5.0  # of odometry: no wider gap is interpolated, and a scan may be this much behind the latest reading
 _ODOMETRY = "(odometry)"  # the parent frame of what an odometry topic tells, apart from the same link on /tf
+_UNKNOWN = np.zeros(3)
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -126,6 +128,8 @@ class Rig:
         self.topics = frozenset(seen.links[link].topic for link in links)
         self._told = {link: seen.links[link].pose for link in links}
         self._poses = dict(self._told)
+        self._covariances = PoseCovariances() if way == [] and choice.odometry else None  # of the base itself
+        self._told_ns: int | None = None
         for link in self._odometry_links - self._moving:
             self._add(link, 0, self._poses[link], static=True)
 
@@ -139,6 +143,9 @@ class Rig:
         pose = message.pose
         self._buffer.add_quaternion(_ODOMETRY, self._child, message.stamp_ns, pose[:3], pose[3:])
         self.latest_ns = message.stamp_ns
+        if self._covariances is not None:
+            seen = np.array(rigid.planar(rigid.from_quaternion(pose[:3], pose[3:]))) if message.covariance else _UNKNOWN
+            self._covariances.add(message.stamp_ns, seen, message.covariance)
 
     def add_transform(self, transform: StampedTransform) -> bool:
         """Take in a transform and tell whether it may be odometry; raises ArgumentError where it is no pose."""
@@ -162,13 +169,16 @@ class Rig:
         return False
 
     def odometry(self, stamp_ns: int) -> tuple[Coverage, Odometry | None]:
-        """Pose of the base in the odometry frame, or why it is not known."""
+        """Pose of the base in the odometry frame, with the covariance since the last told; or why it is not known."""
         try:
             pose = self._buffer.planar(self._frame, self._base, stamp_ns)
         except MissingTransform as missing:
             return missing.coverage, None
         pose.flags.writeable = False
-        return Coverage.KNOWN, Odometry(stamp_ns, pose)
+        covariance, last_ns, self._told_ns = None, self._told_ns, stamp_ns
+        if self._covariances is not None and last_ns is not None:
+            covariance = self._covariances.between(last_ns, stamp_ns)
+        return Coverage.KNOWN, Odometry(stamp_ns, pose, covariance)
 
     def laser(self, frame: str) -> MountedLaser:
         """The laser of this frame."""

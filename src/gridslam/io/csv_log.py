@@ -16,8 +16,9 @@ from gridslam.geometry.angles import wrap
 from gridslam.io.carmen_lines import LineError, parse_stamp_ns
 from gridslam.io.csv_columns import COLUMNS, LASER, ODOMETRY, REQUIRED, angles_of_rotation, rotation_of_angles
 from gridslam.io.log_statistics import LogStatistics, Mounting
-from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, LONGEST_SCAN_S, Measurement
+from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
 from gridslam.io.text_source import TextSource
+from gridslam.scan import LONGEST_SCAN_S
 from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["CsvLog"]

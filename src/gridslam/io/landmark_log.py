@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, final, runtime_checkable
 
-from gridslam.errors import InputError
+from gridslam.arguments import describe
+from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text_source import head_of
 from gridslam.models.sightings import LandmarkStep, SightingKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log"]
+__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "opened_landmark_log"]
 
 _HEAD_BYTES = 4096
 _KNOWN = "an odometry file of UTIAS MRCLAM (.._Odometry.dat) or lines ODOMETRY and LANDMARK (Victoria Park)"
@@ -118,3 +119,12 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
     if first in VictoriaParkLog.TAGS:
         return VictoriaParkLog(where)
     raise InputError(path, f"expected {_KNOWN}, got a line that begins with {first[:40]!r}")
+
+
+def opened_landmark_log(log: str | Path | LandmarkLog) -> LandmarkLog:
+    """Open the log at a path, and give one that is open as it is; raises ArgumentError for what is neither."""
+    if isinstance(log, str | Path):
+        return open_landmark_log(log)
+    if not isinstance(log, LandmarkLog):
+        raise ArgumentError("log", "str, Path or a log as open_landmark_log gives it", describe(log))
+    return log

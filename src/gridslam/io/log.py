@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, final, runtime_checkable
+from typing import Protocol, TypeAlias, final, runtime_checkable
 
+from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Log", "LogOptions", "open_log"]
+__all__ = ["Log", "LogOptions", "LogSource", "open_log", "opened_log"]
 
 
 @runtime_checkable
@@ -80,6 +81,9 @@ class LogOptions:
             raise ArgumentError("every", "a number >= 1", self.every)
 
 
+LogSource: TypeAlias = str | Path | Log
+"""What calls that read a log accept as one: where it is, or what `open_log` gives."""
+
 _ALL = LogOptions()
 
 
@@ -116,3 +120,22 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     from gridslam.io.carmen import CarmenLog
 
     return select(CarmenLog(path, keep_truncated=options.keep_truncated), options)
+
+
+def opened_log(log: LogSource, options: LogOptions | None = None) -> Log:
+    """Open the log at a path, and give one that is open as it is.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither, or there are `options` for a log that is open already.
+    InputError
+        As `open_log`.
+    """
+    if isinstance(log, str | Path):
+        return open_log(log, options or LogOptions())
+    if not isinstance(log, Log):
+        raise ArgumentError("log", "str, Path or a log as open_log gives it", describe(log))
+    if options is not None:
+        raise ArgumentError("options", "none for a log that is open already", options)
+    return log

@@ -124,6 +124,11 @@ class LogStatistics:
     _last_sensor: str = ""
     _last_place: list[float] | None = None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        by_sensor = ", ".join(f"{count} of {sensor}" for sensor, count in list(self.scans.items())[:3])
+        return f"LogStatistics({self.scan_count} scans, {self.duration_s:.1f} s{': ' * bool(by_sensor)}{by_sensor})"
+
     @property
     def scan_count(self) -> int:
         """Number of scans read."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from gridslam.io.map_image import FREE, OCCUPIED, UNKNOWN, occupancy_percent, re
 from gridslam.io.map_yaml import FREE_THRESH, OCCUPIED_THRESH, MapDescription, read_map_description
 from gridslam.types import GridRows, OccupancyGrid
 
-__all__ = ["LoadedMap", "load_map", "read_map", "write_map"]
+__all__ = ["read_map", "write_map"]
 
 _BAND = 64  # rows turned to pixels at a time
 _SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
@@ -53,21 +53,9 @@ def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
     return pixels
 
 
-class LoadedMap(NamedTuple):
-    """A map from a file.
-
-    Attributes
-    ----------
-    grid : OccupancyGrid
-    remarks : tuple of str
-        What is odd about the file, and what was made of it; a sentence each.
-    """
-
-    grid: OccupancyGrid
-    remarks: tuple[str, ...]
-
-
-def load_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> LoadedMap:
+def read_map(
+    yaml_path: str | Path, *, strict_thresholds: bool = False, tell: Callable[[str], None] = lambda remark: None
+) -> OccupancyGrid:
     """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
 
     Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between.
@@ -80,6 +68,8 @@ def load_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> Loade
         Read the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown, whatever
         free_thresh says: it is what every map saver writes for unknown, and a free_thresh of 0.25, as nav2's saver
         writes it, would turn all that was never seen into free space. Where it would, a remark says so.
+    tell : callable
+        Gets what is odd about the file, and what was made of it: a remark of one sentence each.
 
     Raises
     ------
@@ -95,16 +85,12 @@ def load_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> Loade
     odds = np.divide(probability, 1 - probability, out=np.ones(percent.shape), where=known)
     grid = OccupancyGrid(np.log(odds).astype(np.float32), known, description.resolution_m, description.origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
-    remark = (
-        f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
-        f"its {spared} cells are taken as unknown"
-    )
-    return LoadedMap(grid, (remark,) if spared else ())
-
-
-def read_map(yaml_path: str | Path, *, strict_thresholds: bool = False) -> OccupancyGrid:
-    """Read a map by `load_map`, without its remarks."""
-    return load_map(yaml_path, strict_thresholds=strict_thresholds).grid
+    if spared:
+        tell(
+            f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
+            f"its {spared} cells are taken as unknown"
+        )
+    return grid
 
 
 def _log_odds(probability: float) -> float:

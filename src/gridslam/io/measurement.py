@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 from gridslam.types import LaserScan, Odometry
 
-__all__ = ["FARTHEST_LASER_M", "FARTHEST_M", "LONGEST_SCAN_S", "Measurement"]
+__all__ = ["FARTHEST_LASER_M", "FARTHEST_M", "Measurement"]
 
-LONGEST_SCAN_S = 10.0
-"""No planar laser takes so long for a scan: times of beams that say so are none."""
 FARTHEST_M = 1e9
 """No robot on Earth is farther from where its odometry began: such a number is a damaged one."""
 FARTHEST_LASER_M = 100.0

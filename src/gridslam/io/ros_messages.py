@@ -20,13 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "MessageError", "OdometryMessage", "ScanMessage", "StampedTransform", "Wire", "decode_odometry", "decode_scan",
-    "decode_transforms", "kind_of", "wire_of_cdr", "wire_of_ros1",
+    "MessageError", "OdometryMessage", "ScanMessage", "StampedTransform", "Triangle", "Wire", "decode_odometry",
+    "decode_scan", "decode_transforms", "kind_of", "wire_of_cdr", "wire_of_ros1",
 ]  # fmt: skip
 
 Values = tuple[float, float, float, float, float, float, float]
 """Position in m and quaternion xyzw, as the message has them: not necessarily finite or of norm 1."""
 
+Triangle = tuple[float, float, float, float, float, float]
+"""A covariance's xx, xy, x yaw, yy, y yaw and yaw yaw in m and rad, as the message has them: not necessarily one."""
+
+_PLANAR = "2d24xd8xd24xd184xd"  # of 36 numbers in rows of six: x, y, z, roll, pitch, yaw
 _KINDS = {
     "sensor_msgs/LaserScan": "scan",
     "nav_msgs/Odometry": "odometry",
@@ -53,12 +57,16 @@ class ScanMessage(NamedTuple):
 
 
 class OdometryMessage(NamedTuple):
-    """nav_msgs/Odometry, without its covariances and twist: pose of `child_frame` in `frame`."""
+    """nav_msgs/Odometry, without its twist: pose of `child_frame` in `frame`.
+
+    `covariance` is that of x, y and yaw, None where all of it is 0.
+    """
 
     stamp_ns: int
     frame: str
     child_frame: str
     pose: Values
+    covariance: Triangle | None = None
 
 
 class StampedTransform(NamedTuple):
@@ -89,10 +97,11 @@ class Wire:
     header: struct.Struct = field(init=False)
     scan: struct.Struct = field(init=False)
     pose: struct.Struct = field(init=False)
+    spread: struct.Struct = field(init=False)
 
     def __post_init__(self) -> None:
         """Compile the layouts."""
-        for name, layout in (("count", "I"), ("header", "III"), ("scan", "7fI"), ("pose", "7d")):
+        for name, layout in (("count", "I"), ("header", "III"), ("scan", "7fI"), ("pose", "7d"), ("spread", _PLANAR)):
             object.__setattr__(self, name, struct.Struct(self.order + layout))
 
     def string(self, data: bytes, begin: int) -> tuple[str, int]:
@@ -159,9 +168,11 @@ def decode_odometry(data: bytes, wire: Wire) -> OdometryMessage:
         if wire.aligned:
             end += (4 - end) & 7
         pose = wire.pose.unpack_from(data, end)
+        spread = wire.spread.unpack_from(data, end + 56)
     except struct.error as error:
         raise MessageError(str(error)) from None
-    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose)
+    told = spread if any(spread) else None
+    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose, told)
 
 
 def decode_transforms(data: bytes, wire: Wire) -> list[StampedTransform]:

@@ -11,6 +11,7 @@ from gridslam.errors import InputError
 from gridslam.io.log import Log, LogOptions
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
+from gridslam.io.odometry_covariance import CovarianceSum
 
 __all__ = ["SelectedLog", "select"]
 
@@ -65,14 +66,15 @@ class SelectedLog:
         """Read the log from its start."""
         counts, options = LogStatistics(selection=self._selection()), self._options
         self._counts = counts
-        seen: Counter[str] = Counter()
+        seen, since = Counter[str](), CovarianceSum()
         for measurement in self._in_span(counts):
-            sensor = measurement.scan.sensor
+            sensor, odometry = measurement.scan.sensor, since.add(measurement.odometry)
             seen[sensor] += 1
             unwanted = options.scan_topics and sensor not in options.scan_topics
             if unwanted or (seen[sensor] - 1) % options.every:
                 continue
-            chosen = Measurement(None, measurement.scan) if options.no_odometry else measurement
+            since.given()
+            chosen = Measurement(None if options.no_odometry else odometry, measurement.scan)
             counts.count(chosen)
             yield chosen
         missing = [name for name in options.scan_topics if name not in seen]

@@ -14,7 +14,9 @@ from gridslam.io.table import read_table
 from gridslam.io.text_source import read_text
 from gridslam.types import FloatArray, Trajectory
 
-__all__ = ["CSV_HEADER", "read_trajectory_csv", "read_tum", "write_trajectory_csv", "write_tum"]
+__all__ = [
+    "CSV_HEADER", "columns_of_trajectory", "read_trajectory_csv", "read_tum", "write_trajectory_csv", "write_tum",
+]  # fmt: skip
 
 CSV_HEADER = (
     "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"
@@ -89,6 +91,12 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
         file.write(CSV_HEADER + "\n")
         for stamp, row in zip(trajectory.stamps_ns.tolist(), rows, strict=True):
             file.write(_seconds(stamp) + form % tuple(row))
+
+
+def columns_of_trajectory(poses: FloatArray, covariances: FloatArray | None = None) -> dict[str, FloatArray]:
+    """Columns (N,) of poses (N, 3), and of their covariances (N, 3, 3) where given, by `CSV_HEADER`'s names."""
+    parts = [poses] if covariances is None else [poses, covariances[:, _UPPER[0], _UPPER[1]]]
+    return dict(zip(CSV_HEADER.split(",")[1:], np.concatenate(parts, axis=1).T, strict=False))
 
 
 def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:

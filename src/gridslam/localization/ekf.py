@@ -12,12 +12,12 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import frozen
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.models.association import AMBIGUOUS, NEW, Association, Told
 from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.sightings import Sightings
-from gridslam.scan import frozen
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 __all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
@@ -38,6 +38,10 @@ class KnownLandmarks:
 
     names: IntArray
     positions: FloatArray
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"KnownLandmarks({len(self.names)} landmarks)"
 
     @classmethod
     def of(cls, names: ArrayLike, positions: ArrayLike) -> KnownLandmarks:

@@ -76,6 +76,11 @@ class KnownMap:
         self._tabulated: dict[LikelihoodField | CauchyAgreement, FieldTable] = {}
         self._rim = rim
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        height, width = self.free.shape
+        return f"KnownMap({width} x {height} cells of {self.resolution_m:g} m, {self.free_area_m2:.0f} m^2 free)"
+
     @property
     def free_area_m2(self) -> float:
         """Area of all free cells, m^2."""

@@ -23,7 +23,16 @@ from gridslam.models.endpoint import CauchyAgreement
 from gridslam.particles.initial import spread
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize
-from gridslam.types import Beams, FloatArray, LaserScan, MotionModel, MotionSampler, Odometry, Resampler
+from gridslam.types import (
+    Beams,
+    FloatArray,
+    LaserScan,
+    MotionModel,
+    MotionSampler,
+    Odometry,
+    Resampler,
+    require_step,
+)
 
 __all__ = ["MonteCarloLocalization"]
 
@@ -81,7 +90,11 @@ class MonteCarloLocalization:
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Take one scan; consumes `state` (keep one for later with `state.snapshot()`)."""
+        """Take one scan; consumes `state` (keep one for later with `state.snapshot()`).
+
+        Raises ArgumentError for an argument of another kind; `state` is kept then.
+        """
+        require_step(MonteCarloState, state, odometry, scan, rng)
         state = state.take()
         moved = np.zeros(3) if odometry is None else between(state.odometry_or(odometry), odometry.pose)
         beams = self._beams(state, odometry, moved, scan)

@@ -11,14 +11,14 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import frozen
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import Estimate, is_near
 from gridslam.localization.recovery import Averages
 from gridslam.localization.rivals import NO_RIVALS, Rivals
-from gridslam.scan import frozen
-from gridslam.types import FloatArray, IntArray, Odometry
+from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]
 
@@ -78,6 +78,12 @@ class LocalizationReport:
     log_weights: FloatArray | None = None
     parents: IntArray | None = None
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        what = f"{self.particles} particles" if self.skipped is None else self.skipped.value
+        lost = ", lost" if self.lost else ""
+        return f"LocalizationReport({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}, {what}{lost})"
+
 
 @final
 @dataclass(slots=True, eq=False)
@@ -117,6 +123,13 @@ class MonteCarloState:
     last: Odometry | None = None
     updates: int = 0
     consumed: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        if self.consumed:
+            return "MonteCarloState(consumed)"
+        at = f"the robot at {describe_pose(self.estimate.pose)}" if len(self.poses) else "nothing known"
+        return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays, of which `from_arrays` makes a state that goes on to the same bytes."""

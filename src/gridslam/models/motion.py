@@ -65,6 +65,13 @@ class GaussianIncrement:
         """Sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
         return cls(increment, std, increment, np.eye(3))
 
+    @classmethod
+    def with_covariance(cls, increment: FloatArray, covariance: FloatArray) -> GaussianIncrement:
+        """Sampler with noise of a `covariance` (3, 3), by x, y (m) and theta (rad) of `increment` (3,)."""
+        variances, axes = np.linalg.eigh(covariance)
+        std = np.sqrt(np.maximum(variances, 0.0))
+        return cls(np.zeros(3), std, increment, axes, lambda values: increment + values @ axes.T)
+
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw one successor (N, 3) for each pose (N, 3)."""
         noise = rng.standard_normal((len(poses), len(self.mean)))

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import frozen
 from gridslam.errors import ArgumentError
 from gridslam.models.motion import GaussianIncrement
-from gridslam.scan import frozen
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
 __all__ = ["NOTHING_SEEN", "LandmarkStep", "SightingKind", "Sightings"]

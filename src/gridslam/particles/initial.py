@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import frozen, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
@@ -31,10 +32,11 @@ def at_pose(count: int, pose: ArrayLike) -> FloatArray:
     ArgumentError
         If `count` or `pose` is anything else.
     """
+    require_instance("count", count, int, np.integer)
     if count < 1:
         raise ArgumentError("count", "at least one particle", count)
-    mean = np.array(pose, dtype=np.float64)
-    if mean.shape != (3,) or not np.isfinite(mean).all():
+    mean = frozen(pose, np.float64, (3,), "pose").copy()
+    if not np.isfinite(mean).all():
         raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
     mean[2] = wrap(mean[2])
     return np.tile(mean, (count, 1))
@@ -63,9 +65,9 @@ def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Ge
     ArgumentError
         If an argument is anything else.
     """
-    poses = at_pose(count, pose)
-    matrix = np.asarray(covariance, dtype=np.float64)
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+    require_generator(rng)
+    poses, matrix = at_pose(count, pose), frozen(covariance, np.float64, (3, 3), "covariance")
+    if not np.isfinite(matrix).all():
         raise ArgumentError("covariance", "a finite (3, 3) matrix", matrix.tolist())
     rounding = 1e-12 * np.abs(matrix).max()
     variances, axes = np.linalg.eigh(matrix)

@@ -18,6 +18,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
@@ -36,7 +37,7 @@ class Systematic:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
-        ends = _ends(_relative(weights, size))
+        ends = _ends(_relative(weights, size, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -50,7 +51,7 @@ class Stratified:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
-        ends = _ends(_relative(weights, size))
+        ends = _ends(_relative(weights, size, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -64,7 +65,7 @@ class Multinomial:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
-        ends = _ends(_relative(weights, size))
+        ends = _ends(_relative(weights, size, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
 
@@ -78,7 +79,7 @@ class Residual:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
-        relative = _relative(weights, size)
+        relative = _relative(weights, size, rng)
         expected = relative * size / relative.sum()
         counts = np.floor(expected).astype(np.int64)
         rest = size - int(counts.sum())
@@ -109,15 +110,16 @@ class ResamplingWheel:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
-        relative = _relative(weights, size)
+        relative = _relative(weights, size, rng)
         ends = _ends(relative)
         start = rng.random() * ends[-1]
         steps = rng.random(size) * (2.0 * len(relative) / max(size, 1))  # the greatest weight is 1
         return _slots(ends, np.sort(np.mod(start + np.cumsum(steps), ends[-1])))
 
 
-def _relative(weights: FloatArray, size: int) -> FloatArray:
+def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
     """Weights divided by the greatest: subnormal and huge ones add up safely, and sums of equal ones are exact."""
+    require_generator(rng)
     if size < 0:
         raise ArgumentError("size", "a number of particles >= 0", size)
     given = np.asarray(weights, dtype=np.float64)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from dataclasses import replace
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.io.csv_columns import angles_of_rotation, rotation_of_angles
-from gridslam.io.measurement import LONGEST_SCAN_S, Measurement
+from gridslam.io.measurement import Measurement
 from gridslam.io.ros_messages import ScanMessage
-from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["Accepted", "LaserForm", "ScanMaker", "refusal_of"]
 
 _KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
 _TURN_RAD = 6.3
+_NOTHING = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
 _MOVED_M = 0.005  # and rad: what a mounting on /tf may flutter
 
 
@@ -87,7 +88,7 @@ class ScanMaker:
     """
 
     def __init__(self) -> None:
-        self._known: OrderedDict[LaserForm, tuple[ScanGeometry, FloatArray | None]] = OrderedDict()
+        self._known: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
         self._matrix: FloatArray = np.full((4, 4), np.nan)
         self._mounting: tuple[float, ...] = ()
 
@@ -100,20 +101,18 @@ class ScanMaker:
         arrived_s: float,
     ) -> Accepted:
         """Make the measurement of a message that `refusal_of` has nothing against."""
-        lower = float(message.range_min) if message.range_min > 0 else 0.0
-        upper = float(message.range_max) if message.range_max > lower else math.inf
-        tick = float(message.time_increment)
-        timed = tick > 0 and tick * len(message.ranges) < LONGEST_SCAN_S
+        mounting, beams = self._mounted(base_from_laser), len(message.ranges)
+        start, step, tick = (float(v) for v in (message.angle_min, message.angle_increment, message.time_increment))
+        scan = LaserScan.from_ros(
+            message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
+            range_max=message.range_max, time_increment=tick, geometry=self._shared(mounting, start, step, beams),
+            sensor=sensor, frame=message.frame,
+        )  # fmt: skip
         form = LaserForm(
-            sensor, message.frame, self._mounted(base_from_laser), float(message.angle_min),
-            float(message.angle_increment), tick if timed else None, lower, upper, len(message.ranges),
+            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else tick,
+            scan.range_min_m, scan.range_max_m, beams,
         )  # fmt: skip
-        geometry, times = self._shared(form)
-        scan = LaserScan.from_ranges(
-            message.stamp_ns, _readable(message.ranges, lower, upper), geometry, range_min_m=lower, range_max_m=upper,
-            sensor=sensor, frame=message.frame, beam_times_s=times,
-        )  # fmt: skip
-        return Accepted(Measurement(odometry, scan), form, arrived_s)
+        return Accepted(Measurement(odometry, replace(scan, ranges=_readable(scan))), form, arrived_s)
 
     def _mounted(self, matrix: FloatArray) -> tuple[float, ...]:
         if not np.abs(matrix - self._matrix).max() <= _MOVED_M:
@@ -122,24 +121,20 @@ class ScanMaker:
             self._mounting = tuple(value + 0.0 for value in values)  # no -0.0
         return self._mounting
 
-    def _shared(self, form: LaserForm) -> tuple[ScanGeometry, FloatArray | None]:
-        known = self._known.get(form)
+    def _shared(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
+        key = *mounting, start, step, beams
+        known = self._known.get(key)
         if known is None:
-            matrix, number = np.eye(4), np.arange(form.beams)
-            matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*form.mounting[3:]), form.mounting[:3]
-            tick = form.time_increment_s
-            geometry = ScanGeometry(form.angle_min + form.angle_increment * number, matrix)
-            known = self._known[form] = geometry, None if tick is None else number.astype(np.float64) * tick
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*mounting[3:]), mounting[:3]
+            known = self._known[key] = ScanGeometry(start + step * np.arange(beams), matrix)
             if len(self._known) > _KEPT:
                 self._known.popitem(last=False)
         return known
 
 
-def _readable(values: NDArray[np.float32], lower: float, upper: float) -> FloatArray:
+def _readable(scan: LaserScan) -> FloatArray:
     """Ranges (B,) of which only hits keep their value."""
-    with np.errstate(invalid="ignore"):  # of NaNs that signal
-        ranges: FloatArray = values.astype(np.float64)
-    beyond = ranges >= upper
-    ranges[~(ranges >= (lower or 5e-324))] = np.nan
-    ranges[beyond] = np.inf
+    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NOTHING[scan.status])
+    ranges.flags.writeable = False
     return ranges

@@ -42,7 +42,7 @@ def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
     changed = override_parts(amcl.parts, [part for part in str(given.get("set", "")).split(";") if part.strip()])
     placed = changed if changed.pose is not None else amcl
     parts = changed.parts
-    known = known_map(str(path), parts, int(given.get("threads", 1)))[2]
+    known = known_map(str(path), parts, int(given.get("threads", 1)))[1]
     place = None if placed.pose is None else (placed.pose, placed.covariance)
     if place is not None:
         try:

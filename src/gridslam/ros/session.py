@@ -67,12 +67,9 @@ class Session:
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
         """Map all measurements of a source, one after the other."""
-        config, rng = self.configuration, np.random.default_rng(self.seed)
+        slam, rng = build(self.configuration, self.threads), np.random.default_rng(self.seed)
         first, *others = observers
-        run(
-            source, build(config, self.threads), particles=config.particles, rng=rng,
-            observers=[first, *self.observers, *others], stopwatch=self.stopwatch,
-        )  # fmt: skip
+        run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
 
     def add(self, accepted: Accepted) -> None:
         """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""

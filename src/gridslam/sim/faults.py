@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
 from gridslam.sim.odometry_faults import clock_skew, odometry_drift, odometry_rotation_bias, odometry_scale, wheel_slip
@@ -80,6 +81,7 @@ def with_fault(
     ArgumentError
         There is no such fault.
     """
+    require_generator(rng)
     if name not in FAULTS:
         raise ArgumentError("name", f"one of {', '.join(FAULTS)}", repr(name))
     fault = FAULTS[name]

@@ -8,6 +8,7 @@ from typing import final
 
 import numpy as np
 
+from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
 from gridslam.sim.floor_plan import clearance, near
@@ -47,6 +48,10 @@ class SimulatedLog:
         """Return the number of scans N."""
         return len(self.measurements)
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"SimulatedLog({len(self)} scans, {self.truth})"
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +69,10 @@ class SimulatedStream:
     def __len__(self) -> int:
         """Return the number of scans N, those already given included."""
         return len(self.truth)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"SimulatedStream({len(self)} scans, {self.truth})"
 
 
 def simulate(
@@ -106,6 +115,7 @@ def simulate_stream(
     ArgumentError
         If the robot would touch a wall, or no scan is taken during its drive.
     """
+    require_generator(rng)
     lidars = [lidar] if isinstance(lidar, LidarConfig) else list(lidar)
     way = Drive(world.route, robot)
     times = [one.times(way.duration_s) for one in lidars]

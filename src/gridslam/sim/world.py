@@ -48,6 +48,11 @@ class World:
     route: FloatArray
     changes: tuple[Change, ...] = ()
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        metres = float(np.hypot(*np.diff(self.route, axis=0).T).sum())
+        return f"World({self.name}: {len(self.walls)} walls, a route of {metres:.0f} m)"
+
     @classmethod
     def of(cls, name: str, walls: ArrayLike, route: ArrayLike, changes: Sequence[Change] = ()) -> World:
         """Validate and copy.

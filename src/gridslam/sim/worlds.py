@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
 from gridslam.sim.deceptive import bare_corridors, symmetric
 from gridslam.sim.equal_rooms import equal_rooms
@@ -138,6 +139,7 @@ def make_world(name: str, rng: np.random.Generator) -> World:
     ArgumentError
         If there is no world of that name.
     """
+    require_generator(rng)
     if name in DRAWN_WORLDS:
         return DRAWN_WORLDS[name](rng)
     if name not in WORLDS:

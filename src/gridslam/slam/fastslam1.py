@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import require_generator, require_instance
 from gridslam.models.association import NEW
 from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
@@ -71,6 +72,8 @@ class FastSlam1:
         ArgumentError
             The association goes by what the sightings tell, and they tell nothing.
         """
+        require_instance("state", state, LandmarkParticles)
+        require_generator(rng)
         state = state.take()
         poses = motion(state.poses, rng)  # x_t ~ p(x_t | x_t-1, u_t)
         log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)

@@ -12,6 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import require_generator, require_instance
 from gridslam.models.association import NEW
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.models.sightings import Sightings
@@ -67,6 +68,8 @@ class FastSlam2:
         self, state: LandmarkParticles, motion: MotionSampler, sightings: Sightings, rng: np.random.Generator
     ) -> tuple[LandmarkParticles, LandmarkReport]:
         """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
+        require_instance("state", state, LandmarkParticles)
+        require_generator(rng)
         state = state.take()
         mean, spread = predict(state, self.bias, motion, rng)  # of p(x_t, b_t | x_t-1, u_t)
         if not len(sightings):

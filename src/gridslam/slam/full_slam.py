@@ -70,6 +70,10 @@ class Loops:
     candidates: dict[str, TrajectoryScore]
     chosen: str
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"Loops({len(self.closures)} places recognized, {len(self.revisits)} known again, chosen: {self.chosen})"
+
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gridslam.arguments import describe
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
@@ -26,21 +27,25 @@ from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
+from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak, Proposal
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import Tracker
+from gridslam.slam.tracker import Tracked, Tracker
 from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,
     FloatArray,
     LaserScan,
     MotionModel,
+    MotionSampler,
     Odometry,
     Resampler,
     SensorModel,
     SkipReason,
     StepReport,
+    require_measurement,
+    require_step,
 )
 
 __all__ = ["GridFastSlam"]
@@ -78,6 +83,8 @@ class GridFastSlam:
     range_min_m, range_max_m : float
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
+    particles : int, >= 1
+        How many particles `init` begins with, unless it is told otherwise.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -97,13 +104,14 @@ class GridFastSlam:
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
+    particles: int = 30
     threads: int = 1
 
     def init(
         self,
         odometry: Odometry | None,
         scan: LaserScan,
-        particles: int | FloatArray = 30,
+        particles: int | FloatArray | None = None,
         pose: ArrayLike = (0.0, 0.0, 0.0),
     ) -> tuple[GridFastSlamState, StepReport]:
         """Begin with a first scan.
@@ -114,12 +122,20 @@ class GridFastSlam:
             None where there is none: here, at any later scan, or at all of them.
         scan : LaserScan
             One without a usable beam is fine.
-        particles : int or (N, 3) float64
-            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`).
+        particles : int or (N, 3) float64, optional
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`); as many as
+            the filter's own `particles` if not given.
+        pose : (3,) float64
+            Where they start, map frame [x m, y m, theta rad].
+
+        Raises
+        ------
+        ArgumentError
+            An argument is of another kind, or the tracker needs odometry and there is none.
         """
-        poses = at_pose(int(particles), pose) if np.ndim(particles) == 0 else np.array(particles, np.float64)
-        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
-            raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", f"{particles!r:.60}")
+        require_measurement(odometry, scan)
+        particles = self.particles if particles is None else particles
+        poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = scan.beams(self.range_min_m, self.range_max_m)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
@@ -141,12 +157,13 @@ class GridFastSlam:
 
         Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
         """
+        require_step(GridFastSlamState, state, odometry, scan, rng)
         state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
-        tracked = self.tracker.step(state.tracker, odometry, scan.stamp_ns, beams)
+        tracked, noise = self._track(state, odometry, beams)
         beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
-        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)  # predict
+        motion = self._predict(state, tracked, noise)  # predict
         weigh = self.sensor(beams)
         proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.joint, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
@@ -167,6 +184,23 @@ class GridFastSlam:
         parents = kept if report.parents is None else report.parents[kept]
         return replace(report, parents=parents, best=state.best)
 
+    def _track(
+        self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
+    ) -> tuple[Tracked, OdometryNoise | None]:
+        """Track a scan, by odometry unless that is told to be of no use; and what is told of its noise."""
+        tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
+        if odometry is not None and isinstance(tracker, Tracker):
+            seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
+            odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
+        noise = OdometryNoise.told(state, odometry, matched=isinstance(tracker, Tracker))
+        state.odometry_covariance = None if noise is None else noise.covariance
+        return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
+
+    def _predict(self, state: GridFastSlamState, tracked: Tracked, noise: OdometryNoise | None) -> MotionSampler:
+        """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
+        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)
+        return motion if noise is None else noise.added(motion, state.key_pose, tracked.predicted)
+
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
     ) -> tuple[GridFastSlamState, StepReport]:
@@ -181,3 +215,14 @@ class GridFastSlam:
             if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
                 return SkipReason.BETWEEN_KEY_SCANS
         return None if len(beams) else SkipReason.NO_VALID_BEAM
+
+
+def _given(particles: object) -> FloatArray:
+    """Poses (N, 3) that were given as particles, copied."""
+    try:
+        poses = np.array(particles, np.float64)
+    except (TypeError, ValueError):
+        poses = np.empty(0)
+    if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
+        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", describe(particles))
+    return poses

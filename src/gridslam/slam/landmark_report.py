@@ -60,3 +60,7 @@ class LandmarkMap:
     def __len__(self) -> int:
         """Return the number M of landmarks."""
         return len(self.names)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} sightings)"

@@ -40,6 +40,10 @@ class PoseGraph:
     information: FloatArray
     trusted: NDArray[np.bool_]
 
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"PoseGraph({len(self.poses)} poses, {len(self.edges)} measurements)"
+
     @classmethod
     def of(
         cls,

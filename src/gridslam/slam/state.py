@@ -17,7 +17,7 @@ from gridslam.particles.weights import normalize
 from gridslam.slam.memory import Memory
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.tracker import TrackerState
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
@@ -53,6 +53,8 @@ class GridFastSlamState:
         Whether the last key scan agreed with the best map too little.
     memory : Memory or None
         What loop closure remembers, where it is at work.
+    odometry_covariance : (3, 3) float64 or None
+        What the log told of the odometry's noise since the pose from which it goes on (see `OdometryNoise`).
     """
 
     tracker: TrackerState
@@ -66,7 +68,15 @@ class GridFastSlamState:
     ancestry: Ancestry
     lost: bool = False
     memory: Memory | None = None
+    odometry_covariance: FloatArray | None = None
     consumed: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        if self.consumed:
+            return "GridFastSlamState(consumed)"
+        best, lost = describe_pose(self.poses[self.best]), ", lost" if self.lost else ""
+        return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
 
     @property
     def best(self) -> int:
@@ -79,7 +89,7 @@ class GridFastSlamState:
         self.consumed = True
         return GridFastSlamState(
             self.tracker, self.key_pose, self.sensor_key_poses, self.poses, self.log_weights, self.log_ancestry,
-            self.covariance, self.maps, self.ancestry, self.lost, self.memory,
+            self.covariance, self.maps, self.ancestry, self.lost, self.memory, self.odometry_covariance,
         )  # fmt: skip
 
     def advance(self, proposed: Proposed, key_pose: FloatArray, sensor: str) -> None:
@@ -128,6 +138,8 @@ class GridFastSlamState:
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
         own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))
+        if self.odometry_covariance is not None:
+            own["odometry_covariance"] = self.odometry_covariance
         own["sensors"] = np.array(list(self.sensor_key_poses), np.str_)
         parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
         parts.append(("ancestry", self.ancestry.to_arrays()))
@@ -150,6 +162,7 @@ class GridFastSlamState:
 
         try:
             own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
+            own["odometry_covariance"] = arrays.get("odometry_covariance")
             memory = part("memory")
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),

@@ -23,10 +23,11 @@ from gridslam.types import Resampler
 RESAMPLERS = [ResamplingWheel(), Systematic(), Stratified(), Residual(), Multinomial()]
 
 
-class Uniform:
+class Uniform(np.random.Generator):
     """A generator that gives the same uniform number each time."""
 
     def __init__(self, value: float) -> None:
+        super().__init__(np.random.PCG64(0))
         self.value = value
 
     def random(self, size: int | None = None) -> float | np.ndarray:

@@ -1,0 +1,103 @@
+"""Checks of what callers hand in: each raises an ArgumentError that names the argument, the expected and what came."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ArgumentError
+
+__all__ = [
+    "describe",
+    "frozen",
+    "is_covariance",
+    "require_array",
+    "require_covariance",
+    "require_generator",
+    "require_instance",
+    "require_seed",
+    "require_threads",
+]  # fmt: skip
+
+
+def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+    """A read-only copy of `values` with the given dtype and shape (None: any length)."""
+    try:
+        array: NDArray[Any] = np.array(values, dtype=dtype)
+    except (TypeError, ValueError):
+        raise ArgumentError(name, f"numbers of shape {shape} (None: any)", describe(values)) from None
+    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    if not fits:
+        raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
+    array.flags.writeable = False
+    return array
+
+
+def require_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
+    """Refuse what is no NumPy array of exactly this dtype and shape; nothing is converted."""
+    if isinstance(array, np.ndarray) and array.dtype.type is dtype and array.dtype.isnative and array.shape == shape:
+        return  # the way of every scan
+    if not isinstance(array, np.ndarray) or array.dtype != dtype:
+        got = f"one of {array.dtype}" if isinstance(array, np.ndarray) else describe(array)
+        raise ArgumentError(name, f"an array of {np.dtype(dtype)}", got)
+    if array.shape != shape:
+        raise ArgumentError(name, f"shape {shape}", array.shape)
+
+
+def require_covariance(name: str, matrix: object) -> None:
+    """Refuse what is no symmetric positive definite (3, 3) float64 array."""
+    require_array(name, matrix, np.float64, (3, 3))
+    assert isinstance(matrix, np.ndarray)
+    if not is_covariance(matrix):
+        raise ArgumentError(name, "a finite, symmetric and positive definite matrix", matrix.tolist())
+
+
+def is_covariance(matrix: NDArray[np.float64]) -> bool:
+    """Whether a (3, 3) matrix is finite, symmetric and positive definite, both beyond rounding."""
+    if not np.isfinite(matrix).all():
+        return False
+    scale = np.sqrt(np.abs(np.diagonal(matrix)))
+    if not scale.all():
+        return False
+    correlation = matrix / np.outer(scale, scale)  # of m and rad alike
+    symmetric = bool(np.abs(correlation - correlation.T).max() <= 1e-6)
+    return symmetric and float(np.linalg.eigvalsh(correlation)[0]) > 1e-9
+
+
+def require_instance(name: str, value: object, *kinds: type, optional: bool = False) -> None:
+    """Refuse a value of none of these classes; None passes where it is `optional`, and no bool as an int."""
+    if (optional and value is None) or (isinstance(value, kinds) and not isinstance(value, bool)):
+        return
+    expected = " or ".join([kind.__name__ for kind in kinds] + ["None"] * optional)
+    raise ArgumentError(name, expected, describe(value))
+
+
+def require_generator(rng: object) -> None:
+    """Refuse what is no random generator, such as a seed."""
+    if not isinstance(rng, np.random.Generator):
+        raise ArgumentError("rng", "a numpy.random.Generator, as numpy.random.default_rng makes it", describe(rng))
+
+
+def require_seed(seed: object) -> None:
+    """Refuse what is no integer >= 0."""
+    require_instance("seed", seed, int, np.integer)
+    assert isinstance(seed, int | np.integer)
+    if seed < 0:
+        raise ArgumentError("seed", "a number >= 0", seed)
+
+
+def require_threads(threads: object) -> None:
+    """Refuse what is no integer >= 1."""
+    require_instance("threads", threads, int, np.integer)
+    assert isinstance(threads, int | np.integer)
+    if threads < 1:
+        raise ArgumentError("threads", "at least one", threads)
+
+
+def describe(value: object) -> str:
+    """A value in a message: itself where it is short, else its class."""
+    text = "" if isinstance(value, np.ndarray) else repr(value)
+    kind = type(value).__name__
+    return f"{text} ({kind})" if 0 < len(text) <= 40 else f"a {kind}"

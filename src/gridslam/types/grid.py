@@ -1,0 +1,115 @@
+"""The map as it is published, written and shown."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.arguments import frozen, require_array, require_instance
+from gridslam.errors import ArgumentError
+from gridslam.scan import FloatArray
+from gridslam.types.png import encode_grey
+
+__all__ = ["GridRows", "OccupancyGrid"]
+
+_UNKNOWN, _MOST_PX = 205, 1000
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class OccupancyGrid:
+    """A rectangular map, as it is published and written.
+
+    Attributes
+    ----------
+    log_odds : (H, W) float32, nats
+        Log-odds of occupancy; meaningful where `known`.
+    known : (H, W) bool
+        Whether any beam has told anything about the cell.
+    resolution_m : float
+        Side of a cell.
+    origin : (float, float), m
+        World coordinates of the lower left corner of cell [0, 0].
+    """
+
+    log_odds: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    resolution_m: float
+    origin: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        """Check that all belongs together."""
+        require_instance("log_odds", self.log_odds, np.ndarray)
+        if self.log_odds.ndim != 2:
+            raise ArgumentError("log_odds", "shape (H, W)", self.log_odds.shape)
+        require_array("known", self.known, np.bool_, self.log_odds.shape)
+        if not 0 < self.resolution_m < math.inf:
+            raise ArgumentError("resolution_m", "a finite length > 0 m", self.resolution_m)
+        frozen(self.origin, np.float64, (2,), "origin")
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        (height, width), cell_m = self.known.shape, self.resolution_m
+        known = f"{self.known.mean():.0%} known" if self.known.any() else "no cell known"
+        sides = f"{width * cell_m:.1f} m x {height * cell_m:.1f} m"
+        return f"OccupancyGrid({width} x {height} cells of {cell_m:g} m, {sides}, {known})"
+
+    def _repr_png_(self) -> bytes | None:
+        """Picture for notebooks: occupied is black, free white, unknown grey, the first row at the bottom."""
+        if not self.known.size:
+            return None
+        levels = np.where(self.known, np.clip(255 * (1 - self.probability), 0, 255), np.inf)
+        return encode_grey(np.where(np.isinf(shrunk := _darkest(levels)), _UNKNOWN, shrunk).astype(np.uint8)[::-1])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        height, width = self.known.shape
+        return height, width
+
+    def rows(self, first: int, last: int) -> OccupancyGrid:
+        """Rows `first` to `last` - 1, sharing the arrays."""
+        x, y = self.origin
+        origin = x, y + first * self.resolution_m
+        return OccupancyGrid(self.log_odds[first:last], self.known[first:last], self.resolution_m, origin)
+
+    @property
+    def probability(self) -> NDArray[np.float32]:
+        """Occupancy probability (H, W); 0.5 where unknown."""
+        odds = np.where(self.known, self.log_odds, np.float32(0))
+        return (1.0 / (1.0 + np.exp(-odds))).astype(np.float32)
+
+
+class GridRows(Protocol):
+    """A rectangular map that may be had a few rows at a time: an `OccupancyGrid`, or one that stays in its tiles."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+
+    @property
+    def resolution_m(self) -> float:
+        """Side of a cell."""
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """World coordinates (m) of the lower left corner of cell [0, 0]."""
+
+    def rows(self, first: int, last: int) -> OccupancyGrid:
+        """Rows `first` to `last` - 1."""
+
+
+def _darkest(levels: FloatArray) -> FloatArray:
+    """Levels (H, W) in blocks so large that neither side has more than `_MOST_PX`: the least of each block stays."""
+    block = -(-max(levels.shape) // _MOST_PX)
+    if block == 1:
+        return levels
+    margins = [(0, -side % block) for side in levels.shape]
+    padded = np.pad(levels, margins, constant_values=np.inf)
+    height, width = (side // block for side in padded.shape)
+    least: FloatArray = padded.reshape(height, block, width, block).min(axis=(1, 3))
+    return least

@@ -1,0 +1,187 @@
+"""The values that travel between the parts: odometry, trajectories, matches and reports."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.arguments import frozen, require_array, require_covariance, require_generator, require_instance
+from gridslam.errors import ArgumentError
+from gridslam.scan import FloatArray, IntArray, LaserScan
+from gridslam.types.words import describe_pose, describe_time
+
+__all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "require_measurement", "require_step"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Odometry:
+    """Where the wheels believe the robot to be; `at` makes it of plain numbers.
+
+    Attributes
+    ----------
+    stamp_ns : int, ns
+        When.
+    pose : (3,) float64
+        Of the base in the odometry frame, [x m, y m, theta rad], finite.
+    covariance : (3, 3) float64 or None, m^2, m rad, rad^2
+        Of the motion since the log's odometry before this one, by x, y and theta in the base frame at that time;
+        symmetric and positive definite. None where nothing trustworthy is known.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is of another type, shape or range.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check what is given."""
+        require_instance("stamp_ns", self.stamp_ns, int, np.integer)
+        require_array("pose", self.pose, np.float64, (3,))
+        if not math.isfinite(sum(self.pose.tolist())):
+            raise ArgumentError("pose", "finite x, y, theta", self.pose.tolist())
+        if self.covariance is not None:
+            require_covariance("covariance", self.covariance)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        known = "" if self.covariance is None else ", with covariance"
+        return f"Odometry({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}{known})"
+
+    @classmethod
+    def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
+        """Copy what is given; raises ArgumentError as the constructor does."""
+        checked = frozen(pose, np.float64, (3,), "pose")
+        spread = None if covariance is None else frozen(covariance, np.float64, (3, 3), "covariance")
+        return cls(stamp_ns, checked, spread)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Stamps (N,) int64 ns, in the order of the measurements (they may go backwards), and poses (N, 3)."""
+
+    stamps_ns: IntArray
+    poses: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check that there is one stamp for each pose."""
+        require_array("stamps_ns", self.stamps_ns, np.int64, (len(self.stamps_ns),))
+        require_array("poses", self.poses, np.float64, (len(self.stamps_ns), 3))
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps_ns)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        if not len(self):
+            return "Trajectory(0 poses)"
+        seconds = float(self.stamps_ns.max() - self.stamps_ns.min()) * 1e-9
+        metres = float(np.hypot(*np.diff(self.poses[:, :2], axis=0).T).sum())
+        return f"Trajectory({len(self)} poses, {seconds:.1f} s, {metres:.1f} m)"
+
+
+def require_measurement(odometry: object, scan: object) -> None:
+    """Refuse what is no measurement for a filter: neither of them, or both in the wrong order."""
+    require_instance("odometry", odometry, Odometry, optional=True)
+    require_instance("scan", scan, LaserScan)
+
+
+def require_step(kind: type, state: object, odometry: object, scan: object, rng: object) -> None:
+    """Refuse what is no state of this kind, no measurement or no random generator: before a step consumes the state."""
+    require_instance("state", state, kind)
+    require_measurement(odometry, scan)
+    require_generator(rng)
+
+
+class SkipReason(Enum):
+    """Why a scan did not step the particles."""
+
+    BETWEEN_KEY_SCANS = "between key scans"
+    NO_VALID_BEAM = "no valid beam"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Result of matching one scan from K guesses.
+
+    Attributes
+    ----------
+    poses : (K, 3) float64
+        Where the scan fits best.
+    information : (K, 3, 3) float64
+        Normal matrix of the beams' distances to the map in m (no prior) at the poses, by x and y in m and theta in rad,
+        in the world frame: divided by a beam's variance in m^2 it is the information.
+    score : (K,) float64
+        Sum over beams of the robust weights in [0, B]: how many beams agree with the map.
+    """
+
+    poses: FloatArray
+    information: FloatArray
+    score: FloatArray
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class StepReport:
+    """What one step of the filter tells its observers.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Stamp of the scan.
+    pose, covariance : (3,), (3, 3) float64
+        Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
+    key_from_base : (3,) float64
+        The robot seen from the last key scan before this one, as tracked.
+    undetermined : (2,) float64 or None
+        Unit vector in the map frame along which the scan did not determine the position.
+    lost : bool
+        The scan agrees with the map too little to trust the pose.
+    skipped : SkipReason or None
+        Why the particles were not stepped; None at a key scan.
+    best : int
+        Index of the best particle after this step.
+    n_eff : float
+        Effective sample size before resampling.
+    poses, log_weights : (N, 3), (N,) float64 or None
+        Particles at a key scan, before resampling; log weights are normalized.
+    parents : (N,) int64 or None
+        For each particle after the step the index of the one it continues; None where nothing was resampled.
+    closures : tuple of (int, int)
+        Key scans just recognized to show one place, older and later one, counted from 0.
+    corrected : bool
+        The past was corrected after this step: all particles have a new trajectory and map.
+    """
+
+    stamp_ns: int
+    pose: FloatArray
+    covariance: FloatArray
+    key_from_base: FloatArray
+    undetermined: FloatArray | None = None
+    lost: bool = False
+    skipped: SkipReason | None = None
+    best: int = 0
+    n_eff: float = field(default=float("nan"))
+    poses: FloatArray | None = None
+    log_weights: FloatArray | None = None
+    parents: IntArray | None = None
+    closures: tuple[tuple[int, int], ...] = ()
+    corrected: bool = False
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        what = f"key scan, n_eff {self.n_eff:.1f}" if self.skipped is None else self.skipped.value
+        lost = ", lost" if self.lost else ""
+        return f"StepReport({describe_time(self.stamp_ns)}: {describe_pose(self.pose)}, {what}{lost})"

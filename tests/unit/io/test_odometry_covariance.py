@@ -1,0 +1,139 @@
+"""Which covariances of a bag's poses tell the noise of the motion from scan to scan, and which tell nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import ros_bags
+from ros_bags import KINDS, drive
+
+from gridslam.api import convert_log
+from gridslam.geometry.compounding import compound_covariance, increment_covariance
+from gridslam.geometry.se2 import between, compose
+from gridslam.io.bag import BagLog
+from gridslam.io.log import LogOptions, open_log
+from gridslam.io.odometry_covariance import CovarianceSum, PoseCovariances
+from gridslam.types import Odometry
+
+RATE = np.array([[1e-3, 2e-4, 1e-4], [2e-4, 5e-4, 5e-5], [1e-4, 5e-5, 2e-3]])
+"""Noise of a second of motion, by x, y and theta in the base frame: m^2, m rad and rad^2."""
+
+
+def pose(at_s):
+    """Of the drive of `ros_bags`."""
+    return np.array([at_s, 0.0, 0.1 * at_s])
+
+
+def grown(at_s, begin_s=0.0, step_s=0.05, start=1e-4):
+    """Covariance of the pose after a time, as a robot adds it up that knows its noise; some at the start."""
+    where, covariance, steps = np.zeros(3), start * np.eye(3), round((at_s - begin_s) / step_s)
+    for k in range(steps):
+        step = between(pose(begin_s + k * step_s), pose(begin_s + (k + 1) * step_s))
+        covariance = compound_covariance(where, covariance, step, step_s * RATE)
+        where = compose(where, step)
+    return covariance
+
+
+def covariances(folder, said, kind="ros1", **options):
+    return [odometry.covariance for odometry, _ in BagLog(ros_bags.write(folder, kind, said), LogOptions(**options))]
+
+
+def test_what_was_compounded_can_be_undone():
+    rng = np.random.default_rng(0)
+    moved, increment, root = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(3, 3))
+    both = compound_covariance(moved, np.eye(3), increment, root @ root.T)
+    np.testing.assert_allclose(increment_covariance(moved, np.eye(3), increment, both), root @ root.T, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
+    told = covariances(tmp_path, drive(covariance=grown), kind)
+    assert len(told) == 20
+    assert told[:2] == [None] * 2  # nothing moved before the first, and growth is believed from the third reading on
+    for k, found in enumerate(told[2:], 2):
+        exact = grown(0.06 + 0.1 * k, 0.1 * k - 0.04, 1e-3, 0.0)
+        # readings are 5 cm apart: half of that times the heading's variance is not seen between them
+        np.testing.assert_allclose(found, exact, rtol=0.02, atol=0.025 * 2e-4)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        lambda at_s: None,
+        lambda at_s: 1e-3 * np.eye(3),
+        lambda at_s: np.diag([1e-3, 1e-3, 1e3]),
+        lambda at_s: np.diag([1e-9, 1e-3, 1e-9]) if at_s < 1 else np.diag([1e-3, 1e-3, 1e3]),
+        lambda at_s: 1e9 * np.eye(3),
+        lambda at_s: np.full((3, 3), np.nan),
+        lambda at_s: np.diag([at_s, at_s, np.inf]),
+        lambda at_s: 1e307 * at_s * np.eye(3),
+        lambda at_s: -grown(at_s),
+        lambda at_s: np.diag([at_s, at_s, 0.0]),
+        lambda at_s: np.diag([1e-3 * at_s, 1e-3 * at_s, 1e-3]),
+        lambda at_s: grown(2.0 - at_s),
+        lambda at_s: 1e5 * grown(at_s),
+        lambda at_s: np.diag([1e-3, 1e-3, 1e-3]) if round(at_s * 20) % 2 else np.diag([1e-2, 1e-2, 1e-2]),
+    ],
+    ids=[
+        "zero", "constant", "absurd heading", "two constants", "huge", "nan", "infinite", "large as can be", "negative",
+        "no heading", "heading that does not grow", "falling", "growing by metres", "alternating",
+    ],
+)  # fmt: skip
+def test_what_tells_nothing_is_absent(tmp_path, covariance):
+    assert covariances(tmp_path, drive(covariance=covariance)) == [None] * 20
+
+
+def test_a_robot_that_stands_keeps_what_it_has_proved():
+    known, count = PoseCovariances(), 20
+    for k in range(count):  # drives for ten readings, and stands
+        at_s = min(k, 10) * 0.05
+        covariance = grown(at_s)
+        known.add(k, pose(at_s), tuple(covariance[np.triu_indices(3)].tolist()))
+    np.testing.assert_allclose(known.between(12, 15), 3e-8 * np.eye(3))
+    assert known.between(0, 5) is None  # not proved then
+    assert known.between(5, 5) is None
+    assert known.between(15, 25) is None
+
+
+def test_stamps_that_go_back_begin_anew():
+    known = PoseCovariances()
+    for k in [*range(10), 3, 4]:
+        known.add(k, pose(0.05 * k), tuple(grown(0.05 * k)[np.triu_indices(3)].tolist()))
+    assert known.between(3, 4) is None
+
+
+def test_of_every_second_scan_the_noise_is_that_of_both(tmp_path):
+    path = ros_bags.write(tmp_path, "ros1", drive(covariance=grown))
+    every, others = ([m.odometry.covariance for m in open_log(path, LogOptions(every=n))] for n in (1, 2))
+    for k in range(2, 10):
+        first, second = (between(pose(at_s - 0.1), pose(at_s)) for at_s in (0.2 * k - 0.04, 0.2 * k + 0.06))
+        expected = compound_covariance(first, every[2 * k - 1], second, every[2 * k])
+        np.testing.assert_allclose(others[k], expected, rtol=1e-3)
+
+
+def test_one_unknown_among_those_left_out_leaves_the_sum_unknown():
+    since, known = CovarianceSum(), Odometry.at(0, np.zeros(3), np.eye(3))
+    told, silent = [], Odometry.at(1, np.ones(3))
+    for odometry, given in ((known, True), (silent, False), (known, True), (None, False), (known, True)):
+        told.append(since.add(odometry))
+        if given:
+            since.given()
+    assert told[0] is known
+    assert told[2].covariance is None
+    assert told[3] is None
+    assert told[4] is known
+
+
+def test_formats_without_a_place_for_it_say_so(tmp_path):
+    path = ros_bags.write(tmp_path, "ros1", drive(covariance=grown))
+    for name in ("log.csv", "log.clf", "log.mcap"):
+        assert convert_log(path, tmp_path / name).lost["covariances of odometry"] == 18
+    assert "covariances of odometry" not in convert_log(tmp_path / "log.csv", tmp_path / "other.csv").lost
+
+
+@pytest.mark.parametrize("name", ["p3dx_trace0.bag", "p3dx_sim_truth.bag", "turtlebot4_floor"])
+def test_of_the_real_bags_none_tells_any(data_dir: Path, name: str):
+    """Zeros (the simulator, the TurtleBot 4), and the constant 1e-3, 1e-3, 1e3 (the Pioneer)."""
+    assert all(odometry is None or odometry.covariance is None for odometry, _ in open_log(data_dir / "bags" / name))

@@ -1,0 +1,86 @@
+"""Scans from the fields of a ROS message: one constructor for readers, nodes and users."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se3 import from_planar
+from gridslam.io.bag_scans import ScanMaker
+from gridslam.io.ros_messages import ScanMessage
+from gridslam.ros import accepted
+from gridslam.types import BeamStatus, LaserScan
+
+HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
+RANGES = np.array([1.0, 0.05, 30.0, np.inf, np.nan, -1.0, 0.0, 29.9], np.float32)
+FIELDS = {"angle_min": -1.5, "angle_increment": 0.25, "range_min": 0.1, "range_max": 30.0}
+
+
+def test_the_fields_of_a_message_become_a_scan():
+    mounting = from_planar(np.array([0.2, -0.1, 0.5]))
+    names = {"sensor": "/s", "frame": "f"}
+    scan = LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3, base_from_laser=mounting, **names)
+    assert (scan.stamp_ns, scan.sensor, scan.frame, scan.range_min_m, scan.range_max_m) == (7, "/s", "f", 0.1, 30.0)
+    assert scan.status.tolist() == [HIT, INVALID, NO_RETURN, NO_RETURN, INVALID, INVALID, INVALID, HIT]
+    assert np.array_equal(scan.geometry.bearings, -1.5 + 0.25 * np.arange(8))
+    assert np.array_equal(scan.geometry.base_from_laser, mounting)
+    assert np.array_equal(scan.beam_times_s, np.arange(8) * 1e-3)
+    assert np.array_equal(scan.ranges, RANGES.astype(np.float64), equal_nan=True)
+
+
+def test_a_list_without_limits_will_do():
+    scan = LaserScan.from_ros(0, [1.0, math.inf, 0.0], angle_min=0.0, angle_increment=0.1)
+    assert scan.status.tolist() == [HIT, NO_RETURN, INVALID]
+    assert scan.beam_times_s is None
+
+
+@pytest.mark.parametrize(
+    ("told", "meant"),
+    [((0.0, 0.0), (0.0, math.inf)), ((-1.0, 5.0), (0.0, 5.0)), ((math.nan, math.nan), (0.0, math.inf)),
+     ((1.0, 0.5), (1.0, math.inf)), ((0.5, math.inf), (0.5, math.inf)), ((math.inf, math.inf), (0.0, math.inf))],
+)  # fmt: skip
+def test_limits_that_mean_nothing_are_none(told, meant):
+    scan = LaserScan.from_ros(0, [2.0], angle_min=0.0, angle_increment=0.1, range_min=told[0], range_max=told[1])
+    assert (scan.range_min_m, scan.range_max_m) == meant
+
+
+@pytest.mark.parametrize("increment", [0.0, -1e-3, math.nan, 10.0, math.inf])
+def test_times_that_mean_nothing_are_none(increment):
+    scan = LaserScan.from_ros(0, [2.0, 2.0], angle_min=0.0, angle_increment=0.1, time_increment=increment)
+    assert scan.beam_times_s is None
+
+
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [({"angle_min": math.nan}, "angle_min"), ({"angle_increment": math.inf}, "angle_min, angle_increment"),
+     ({"base_from_laser": np.zeros((4, 4))}, "base_from_laser")],
+)  # fmt: skip
+def test_fields_that_are_none_are_refused(change, argument):
+    with pytest.raises(ArgumentError, match=argument):
+        LaserScan.from_ros(0, RANGES, **FIELDS | change)
+    with pytest.raises(ArgumentError, match="ranges"):
+        LaserScan.from_ros(0, [[1.0]], **FIELDS)
+
+
+def test_readers_and_nodes_make_the_same_of_a_message():
+    message = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES)
+    scans = [
+        LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3),
+        ScanMaker().scan(message, 7, "/s", np.eye(4)),
+        accepted.ScanMaker().measurement(message, "/s", np.eye(4), None, 0.0).measurement.scan,
+    ]
+    hit = scans[0].status == HIT
+    for scan in scans:
+        assert np.array_equal(scan.status, scans[0].status)
+        assert np.array_equal(scan.ranges[hit], scans[0].ranges[hit])
+        assert np.array_equal(scan.geometry.directions, scans[0].geometry.directions)
+        assert np.array_equal(scan.beam_times_s, scans[0].beam_times_s)
+
+
+def test_geometries_are_shared():
+    message, maker, mounting = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES), ScanMaker(), np.eye(4)
+    first, second = (maker.scan(message, stamp_ns, "/s", mounting) for stamp_ns in (7, 8))
+    assert first.geometry is second.geometry
