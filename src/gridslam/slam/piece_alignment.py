@@ -88,8 +88,8 @@ class PieceAlignment:
     same_m : float, m
         Hypotheses nearer than this, in the median of the key scans, are one.
     alike : float
-        The piece looks alike in itself where, in its own map, the next best place of half its key scans fits this well,
-        as a part of how the right one does.
+        The piece looks alike in itself where, in its own map, the next best place of a quarter of its key scans fits
+        this well, as a part of how the right one does.
     share : float
         Share of the beams that must agree for a key scan to give a constraint.
     least : int
@@ -251,10 +251,10 @@ class PieceAlignment:
         """Whether a piece fits its own map elsewhere as well: there its like may stand where nobody has been."""
         within = replace(self.search, window_m=self.search.window_m / 2, window_rad=0.35)
         ratios = []
-        for key in keys[:: max(len(keys) // 8, 1)].tolist():
+        for key in keys[min(places.query, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
             found = within.search(own, memory.graph.poses[key], None, self._points(memory, places, key))
             ratios.append(0.0 if found is None else found.other_share / found.share)
-        return float(np.median(ratios)) >= self.alike
+        return float(np.quantile(ratios, 0.75)) >= self.alike
 
     def _ties(
         self, memory: Memory, places: PlaceParameters, maps: TileMaps, keys: IntArray, old: IntArray, best: _Alignment
