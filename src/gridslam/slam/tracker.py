@@ -142,7 +142,8 @@ class Tracker:
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
-        if math.isnan(told[0]) or not state.learned.trusted or self._jumped(state, at, stamp_ns):
+        useless = not (state.learned.trusted or self.search.comes_seldom(state))  # then velocities tell less
+        if math.isnan(told[0]) or useless or self._jumped(state, at, stamp_ns):
             return self._by_velocity(state, seconds)
         increment = state.learned.corrected(told)
         moved, turned = _motion(increment)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import final
 
 import numpy as np
@@ -38,7 +37,13 @@ class OdometrySearch:
     gap_s, gap_way : float, s, m + rad
         Where so much time passed between two scans, and so much was driven by the odometry, the laser was blind.
     gates : tuple of float
-        Standard deviations of the odometry within which is searched, one after the other.
+        Standard deviations of the odometry within which is searched, one after the other. Those of the position are the
+        ones learned, once they are: where the odometry has been right to centimetres, a place half a metre off is
+        another one that looks alike.
+    known_stretches : float
+        After so many stretches (see `OdometryCalibration`) the errors of the position are learned.
+    least_m : float, m
+        The standard deviation of the position counts as this at least.
     certain_share : float
         Share of the beams from which on a place is taken without looking farther.
     gains : tuple of float
@@ -49,7 +54,8 @@ class OdometrySearch:
     window : BranchAndBound
         How is searched; its `gate` is not used.
     anywhere : BranchAndBound
-        How is searched where nothing certain was found within the gates: a turn was not counted at all.
+        How is searched where nothing certain was found within the gates: a turn was not counted at all. The position
+        is within the widest gate; a half turn is left out, as corridors and rooms look alike after one.
     anywhere_share, anywhere_gain : float
         Share of the beams that must agree with a place found so, and how many more than with any before.
     unique : float
@@ -67,9 +73,11 @@ class OdometrySearch:
     gates: tuple[float, ...] = (2.0, 5.0, 12.0)
     gains: tuple[float, ...] = (0.1, 0.1, 0.3)
     certain_share: float = Field(default=0.7, gt=0, le=1)
+    known_stretches: float = Field(default=20, ge=0)
+    least_m: float = Field(default=0.05, gt=0)
     overlap: float = Field(default=0.4, gt=0, le=1)
     window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, floor=0.3)
-    anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, floor=0.5)
+    anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=2.2, floor=0.5)
     anywhere_share: float = Field(default=0.8, gt=0, le=1)
     anywhere_gain: float = Field(default=0.3, ge=0, le=1)
     unique: float = Field(default=0.85, gt=0, le=1)
@@ -81,14 +89,19 @@ class OdometrySearch:
     def is_far(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan was taken so long ago, or so far away, that velocities tell nothing."""
         driven = predicted.moved_m + predicted.turned_rad > self.gap_way and predicted.seconds >= self.gap_s
-        return self._comes_seldom(state) or driven
+        return self.comes_seldom(state) or driven
 
     def was_blind(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether scans come often, but none came while the robot drove on: it may be anywhere that looks alike."""
-        return not self._comes_seldom(state) and self.is_far(state, predicted)
+        return not self.comes_seldom(state) and self.is_far(state, predicted)
 
-    def _comes_seldom(self, state: TrackerState) -> bool:
+    def comes_seldom(self, state: TrackerState) -> bool:
+        """Whether scans are far apart, in time or by the way driven between them."""
         return state.period_s > self.seldom_s or state.stride > self.seldom_way
+
+    def _is_usual(self, state: TrackerState, predicted: Prediction) -> bool:
+        """Whether the robot drove about as far as it does between two scans, so that the errors learned hold."""
+        return self.comes_seldom(state) and predicted.moved_m + predicted.turned_rad < 2 * max(state.stride, 0.5)
 
     def control(self, state: TrackerState, found: Found) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
@@ -108,7 +121,9 @@ class OdometrySearch:
         """Search the local map for a scan around where the odometry predicts it."""
         pyramid, best = Pyramid.of(state.maps, state.active), Found(predicted.pose, predicted, matched=True, poor=True)
         learned_m, learned_rad = np.sqrt(state.learned.variances).tolist()
-        sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
+        known = state.learned.stretches >= self.known_stretches and self._is_usual(state, predicted)
+        sigma_m = max(learned_m, self.least_m if known else predicted.sigma_m)
+        sigma_rad = max(learned_rad, predicted.sigma_rad)
         for gate, gain in zip(self.gates, self.gains, strict=True):
             covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
@@ -118,7 +133,8 @@ class OdometrySearch:
             best = found if found.share > best.share + gain else best
             if best.share >= self.certain_share:
                 return best
-        place = self.anywhere.search(pyramid, predicted.pose, None, beams.ends)
+        reach = np.diag([gate * sigma_m, gate * sigma_m, self.anywhere.window_rad]) / self.anywhere.gate
+        place = self.anywhere.search(pyramid, predicted.pose, np.square(reach), beams.ends)
         if place is None or place.other_share > self.unique * place.share:
             return best
         found = self._refined(state, place.pose, predicted, beams)
