@@ -133,7 +133,8 @@ class OdometrySearch:
             best = found if found.share > best.share + gain else best
             if best.share >= self.certain_share:
                 return best
-        reach = np.diag([gate * sigma_m, gate * sigma_m, self.anywhere.window_rad]) / self.anywhere.gate
+        reach_m = self.gates[-1] * sigma_m if self.gates else self.anywhere.window_m
+        reach = np.diag([reach_m, reach_m, self.anywhere.window_rad]) / self.anywhere.gate
         place = self.anywhere.search(pyramid, predicted.pose, np.square(reach), beams.ends)
         if place is None or place.other_share > self.unique * place.share:
             return best
