@@ -122,7 +122,7 @@ class LaserScan:
         return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
 
     @classmethod
-    def from_ros(
+    def from_ros(  # noqa: PLR0913 the message's fields, by their names
         cls,
         stamp_ns: int,
         ranges: ArrayLike,
