@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,11 +10,8 @@ import pytest
 from far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 import gridslam
-from gridslam.io.carmen_writer import write_carmen
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
 from doubled_walls import Walls, judge_folder
+from gridslam.io.carmen_writer import write_carmen
 
 CLEAN: dict[str, np.ndarray] = {}
 
