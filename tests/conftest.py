@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.register_assert_rewrite("real_logs")
+pytest.register_assert_rewrite("support.real_logs")
 
 TESTS = Path(__file__).parent
 

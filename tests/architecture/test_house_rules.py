@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 
 import pytest
-from house import ROOT, Source, sources
+
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
+from support.house import ROOT, Source, sources
 
 EXTRAS = {"pooch", "pandas"}
 """Of the dependencies, what is installed on demand."""

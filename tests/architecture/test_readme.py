@@ -7,11 +7,11 @@ import re
 import textwrap
 
 import numpy as np
-from house import ROOT
 
 import gridslam
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.house import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 

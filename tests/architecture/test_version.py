@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from importlib.metadata import version
 
-from house import ROOT
-
 import gridslam
+from support.house import ROOT
 
 
 def test_the_installed_version_is_the_packages():

@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 import pytest
-from loops import PROVOKED
 
 from gridslam import map_log
+from support.loops import PROVOKED
 
 FILES = (
     "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o", "map.pgm", "map.yaml",

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from localization_world import drive as flat_drive
-from localization_world import flat_map
 
 from gridslam.api import convert_log, map_log
 from gridslam.config import Configuration
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import write_map
+from support.localization_world import drive as flat_drive
+from support.localization_world import flat_map
 
 SYSTEM_PYTHON, PACKAGES = "/usr/bin/python3", "/usr/lib/python3/dist-packages"
 SUPPORT = Path(__file__).resolve().parents[1] / "support"

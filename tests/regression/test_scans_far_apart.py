@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 import gridslam
 from doubled_walls import Walls, judge_folder
 from gridslam.io.carmen_writer import write_carmen
+from support.far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 CLEAN: dict[str, np.ndarray] = {}
 

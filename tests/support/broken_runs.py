@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 
 import numpy as np
-from broken_logs import broken_logs, whole_logs
 
 from gridslam.api import convert_log, map_log
 from gridslam.cli.main import main
@@ -23,6 +22,7 @@ from gridslam.doctor.report import document
 from gridslam.errors import InputError
 from gridslam.io.log import LogOptions, open_log
 from gridslam.viz.chart import draw_chart
+from support.broken_logs import broken_logs, whole_logs
 
 _LIMIT_S = 20.0
 """For a log that takes a tenth of a second, on a machine however busy."""

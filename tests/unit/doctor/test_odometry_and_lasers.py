@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_logs import BEARINGS, drive, findings, seen, view
 
 from gridslam.doctor import Severity
 from gridslam.doctor.cost import expected_cost
@@ -16,6 +15,7 @@ from gridslam.doctor.reader import reader_findings
 from gridslam.io.log_statistics import LogStatistics, Topic
 from gridslam.io.measurement import Measurement
 from gridslam.types import ScanGeometry
+from support.hand_logs import BEARINGS, drive, findings, seen, view
 
 
 @pytest.mark.parametrize(

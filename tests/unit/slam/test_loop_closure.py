@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import hall
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from gridslam.slam.proposals import Prior
 from gridslam.slam.submaps import drawn
 from gridslam.slam.ties import Source
 from gridslam.types import Odometry, StepReport
+from support import hall
 
 SLIPS = slice(70, 150)
 RECOGNITION = replace(hall.EAGER, believed_m=1e-3)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import hall
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from gridslam.slam.memory import Memory
 from gridslam.slam.piece_alignment import PieceAlignment
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.ties import Source
+from support import hall
 
 LAP = 95
 """Key scans of a lap in the hall."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import hall
 import numpy as np
 import pytest
 
@@ -14,6 +13,7 @@ from gridslam.slam.drift import Drift
 from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.ties import Source
+from support import hall
 
 LAP = 95
 """Key scans of a lap in the hall."""

@@ -1,4 +1,4 @@
-"""The rules that hold file by file, as a linter: python tests/support/house_rules.py.
+"""The rules that hold file by file, as a linter: python tests/house_rules.py.
 
 A module imports only lower ranks or its own folder, and of others' work only what the project declares, where it
 belongs.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import sys
 
-from house import IMPURE_FROM, RANKS, Source, sources
+from support.house import IMPURE_FROM, RANKS, Source, sources
 
 ONLY_IN = {
     "click": {"cli"},
