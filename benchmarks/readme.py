@@ -53,9 +53,11 @@ def block() -> str:
     ]
     head = ["", "gridslam", "the filter alone", *(system["name"] for system in others["systems"].values())]
     rows = [_cells(log, row, present, others) for log in _LOGS for row in _ROWS]
+    machine = present["machine"]
+    load = machine["load, yardstick"].partition(",")[0]
     return (
-        f"Commit {present['commit'][:7]}, {seeds.pop()} seeds, {present['machine']['machine']}. Beside commit "
-        f"{ratio['to']}: {'; '.join(changes)}.\n\n{table(head, rows)}\n"
+        f"Commit {present['commit'][:7]}, {seeds.pop()} seeds; {machine['machine']}, at a load of {load}.\n"
+        f"Beside commit {ratio['to']}: {'; '.join(changes)}.\n\n{table(head, rows)}\n"
     )
 
 
