@@ -20,10 +20,10 @@ from gridslam.sim.worlds import DRAWN_WORLDS
 from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 from report import Report, Target, table
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
-from lost_and_found import DECEPTIVE, ORDINARY, Building, Woken
-from meeting_rooms import MeetingRooms
-from real_localization import Mapped, follow, found_after_m, metres, way
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from support.lost_and_found import DECEPTIVE, ORDINARY, Building, Woken
+from support.meeting_rooms import MeetingRooms
+from support.real_localization import Mapped, follow, found_after_m, metres, way
 
 __all__ = ["localization"]
 

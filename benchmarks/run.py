@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import logs
@@ -64,33 +64,35 @@ def _run(sections: Sequence[str], given: argparse.Namespace, folder: Path, repor
         report.add("No real logs", f"There is none in {given.data}: only simulated ones were run.")
     main_log = found[0] if found else logs.simulated("demo", folder)
     part = logs.first_scans(main_log, 1000, folder) if quick else main_log
-    if "accuracy" in sections:
+    seeds = range(given.seeds)
+
+    def accuracy_section() -> None:
         worlds = [logs.simulated(world, folder) for world in (_WORLDS[:1] if quick else _WORLDS)]
-        accuracy([*found, *worlds], range(given.seeds), report, pictures)
-    if "start" in sections:
-        starts(main_log, report, 3 if quick else 9)
-    if "particles" in sections:
-        scaling.particles(part, (10, 30, 100) if quick else (10, 30, 100, 300, 1000), report)
-    if "size" in sections:
-        scaling.map_size((50, 100) if quick else (50, 100, 200, 300), folder, report)
-    if "threads" in sections:
-        scaling.threads(part, (1, 2), report)
-    if "beams" in sections:
-        scaling.beams((180, 360) if quick else (180, 360, 720, 1080), folder, report, 300 if quick else None)
-    if "kernels" in sections:
+        accuracy([*found, *worlds], seeds, report, pictures)
+
+    def kernels_section() -> None:
         report.add("Kernels: 30 particles, one thread", kernel_times(record(), 7 if quick else 20))
-    if "places" in sections:
-        place_search(report)
-    if "graphs" in sections:
-        graphs(given.data, report, 3 if quick else 7)
-    if "closures" in sections:
-        closures(report, range(given.seeds))
-    if "reading" in sections:
-        reading(report, 2000 if quick else 10_000)
-    if "localization" in sections:
-        localization(report, given.data, range(given.seeds), folder, 20 if quick else 100)
-    if "landmarks" in sections:
-        landmarks(report, given.data, range(given.seeds), 10 if quick else 100)
+
+    runs: dict[str, Callable[[], object]] = {
+        "accuracy": accuracy_section,
+        "start": lambda: starts(main_log, report, 3 if quick else 9),
+        "particles": lambda: scaling.particles(part, (10, 30, 100) if quick else (10, 30, 100, 300, 1000), report),
+        "size": lambda: scaling.map_size((50, 100) if quick else (50, 100, 200, 300), folder, report),
+        "threads": lambda: scaling.threads(part, (1, 2), report),
+        "beams": lambda: scaling.beams(
+            (180, 360) if quick else (180, 360, 720, 1080), folder, report, 300 if quick else None
+        ),
+        "kernels": kernels_section,
+        "places": lambda: place_search(report),
+        "graphs": lambda: graphs(given.data, report, 3 if quick else 7),
+        "closures": lambda: closures(report, seeds),
+        "reading": lambda: reading(report, 2000 if quick else 10_000),
+        "localization": lambda: localization(report, given.data, seeds, folder, 20 if quick else 100),
+        "landmarks": lambda: landmarks(report, given.data, seeds, 10 if quick else 100),
+    }
+    for name in _SECTIONS:
+        if name in sections:
+            runs[name]()
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import os
-import sys
 import warnings
 from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent / "support"))  # what several tiers share
-pytest.register_assert_rewrite("real_logs")
+pytest.register_assert_rewrite("support.real_logs")
+
+TESTS = Path(__file__).parent
+
+TIERS = {
+    "browser": ("contracts/page/",),
+    "ros": (
+        "contracts/test_ros1_node.py", "contracts/test_dds_node.py", "contracts/test_fastdds_peer.py",
+        "unit/ros/test_dds_transport.py",
+    ),
+    "long": ("long/",),
+}  # fmt: skip
+"""Tests of another tier than the default, by where they are; those that take `data_dir` are of `real_logs`."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -20,6 +30,17 @@ def pytest_configure(config: pytest.Config) -> None:
         from gridslam.kernels import backend, compiled
     if os.environ.get("GRIDSLAM_REQUIRE_COMPILED") == "1" and not compiled:
         raise pytest.UsageError(f"expected the compiled kernels, got {backend.__file__}")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give every test the marker of its tier, unless it has the default's."""
+    for item in items:
+        path = item.path.relative_to(TESTS).as_posix()
+        for tier, paths in TIERS.items():
+            if path.startswith(paths):
+                item.add_marker(tier)
+        if "data_dir" in getattr(item, "fixturenames", ()):
+            item.add_marker("real_logs")
 
 
 @pytest.fixture(scope="session")

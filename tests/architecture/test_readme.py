@@ -7,11 +7,12 @@ import re
 import textwrap
 
 import numpy as np
-from house import ROOT
 
 import gridslam
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from readme import BLOCK, block, quoted, strangers
+from support.house import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -24,6 +25,21 @@ def shown(name: str) -> str:
 def test_the_trunk_is_the_code():
     code = textwrap.dedent(inspect.getsource(gridslam.GridFastSlam.step)).rstrip()
     assert shown("trunk") == code, "copy GridFastSlam.step into README.md"
+
+
+def test_the_figures_are_those_of_the_committed_results():
+    assert BLOCK.search(README)[0] == block(), "python benchmarks/readme.py writes them"
+
+
+def test_sentences_tell_no_figure_that_is_not_among_the_committed_results():
+    section = re.search(r"^## Figures\n(.*?)^## ", README, re.DOTALL | re.MULTILINE)[1]
+    assert strangers(section) == []
+    words = " ".join(section.split())
+    assert [text for text in quoted() if text not in words] == []
+
+
+def test_a_figure_without_a_result_is_seen():
+    assert strangers("It takes 2.5 to 3.5 ms and 738 MB, not 17 ms.") == ["17 ms"]
 
 
 def test_the_five_lines_and_the_loop_run(tmp_path, monkeypatch, capsys):

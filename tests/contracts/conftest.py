@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from landmark_world import MOTION, drive, ring
-from loops import loop_drive
 
 from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
@@ -15,6 +13,8 @@ from gridslam.io.trajectory import write_tum
 from gridslam.models.landmark import RelativePosition
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory
+from support.landmark_world import MOTION, drive, ring
+from support.loops import loop_drive
 
 SCANS = 120
 

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from loops import PROVOKED
 from PIL import Image
 
 from gridslam import __version__
@@ -33,6 +32,7 @@ from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.memory import Rejection
 from gridslam.types import Trajectory
+from support.loops import PROVOKED
 
 FILES = {
     "map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o",

@@ -7,7 +7,6 @@ from itertools import islice
 
 import numpy as np
 import pytest
-import ros_bags
 
 from gridslam.api.conversion import convert_log
 from gridslam.errors import ArgumentError
@@ -15,6 +14,7 @@ from gridslam.io.carmen import CarmenLog
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.trajectory import read_tum
 from gridslam.types import BeamStatus
+from support import ros_bags
 
 PRECISE = "more than single precision of ranges"
 

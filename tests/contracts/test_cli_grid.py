@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from same_map import assert_same_map
 
 from gridslam import __version__
 from gridslam.api import map_log
@@ -24,6 +23,7 @@ from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_tum, write_tum
 from gridslam.mapping.known_poses import Unplaced
 from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
+from support.same_map import assert_same_map
 
 FILES = {"map.yaml", "map.pgm", "map.png", "run.json"}
 

@@ -11,8 +11,6 @@ import threading
 from contextlib import contextmanager
 
 import pytest
-from localization_world import drive, flat_map
-from onlookers import Onlooker
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -20,6 +18,8 @@ from gridslam.cli import live as live_module
 from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.map_server import read_map, write_map
+from support.localization_world import drive, flat_map
+from support.onlookers import Onlooker
 
 SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
 FEW = "--particles", "4"

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from localization_world import drive, flat_map
 from PIL import Image
 
 from gridslam.api.localization import localize
@@ -23,6 +22,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_wo
 from gridslam.sim.floor_plan import box
 from gridslam.sim.scan_faults import reflected_laser
 from gridslam.types import OccupancyGrid
+from support.localization_world import drive, flat_map
 
 FILES = {"trajectory.tum", "trajectory.csv", "belief.csv", "localization.png", "run.json"}
 

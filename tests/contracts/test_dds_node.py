@@ -13,16 +13,16 @@ import pytest
 
 cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
-from dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
-from localization_world import drive as flat_drive  # noqa: E402
-from localization_world import flat_map  # noqa: E402
-from onlookers import Onlooker  # noqa: E402
-from ros_node import scan_message  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 from gridslam.io.map_server import write_map  # noqa: E402
 from gridslam.io.ros_messages import StampedTransform  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
+from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
+from support.localization_world import drive as flat_drive  # noqa: E402
+from support.localization_world import flat_map  # noqa: E402
+from support.onlookers import Onlooker  # noqa: E402
+from support.ros_node import scan_message  # noqa: E402
 
 PATIENT = "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", "queue:=60.0", "-p", "transform_wait:=60.0"
 IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
-from dds_peer import Node, free_domain
+from support.dds_peer import Node, free_domain
 
 PEER = Path(__file__).resolve().parents[1] / "support" / "fastdds_peer.cpp"
 

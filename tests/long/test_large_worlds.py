@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from timed import drive
 
 import gridslam
 from gridslam.evaluation import absolute_errors
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join, place
+from support.timed import drive
 
 WIDTH_M = 2.4
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from far_apart import SPARSE, gmapping_path, off_from
-from real_logs import ACES, INTEL, check_csail, check_seed, csail_end_error, errors_of
 
 import gridslam
+from support.far_apart import SPARSE, gmapping_path, off_from
+from support.real_logs import ACES, INTEL, check_csail, check_seed, csail_end_error, errors_of
 
 SEEDS = range(10)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from timed import drive
 
 import gridslam
 from gridslam.evaluation import absolute_errors
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from support.timed import drive
 
 LAPS = 100
 

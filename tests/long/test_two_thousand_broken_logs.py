@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from broken_runs import read_broken_logs, run_broken_logs
+from support.broken_runs import read_broken_logs, run_broken_logs
 
 
 def test_two_thousand_broken_logs(tmp_path, record_property):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_graphs import random_graph
 
 from gridslam.geometry.se2 import between
 from gridslam.slam.graph_marginals import marginal_covariances
 from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
 from gridslam.slam.graph_slam import GraphSlam
+from support.random_graphs import random_graph
 
 SEEDS = range(8)
 

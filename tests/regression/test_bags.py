@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ros_bags
 
 from gridslam.api import map_log
 from gridslam.errors import InputError
@@ -15,6 +14,7 @@ from gridslam.evaluation.trajectory import absolute_errors
 from gridslam.io.bag import BagLog
 from gridslam.io.log import LogOptions
 from gridslam.types import Trajectory
+from support import ros_bags
 
 
 @pytest.fixture(scope="session")

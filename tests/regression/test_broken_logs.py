@@ -5,7 +5,7 @@ So does what diagnoses and converts one. Two thousand of them are in the long ti
 
 from __future__ import annotations
 
-from broken_runs import read_broken_logs, run_broken_logs
+from support.broken_runs import read_broken_logs, run_broken_logs
 
 
 def test_two_hundred_broken_logs(tmp_path):

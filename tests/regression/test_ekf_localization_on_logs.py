@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from landmark_world import MOTION, drive, ring
 
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.evaluation import check_consistency, nees
@@ -12,6 +11,7 @@ from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.landmark import RangeBearing
+from support.landmark_world import MOTION, drive, ring
 
 RUNS, STEPS = 100, 200
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

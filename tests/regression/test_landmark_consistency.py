@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from landmark_world import INCREMENT, MOTION, drive, ring
 
 from gridslam.evaluation import Consistency, check_consistency, nees
 from gridslam.models.landmark import RangeBearing
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.slam.ekf_slam import EkfSlam
+from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 RUNS, STEPS = 100, 200
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from localization_world import RandomWalk, drive, flat_map
-from lost_and_found import Building, Woken
 
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
 from gridslam.models.likelihood_field import LikelihoodField
+from support.localization_world import RandomWalk, drive, flat_map
+from support.lost_and_found import Building, Woken
 
 RUNS = 100
 FIRST = np.diag([0.01, 0.01, 0.0025])

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from meeting_rooms import MeetingRooms
-from real_localization import Mapped, follow, found_after_m, metres, way
 
 from gridslam.api.localization import localize
 from gridslam.evaluation.trajectory import absolute_errors
@@ -13,6 +11,8 @@ from gridslam.io.log import open_log
 from gridslam.io.map_server import read_map
 from gridslam.localization import KnownMap
 from gridslam.types import Trajectory
+from support.meeting_rooms import MeetingRooms
+from support.real_localization import Mapped, follow, found_after_m, metres, way
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from closure_worlds import DECEPTIVE, deceptive
 from gridslam.config import Configuration, build
 from gridslam.evaluation import absolute_errors, closure_errors, false_closures
 from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
@@ -19,12 +18,9 @@ from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.ties import Source
 from gridslam.types import Trajectory
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-from closure_worlds import DECEPTIVE, deceptive
-
 CONFIG = Configuration()
 PARTICLES = 10
+
 
 @dataclass(frozen=True)
 class Driven:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from real_logs import ACES, INTEL, check_csail, check_seed, csail_end_error, errors_of
+
+from support.real_logs import ACES, INTEL, check_csail, check_seed, csail_end_error, errors_of
 
 
 @pytest.mark.parametrize("band", [INTEL, ACES], ids=lambda band: band.log)

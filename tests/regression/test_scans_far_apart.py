@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 import gridslam
-from gridslam.io.carmen_writer import write_carmen
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
 from doubled_walls import Walls, judge_folder
+from gridslam.io.carmen_writer import write_carmen
+from support.far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 CLEAN: dict[str, np.ndarray] = {}
 

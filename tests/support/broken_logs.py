@@ -12,13 +12,13 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
-import ros_bags
-from ros_bags import Said
 
 from gridslam.api import convert_log
 from gridslam.io.csv_writer import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support import ros_bags
+from support.ros_bags import Said
 
 _SCANS = 12
 _BEAMS = 40

@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 
 import numpy as np
-from broken_logs import broken_logs, whole_logs
 
 from gridslam.api import convert_log, map_log
 from gridslam.cli.main import main
@@ -23,6 +22,7 @@ from gridslam.doctor.report import document
 from gridslam.errors import InputError
 from gridslam.io.log import LogOptions, open_log
 from gridslam.viz.chart import draw_chart
+from support.broken_logs import broken_logs, whole_logs
 
 _LIMIT_S = 20.0
 """For a log that takes a tenth of a second, on a machine however busy."""
@@ -35,9 +35,7 @@ def run_broken_logs(folder: Path, count: int, seed: int, whole_command_every: in
 
     A log is cut off as often read as far as it goes as not; every so many-th is given to the command itself.
     """
-    return _came(
-        folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library
-    )
+    return _came(folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library)
 
 
 def read_broken_logs(folder: Path, count: int, seed: int) -> Counter[str]:

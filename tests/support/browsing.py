@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from loops import PROVOKED
 
 from gridslam.config import build
 from gridslam.pipeline import run
+from support.loops import PROVOKED
 
 PATIENCE_S = 60.0
 

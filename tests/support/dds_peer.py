@@ -12,10 +12,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ros_node import mounting, odometry_message, scan_message
-
 from gridslam.io.measurement import Measurement
 from gridslam.ros.cdr import fields_of
+from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface address='127.0.0.1'/></Interfaces>"

@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-from gridslam.geometry.se2 import between
-from gridslam.grid import tiles
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 import accuracy
 import kernels
@@ -20,6 +14,8 @@ import measure
 import places
 import run
 import scaling
+from gridslam.geometry.se2 import between
+from gridslam.grid import tiles
 from report import Report, Target, table
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import islice, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import doubled_walls
+from doubled_walls import Walls, judge_walls
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.map_server import write_map
@@ -16,11 +16,6 @@ from gridslam.io.trajectory import write_tum
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
 from gridslam.types import OccupancyGrid, Trajectory
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
-import doubled_walls
-from doubled_walls import Walls, judge_walls
 
 CELL_M, WIDE_M = 0.05, 1.0
 

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-from gridslam.geometry.se2 import between
-from gridslam.slam.pose_graph import PoseGraph
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
 import recognition
 import recognition_drives as drives
 import recognition_logs as harder
 import recognition_scores as scores
+from gridslam.geometry.se2 import between
+from gridslam.slam.pose_graph import PoseGraph
 
 SURE = np.diag([400.0, 400.0, 1000.0])
 

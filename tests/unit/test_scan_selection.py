@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gridslam.scan import Thinning
 from gridslam.types import LaserScan, ScanGeometry
 
 
@@ -54,7 +55,13 @@ def test_where_all_is_near_as_many_beams_are_kept_as_scans_have_that_are_not_den
 
 
 def test_without_a_spacing_all_are_used():
-    assert len(scan_of(np.full(5000, 3.0), turn(5000)).beams(0.05, 30.0, 0.0)) == 5000
+    assert len(scan_of(np.full(5000, 3.0), turn(5000)).beams(0.05, 30.0, Thinning(0.0))) == 5000
+
+
+def test_what_counts_as_dense_is_a_parameter():
+    scan = scan_of(np.full(400, 0.3), turn(400))
+    assert len(scan.beams(0.05, 30.0)) == 400
+    assert 99 <= len(scan.beams(0.05, 30.0, Thinning(dense_beams=100))) <= 101
 
 
 def test_only_usable_beams_count():
@@ -72,7 +79,7 @@ def test_any_dense_scan_gives_some_of_its_beams_in_their_order(seed):
     beams = int(rng.integers(401, 3000))
     bearings = rng.uniform(-7, 7, beams) if seed % 2 else np.full(beams, 0.1)  # in no order, or all the same
     scan = scan_of(rng.uniform(-1, 40, beams).astype(np.float32), bearings)
-    every, used = scan.beams(0.05, 30.0, 0.0), scan.beams(0.05, 30.0)
+    every, used = scan.beams(0.05, 30.0, Thinning(0.0)), scan.beams(0.05, 30.0)
     assert used.indices[0] == every.indices[0]
     assert (np.diff(used.indices) > 0).all()
     kept = np.isin(every.indices, used.indices)

@@ -106,7 +106,7 @@ def map_with_poses(
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
-    used, unplaced = _count(source, poses, counts, (config.range_min_m, config.range_max_m), deskew, tick)
+    used, unplaced = _count(source, poses, counts, config, deskew, tick)
     watch.lap("count")
     if not len(used):
         raise InputError(path or source.path, _nothing(source, poses, unplaced))
@@ -142,7 +142,7 @@ def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajec
 
 
 def _count(
-    source: Log, poses: KnownPoses, counts: BeamCounts, limits_m: tuple[float, float], deskew: bool,
+    source: Log, poses: KnownPoses, counts: BeamCounts, config: Configuration, deskew: bool,
     tick: Callable[[], None],
 ) -> tuple[Trajectory, Counter[Unplaced]]:  # fmt: skip
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
@@ -153,7 +153,7 @@ def _count(
         if isinstance(pose, Unplaced):
             unplaced[pose] += 1
         else:
-            beams = scan.beams(*limits_m)
+            beams = scan.beams(config.range_min_m, config.range_max_m, config.thinning)
             counts.add(pose, poses.sharpened(beams) if deskew else beams)
             stamps.append(scan.stamp_ns)
             taken.append(pose)

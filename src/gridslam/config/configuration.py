@@ -19,6 +19,7 @@ from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
+from gridslam.scan.thinning import Thinning
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.joint_matching import JointMatching
@@ -75,6 +76,8 @@ class Configuration:
         Number of particles; 30 hold the loops of an office floor, and each costs 50 to 100 us a key scan.
     range_min_m, range_max_m : float, m
         Beams outside are not used (see `GridFastSlam`).
+    thinning : Thinning
+        How many beams of a dense scan are used.
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
     tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, confidence
@@ -90,6 +93,7 @@ class Configuration:
     particles: int = Field(default=30, ge=1, le=100_000)
     range_min_m: float = Field(default=0.05, ge=0)
     range_max_m: float = Field(default=30.0, gt=0)
+    thinning: Thinning = Thinning()
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
@@ -121,6 +125,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,
+        thinning=config.thinning,
         particles=config.particles,
         threads=threads,
     )

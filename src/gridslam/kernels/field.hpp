@@ -44,8 +44,10 @@ struct CellPose {
   int x, y;
   float fx, fy, c, s;
   CellPose(double px, double py, double theta)
+      // clang-format off
       : x(static_cast<int>(std::floor(px))), y(static_cast<int>(std::floor(py))), fx(static_cast<float>(px - x - 0.5)),
         fy(static_cast<float>(py - y - 0.5)), c(static_cast<float>(std::cos(theta))), s(static_cast<float>(std::sin(theta))) {}
+  // clang-format on
 };
 
 GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block, Block& out) {

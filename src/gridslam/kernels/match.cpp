@@ -9,7 +9,9 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
   double h00 = 0, h01 = 0, h02 = 0, h11 = 0, h12 = 0, h22 = 0, g0 = 0, g1 = 0, g2 = 0, score = 0;
 };
 
+// clang-format off
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
+// clang-format on
 
 // Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and `along`, 0 for those that
 // lie so sparsely that they say nothing along the wall: its far ends are mapped as dots, and dots would match dots.

@@ -7,7 +7,7 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray
 
-__all__ = ["effective_sample_size", "entropy", "normalize"]
+__all__ = ["effective_sample_size", "entropy", "normalize", "relative_to_greatest"]
 
 
 def normalize(log_weights: FloatArray) -> FloatArray:
@@ -54,6 +54,12 @@ def entropy(log_weights: FloatArray) -> float:
     total = weights.sum()
     drawn = weights > 0
     return float(np.log(total) - weights[drawn] @ shifted[drawn] / total)
+
+
+def relative_to_greatest(log_weights: FloatArray) -> FloatArray:
+    """Shift log weights (N,), in nats, so that the greatest is 0."""
+    shifted: FloatArray = log_weights - log_weights.max()
+    return shifted
 
 
 def _relative(log_weights: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,17 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.arguments import frozen, require_array, require_instance
 from gridslam.errors import ArgumentError
-from gridslam.scan.arrays import FloatArray, IntArray
+from gridslam.scan.arrays import FloatArray
 from gridslam.scan.beams import Beams
 from gridslam.scan.geometry import ScanGeometry
+from gridslam.scan.thinning import Thinning
 
 __all__ = ["LONGEST_SCAN_S", "BeamStatus", "LaserScan"]
 
 LONGEST_SCAN_S = 10.0
 """No planar laser takes so long for a scan: times of beams that say so are none."""
 
-_DENSE = 400  # beams; a turn of whole degrees, or half a one of half degrees, has no more
-_TINY = float(np.finfo(np.float64).tiny)
 _SMALLEST = 5e-324  # a range of 0 is none
 
 
@@ -123,7 +122,7 @@ class LaserScan:
         return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
 
     @classmethod
-    def from_ros(
+    def from_ros(  # noqa: PLR0913 the message's fields, by their names
         cls,
         stamp_ns: int,
         ranges: ArrayLike,
@@ -192,27 +191,17 @@ class LaserScan:
         reach = f" of {hits.min():.2f} to {hits.max():.2f} m" if len(hits) else ""
         return f"LaserScan({self.sensor}, {self.stamp_ns * 1e-9:.3f} s: {len(self)} beams, {len(hits)} hits{reach})"
 
-    def beams(self, min_m: float, max_m: float, spacing_m: float = 0.025) -> Beams:
+    def beams(self, min_m: float, max_m: float, thinning: Thinning = Thinning()) -> Beams:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame.
 
-        Of a dense scan only one is taken for each `spacing_m` of arc about the laser, the default being half a cell of
-        5 cm; 0 takes all. What is near else outweighs all the rest, and thousands of beams cost time and say the same
-        again. Scans of up to 400 such beams are left as they are, and of others about as many are kept at least.
+        Of a dense scan only some are taken, as `thinning` says.
         """
         ranges, geometry = self.ranges, self.geometry
         usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
-        if spacing_m and len(usable) > _DENSE:
-            usable = usable[self._apart(usable, spacing_m)]
+        taken = thinning(ranges.take(usable), geometry.widths.take(usable))
+        if taken is not None:
+            usable = usable[taken]
         ends = geometry.directions.take(usable, axis=0)
         ends *= ranges.take(usable)[:, None]
         ends += geometry.origin
         return Beams(self, usable, ends, geometry.origin)
-
-    def _apart(self, usable: IntArray, spacing_m: float) -> NDArray[np.bool_]:
-        """Which of the beams are the first ones in equal parts of the arc that they sweep at their ranges."""
-        arc = np.cumsum(self.geometry.widths.take(usable) * self.ranges.take(usable))
-        part = np.floor(arc / max(min(spacing_m, arc[-1] / _DENSE), _TINY))
-        first = np.empty(len(part), bool)
-        first[0] = True
-        np.not_equal(part[1:], part[:-1], out=first[1:])
-        return first

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -12,12 +12,10 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.matching.gauss_newton import undetermined
-from gridslam.particles.weights import effective_sample_size
-from gridslam.slam.proposals import Proposed
 from gridslam.slam.state import GridFastSlamState
-from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepReport
+from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
-__all__ = ["Confidence"]
+__all__ = ["Confidence", "Estimate"]
 
 
 _LEAST_INFORMATION = 1e-2 * np.eye(3)
@@ -25,9 +23,21 @@ _LEAST_INFORMATION = 1e-2 * np.eye(3)
 
 
 @final
+class Estimate(NamedTuple):
+    """What the weighed particles say at a key scan, before resampling, which only loses some of it."""
+
+    pose: FloatArray  # (3,), of the best particle
+    covariance: FloatArray  # (3, 3), of that pose
+    undetermined: FloatArray | None  # direction that the match leaves open
+    lost: bool
+    poses: FloatArray  # (N, 3)
+    log_weights: FloatArray  # (N,)
+
+
+@final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Confidence:
-    """Builds the reports of the filter.
+    """Says how far the filter's pose can be trusted, and builds its reports; reads the state, and never writes to it.
 
     The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
     key scans a random walk is added.
@@ -48,10 +58,9 @@ class Confidence:
     drift_m: float = Field(default=0.02, ge=0)
     drift_rad: float = Field(default=0.01, ge=0)
 
-    def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
+    @staticmethod
+    def first_scan(state: GridFastSlamState, scan: LaserScan, n_eff: float) -> StepReport:
         """Report of the scan that the filter begins with: a key scan that weighs nothing."""
-        state.covariance = self._spread(state)
-        n_eff = effective_sample_size(state.log_weights)
         return StepReport(
             scan.stamp_ns, state.poses[state.best], state.covariance, np.zeros(3), best=state.best, n_eff=n_eff,
             poses=state.poses, log_weights=state.log_weights,
@@ -71,23 +80,30 @@ class Confidence:
             skipped=reason, best=best,
         )  # fmt: skip
 
+    @staticmethod
     def key_scan(
-        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, proposed: Proposed, beams: BeamEnds
-    ) -> StepReport:
-        """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
-        best, match = state.best, proposed.match
-        information, score = match.information[best], float(match.score[best])
-        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
-        # the second key scan is not judged: a first scan that saw nothing leaves an empty map
-        state.lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
+        state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, estimate: Estimate, n_eff: float,
+        parents: IntArray | None,
+    ) -> StepReport:  # fmt: skip
+        """Report of a key scan: the estimate from before resampling, and the best particle after it."""
         return StepReport(
-            scan.stamp_ns, state.poses[best], state.covariance, key_from_base,
-            undetermined=undetermined(information, score), lost=state.lost, best=best,
-            n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
+            scan.stamp_ns, estimate.pose, estimate.covariance, key_from_base, undetermined=estimate.undetermined,
+            lost=estimate.lost, best=state.best, n_eff=n_eff, poses=estimate.poses, log_weights=estimate.log_weights,
+            parents=parents,
         )  # fmt: skip
 
+    def estimate(self, state: GridFastSlamState, match: Match, beams: BeamEnds) -> Estimate:
+        """Estimate the pose from the weighed particles and the `match` of `beams` at them."""
+        best = state.best
+        information, score = match.information[best], float(match.score[best])
+        covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
+        # the second key scan is not judged: a first scan that saw nothing leaves an empty map
+        lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
+        direction = undetermined(information, score)
+        return Estimate(state.poses[best], covariance, direction, lost, state.poses, state.log_weights)
+
     @staticmethod
-    def _spread(state: GridFastSlamState) -> FloatArray:
+    def spread(state: GridFastSlamState) -> FloatArray:
         """Weighted covariance (3, 3) of the particles about the best one."""
         away = state.poses - state.poses[state.best]
         away[:, 2] = wrap(away[:, 2])

@@ -7,7 +7,7 @@ given its trajectory each particle's map is mapping with known poses.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
@@ -24,6 +24,8 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import at_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
+from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
+from gridslam.scan.thinning import Thinning
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
@@ -36,6 +38,7 @@ from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,
     FloatArray,
+    IntArray,
     LaserScan,
     MotionModel,
     MotionSampler,
@@ -83,6 +86,8 @@ class GridFastSlam:
     range_min_m, range_max_m : float
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
+    thinning : Thinning
+        How many beams of a dense scan are used.
     particles : int, >= 1
         How many particles `init` begins with, unless it is told otherwise.
     threads : int
@@ -104,6 +109,7 @@ class GridFastSlam:
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
+    thinning: Thinning = Thinning()
     particles: int = 30
     threads: int = 1
 
@@ -137,7 +143,7 @@ class GridFastSlam:
         particles = self.particles if particles is None else particles
         poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
         poses[:, 2] = wrap(poses[:, 2])
-        beams = scan.beams(self.range_min_m, self.range_max_m)
+        beams = self._select(scan)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
         maps = self.mapper.empty(len(poses), self.threads)
         self.mapper(maps, poses, beams)
@@ -146,9 +152,10 @@ class GridFastSlam:
             tracker, tracker.pose, {scan.sensor: tracker.pose}, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)),
             maps, Ancestry.start(poses),
         )  # fmt: skip
+        state.covariance = self.confidence.spread(state)
         if self.loop_closure is not None:
             self.loop_closure.init(state, beams)
-        return state, self.confidence.first_scan(state, scan)
+        return state, self.confidence.first_scan(state, scan, effective_sample_size(state.log_weights))
 
     def step(
         self, state: GridFastSlamState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
@@ -156,33 +163,45 @@ class GridFastSlam:
         """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
 
         Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
+        All lasers are matched, as one alone may see a single wall; only this scan weighs: the others have, each at its
+        own key scan, and evidence counts once.
         """
         require_step(GridFastSlamState, state, odometry, scan, rng)
-        state, beams = state.take(), scan.beams(self.range_min_m, self.range_max_m)
-        tracked, noise = self._track(state, odometry, beams)
-        beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
+        state = state.take()
+        tracked, noise = self._track(state, odometry, self._select(scan))
+        beams = tracked.beams
+        moved = between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
             return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
         motion = self._predict(state, tracked, noise)  # predict
-        weigh = self.sensor(beams)
-        proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.joint, rng)  # match and weigh
-        self.mapper(state.maps, proposed.poses, beams)  # map
-        state.advance(proposed, tracked.pose, scan.sensor)
-        report = self.confidence.key_scan(state, scan, moved, proposed, tracked.joint)
-        if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
+        proposed = self.proposal(state.maps, state.poses, motion, self.sensor(beams), tracked.joint, rng)  # match
+        state.move(proposed.poses, tracked.pose, scan.sensor)
+        state.log_weights = normalize(state.log_weights + proposed.log_weights)  # weigh
+        state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
+        self.mapper(state.maps, state.poses, beams)  # map
+        estimate = self.confidence.estimate(state, proposed.match, tracked.joint)
+        state.covariance = estimate.covariance
+        state.lost = estimate.lost
+        n_eff = effective_sample_size(state.log_weights)  # N_eff
+        parents = None
+        if self.when_to_resample(n_eff, len(state.poses)):  # resample
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
-            report = replace(report, parents=parents, best=state.best)
-        return self._close_loops(state, self._bounded(state, report), beams)
+        parents = self._bound(state, parents)
+        report = self.confidence.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
+        return self._close_loops(state, report, beams)
 
-    def _bounded(self, state: GridFastSlamState, report: StepReport) -> StepReport:
-        """Keep the particles' maps within their limit."""
+    def _select(self, scan: LaserScan) -> Beams:
+        """Select the beams that are used."""
+        return scan.beams(self.range_min_m, self.range_max_m, self.thinning)
+
+    def _bound(self, state: GridFastSlamState, parents: IntArray | None) -> IntArray | None:
+        """Keep the particles' maps within their limit; gives the parents of the particles that are left."""
         kept = self.map_limit(state)
         if kept is None:
-            return report
+            return parents
         state.resample(kept)
-        parents = kept if report.parents is None else report.parents[kept]
-        return replace(report, parents=parents, best=state.best)
+        return kept if parents is None else parents[kept]
 
     def _track(
         self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams

@@ -113,15 +113,15 @@ class LandmarkFilters:
         seen : Innovation
             What the particles predict that know a landmark.
         """
-        strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
         if isinstance(self.association, MaximumLikelihood):
-            return self._drawn(state, sightings, k, poses, belief, taken, self.association, float(strange), rng)
+            return self._drawn(state, sightings, k, poses, belief, taken, self.association, rng)
         column = state.column(int(signatures(sightings)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
         seen = self._predicted(state, rows, np.full(len(rows), column), poses, belief, sightings, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.believed
-        columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(strange))
+        columns = np.full(len(state), NEW)
+        likelihood = np.full(len(state), self._strange(sightings, k))
         columns[rows] = np.where(believed, column, AMBIGUOUS)
         likelihood[rows] = log_density(np.minimum(squared, self.association.believed), log_dets)
         return columns, likelihood, seen.of(believed)
@@ -201,9 +201,13 @@ class LandmarkFilters:
         spread = None if belief is None else belief.spread(rows, columns)
         return self.innovation(state, rows, columns, poses, spread, sightings, k)
 
+    def _strange(self, sightings: Sightings, k: int) -> float:
+        """Log density of a sighting at the threshold beyond which it is of no known landmark."""
+        return float(log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k]))))
+
     def _drawn(
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
-        taken: IntArray, within: MaximumLikelihood, strange: float, rng: np.random.Generator,
+        taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
         rows, columns = np.nonzero(self._near(state, sightings, k, poses, belief, within.other))
@@ -213,7 +217,7 @@ class LandmarkFilters:
         near = np.zeros(len(state), np.bool_)
         near[rows[free & (squared <= within.other)]] = True
         log_p = np.full((len(state), 1 + len(state.names)), -math.inf)
-        log_p[:, 0] = strange
+        log_p[:, 0] = self._strange(sightings, k)
         log_p[rows[free], 1 + columns[free]] = log_density(squared[free], log_dets[free])
         likelihood, possible = np.logaddexp.reduce(log_p, axis=1), log_p > -math.inf
         log_p[possible] += rng.gumbel(size=int(possible.sum()))  # the greatest is then a draw

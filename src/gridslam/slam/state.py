@@ -13,9 +13,7 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.weights import normalize
 from gridslam.slam.memory import Memory
-from gridslam.slam.proposals import Proposed
 from gridslam.slam.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
@@ -92,14 +90,12 @@ class GridFastSlamState:
             self.covariance, self.maps, self.ancestry, self.lost, self.memory, self.odometry_covariance,
         )  # fmt: skip
 
-    def advance(self, proposed: Proposed, key_pose: FloatArray, sensor: str) -> None:
-        """Give every particle its proposed pose and weight; `key_pose` (3,) is the tracker's, of a scan of `sensor`."""
-        self.poses, self.key_pose = proposed.poses, key_pose
+    def move(self, poses: FloatArray, key_pose: FloatArray, sensor: str) -> None:
+        """Move the particles to `poses` (N, 3); `key_pose` (3,) is the tracker's, at a key scan of `sensor`."""
+        self.poses = poses
+        self.ancestry.extend(poses)
+        self.key_pose = key_pose
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
-        self.ancestry.extend(proposed.poses)
-        self.log_weights = normalize(self.log_weights + proposed.log_weights)
-        accumulated = self.log_ancestry + proposed.log_weights
-        self.log_ancestry = accumulated - accumulated.max()
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i], all with equal weights."""

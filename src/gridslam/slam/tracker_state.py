@@ -240,7 +240,8 @@ class Tracked:
     beams : Beams
         As seen from the base at the stamp: deskewed.
     joint : BeamEnds
-        These, and what the other lasers saw a moment ago: what is to be matched.
+        These, and what the other lasers saw a moment ago: what is to be matched, as each laser alone may see a single
+        wall. Weighing takes `beams` alone: what the other lasers saw has been weighed at their own key scans.
     spread : (2,) float64 or None
         Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
         motion model's.

@@ -11,8 +11,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from browsing import emulated
-from loops import loop_drive
+
+from support.browsing import emulated
+from support.loops import loop_drive
 
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",

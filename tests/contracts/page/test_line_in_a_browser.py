@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait, wait_for_all
-from loops import PROVOKED
 
 from gridslam.config import build
 from gridslam.live.control import RobotControl
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.pipeline import run
+from support.browsing import PATIENCE_S, Cable, Mapping, click, shown, text, told, wait, wait_for_all
+from support.loops import PROVOKED
 
 
 def port_of(page):

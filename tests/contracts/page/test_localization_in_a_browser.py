@@ -7,11 +7,6 @@ import threading
 
 import numpy as np
 import pytest
-from browsing import PATIENCE_S, click, pixels_of, shown, text, told, wait
-from landmark_world import ring
-from localization_world import drive as flat_drive
-from localization_world import flat_map
-from loops import PROVOKED
 
 from gridslam.api import map_log
 from gridslam.api.grid import map_with_poses
@@ -25,6 +20,11 @@ from gridslam.live.page import LivePage
 from gridslam.live.replay import ReplayPage
 from gridslam.sim import OdometryNoise
 from gridslam.slam.landmark_report import LandmarkMap
+from support.browsing import PATIENCE_S, click, pixels_of, shown, text, told, wait
+from support.landmark_world import ring
+from support.localization_world import drive as flat_drive
+from support.localization_world import flat_map
+from support.loops import PROVOKED
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,10 @@ import zipfile
 
 import numpy as np
 import pytest
-from browsing import (
+
+from gridslam.live.options import LiveOptions
+from gridslam.live.page import LivePage
+from support.browsing import (
     PATIENCE_S,
     Mapping,
     click,
@@ -22,9 +25,6 @@ from browsing import (
     wait,
     wait_for_all,
 )
-
-from gridslam.live.options import LiveOptions
-from gridslam.live.page import LivePage
 
 
 def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot):

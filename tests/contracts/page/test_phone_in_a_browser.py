@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from browsing import PATIENCE_S, Mapping, click, move_fingers, on_screen, pressed, shown, told, view, wait, wait_for_all
 
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
+from support.browsing import (
+    PATIENCE_S,
+    Mapping,
+    click,
+    move_fingers,
+    on_screen,
+    pressed,
+    shown,
+    told,
+    view,
+    wait,
+    wait_for_all,
+)
 
 
 def apart(first, second):

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hand_logs import drive, findings, seen
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +25,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.sim.faults import FAULTS, with_fault
 from gridslam.types import ScanGeometry
 from gridslam.viz.chart import draw_chart
+from support.hand_logs import drive, findings, seen
 
 
 class Memory:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from laser_drives import log, perfect
 
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.finding import Severity
@@ -18,6 +17,7 @@ from gridslam.doctor.wheel_slip import wheel_slips
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
 from gridslam.sim.faults import FAULTS, with_fault
+from support.laser_drives import log, perfect
 
 
 def faults(motion):

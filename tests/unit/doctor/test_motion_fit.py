@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from laser_drives import log, perfect
 
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.intervals import shifted
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.robust_fit import robust_fit
 from gridslam.sim.faults import with_fault
+from support.laser_drives import log, perfect
 
 
 def test_outliers_move_the_fit_by_less_than_its_deviation():

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from laser_drives import EXACT, log
 
 from gridslam.doctor import laser_motion as module
 from gridslam.doctor.laser_motion import LaserWitness, laser_motion
@@ -15,6 +14,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault
 from gridslam.types import LaserScan, ScanGeometry
+from support.laser_drives import EXACT, log
 
 
 def errors(motion, truth, apart):

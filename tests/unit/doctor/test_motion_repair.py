@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from laser_drives import log, perfect
 
 from gridslam.api import map_log
 from gridslam.doctor.calibration import calibrate
@@ -21,6 +20,7 @@ from gridslam.pipeline import run
 from gridslam.sim.faults import with_fault
 from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
+from support.laser_drives import log, perfect
 
 EXACT_REPAIRS = {
     "yaw_offset": lambda size: Repair(yaw_rad=size),

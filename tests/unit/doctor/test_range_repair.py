@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from laser_drives import FAIR
 
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.repair import Repair, repaired
@@ -17,6 +16,7 @@ from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, RobotConfig, make_world, simulate
 from gridslam.types import BeamStatus, LaserScan
+from support.laser_drives import FAIR
 
 REACH_M, STATED_M = 8.18, 100.0
 MARGIN_M = 0.05

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_logs import BEARINGS, GEOMETRY, drive, findings, seen
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from gridslam.doctor import Severity
 from gridslam.doctor.examiner import LogHistogram, Trace, percent
 from gridslam.io.measurement import Measurement
 from gridslam.types import ScanGeometry
+from support.hand_logs import BEARINGS, GEOMETRY, drive, findings, seen
 
 
 def restamped(stamps_s):
@@ -237,4 +237,3 @@ def test_a_trace_keeps_extremes_order_and_bounds(count, seed):
 )
 def test_shares_are_never_rounded_to_none_or_all(share, text):
     assert percent(share) == text
-

@@ -7,14 +7,14 @@ import tracemalloc
 
 import numpy as np
 import pytest
-import ros_bags
-from ros_bags import KINDS, drive, ns, odometry, scan, transform, yawed
 
 from gridslam.errors import InputError
 from gridslam.geometry import se3
 from gridslam.io.bag import BagLog
 from gridslam.io.log import Log, LogOptions
 from gridslam.types import LaserScan
+from support import ros_bags
+from support.ros_bags import KINDS, drive, ns, odometry, scan, transform, yawed
 
 FOUR = [1.0, 2.0, 3.0, 4.0]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-import ros_bags
-from ros_bags import drive, odometry, scan, transform
 
 from gridslam.errors import InputError
 from gridslam.io.bag import BagLog
 from gridslam.io.log import LogOptions
+from support import ros_bags
+from support.ros_bags import drive, odometry, scan, transform
 
 FOUR = [1.0, 2.0, 3.0, 4.0]
 

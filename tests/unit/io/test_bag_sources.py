@@ -7,7 +7,6 @@ import shutil
 import sqlite3
 
 import pytest
-import ros_bags
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +14,7 @@ from gridslam.errors import InputError
 from gridslam.io.bag_ros1 import Ros1Bag
 from gridslam.io.bag_ros2 import Ros2Bag
 from gridslam.io.bag_source import in_order
+from support import ros_bags
 
 FORMS = [
     *itertools.product(["ros1"], ["", "bz2", "lz4"]),

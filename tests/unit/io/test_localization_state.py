@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from localization_world import drive, flat_map
 
 from gridslam.errors import ConsumedStateError, InputError
 from gridslam.io.localization_state import SavedLocalization, read_localization, write_localization
 from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
 from gridslam.pipeline import run
+from support.localization_world import drive, flat_map
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import ros_bags
-from ros_bags import KINDS, drive
 
 from gridslam.api import convert_log
 from gridslam.geometry.compounding import compound_covariance, increment_covariance
@@ -16,6 +14,8 @@ from gridslam.io.bag import BagLog
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.odometry_covariance import CovarianceSum, PoseCovariances
 from gridslam.types import Odometry
+from support import ros_bags
+from support.ros_bags import KINDS, drive
 
 RATE = np.array([[1e-3, 2e-4, 1e-4], [2e-4, 5e-4, 5e-5], [1e-4, 5e-5, 2e-3]])
 """Noise of a second of motion, by x, y and theta in the base frame: m^2, m rad and rad^2."""

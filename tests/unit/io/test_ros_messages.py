@@ -7,7 +7,6 @@ import struct
 
 import numpy as np
 import pytest
-import ros_bags
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +19,7 @@ from gridslam.io.ros_messages import (
     wire_of_cdr,
     wire_of_ros1,
 )
+from support import ros_bags
 
 MAKERS = {"ros1": ros_bags.Maker(True), "cdr": ros_bags.Maker(False), "big-endian cdr": ros_bags.Maker(False)}
 NAMES = st.text(st.sampled_from("abz_/"), max_size=9)  # of all lengths modulo 8: what aligning depends on

@@ -7,10 +7,6 @@ import shutil
 
 import numpy as np
 import pytest
-from landmark_world import drive as landmark_drive
-from landmark_world import ring
-from localization_world import drive, flat_map
-from onlookers import Onlooker
 
 from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
@@ -25,6 +21,10 @@ from gridslam.live.sight import LOST
 from gridslam.sim import OdometryNoise
 from gridslam.slam.landmark_report import LandmarkMap
 from gridslam.types import Trajectory
+from support.landmark_world import drive as landmark_drive
+from support.landmark_world import ring
+from support.localization_world import drive, flat_map
+from support.onlookers import Onlooker
 
 
 def looking(replay):

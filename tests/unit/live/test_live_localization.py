@@ -6,8 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from localization_world import drive, flat_map
-from onlookers import Onlooker
 
 from gridslam.api.localization import localize
 from gridslam.api.localization_parameters import override_parts
@@ -21,6 +19,8 @@ from gridslam.live.sight import LOST
 from gridslam.localization import MonteCarloParts
 from gridslam.sim import OdometryNoise
 from gridslam.types import OccupancyGrid
+from support.localization_world import drive, flat_map
+from support.onlookers import Onlooker
 
 
 @pytest.fixture(scope="module")

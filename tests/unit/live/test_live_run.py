@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
-from onlookers import Onlooker
 
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
@@ -16,6 +14,8 @@ from gridslam.live.run import LiveRun
 from gridslam.live.sight import CORRECTED
 from gridslam.pipeline import run
 from gridslam.scan import EndPoints
+from support.loops import PROVOKED, loop_drive
+from support.onlookers import Onlooker
 
 RESAMPLING = override(PROVOKED, "when_to_resample.fraction=0.999")
 

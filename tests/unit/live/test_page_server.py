@@ -13,8 +13,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
-from onlookers import Onlooker
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -25,6 +23,8 @@ from gridslam.live import application
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.pipeline import Stopwatch, run
+from support.loops import PROVOKED, loop_drive
+from support.onlookers import Onlooker
 
 FREE = LiveOptions(port=0)
 

@@ -9,8 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
-from onlookers import Onlooker
 
 from gridslam.api import map_log
 from gridslam.config import override
@@ -20,6 +18,8 @@ from gridslam.io.g2o import read_g2o
 from gridslam.io.map_server import read_map
 from gridslam.io.record import read_record
 from gridslam.live.replay import Replay
+from support.loops import PROVOKED, loop_drive
+from support.onlookers import Onlooker
 
 
 @pytest.fixture(scope="module")

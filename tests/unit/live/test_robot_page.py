@@ -6,11 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from localization_world import drive as localized_drive
-from localization_world import flat_map
-from loops import PROVOKED, loop_drive
-from onlookers import Onlooker
-from ros_node import Heard, mounting, play, until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -26,6 +21,11 @@ from gridslam.localization import KnownMap, MonteCarloParts
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.localization import Localization
+from support.localization_world import drive as localized_drive
+from support.localization_world import flat_map
+from support.loops import PROVOKED, loop_drive
+from support.onlookers import Onlooker
+from support.ros_node import Heard, mounting, play, until
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from localization_world import drive, flat_map
 
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap
 from gridslam.localization.belief import estimate, moved_covariance
 from gridslam.localization.recovery import AugmentedRecovery, Averages, MeasurementProposal
 from gridslam.models.likelihood_field import LikelihoodField
+from support.localization_world import drive, flat_map
 
 TRUE = np.array([[0.01, 0.003, 0.0], [0.003, 0.02, 0.001], [0.0, 0.001, 0.004]])
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from landmark_world import INCREMENT, MOTION, drive, ring
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
@@ -18,6 +17,7 @@ from gridslam.models.landmark import DepthBearing, RangeBearing, RelativePositio
 from gridslam.models.motion import GaussianIncrement
 from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.models.velocity import VelocityMotion
+from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 RING = KnownLandmarks.of(np.arange(100, 112), ring(12))

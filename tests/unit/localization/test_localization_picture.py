@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from localization_world import drive, flat_map
 
 from gridslam.types import Trajectory
 from gridslam.viz.localization_picture import LOST, draw_localization
 from gridslam.viz.palette import CLOSURE
+from support.localization_world import drive, flat_map
 
 
 def painted(page, colour):

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from localization_world import RandomWalk, drive, flat_map, kidnapped
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
@@ -18,6 +17,7 @@ from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.motion import OdometryMotion
 from gridslam.sim import OdometryNoise
 from gridslam.types import BeamStatus, LaserScan, Odometry
+from support.localization_world import RandomWalk, drive, flat_map, kidnapped
 
 SPREAD = np.diag([0.04, 0.04, 0.01])
 

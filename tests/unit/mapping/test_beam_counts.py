@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from same_map import assert_same_map
 
 from gridslam.errors import ArgumentError
 from gridslam.kernels.reference_update import ray_cells
@@ -15,6 +14,7 @@ from gridslam.mapping.beam_counts import BeamCounts
 from gridslam.mapping.counted_map import bayes_map, counting_map
 from gridslam.models import InverseSensorModel
 from gridslam.types import EndPoints
+from support.same_map import assert_same_map
 
 WIDE = InverseSensorModel.from_log_odds(2.4, -0.4, log_odds_min=-150.0, log_odds_max=150.0)
 """Clamps that no test here reaches; 2.4 and 0.4 are whole steps of the map in which SLAM keeps them."""

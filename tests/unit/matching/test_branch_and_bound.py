@@ -16,6 +16,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.grid import cells_of
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, GaussNewton, Pyramid, thinned
+from gridslam.scan import Thinning
 from gridslam.types import LaserScan, ScanGeometry
 
 ROW = np.zeros(1, np.int32)
@@ -51,7 +52,7 @@ def ranges(walls, pose):
 
 def beams_at(walls, pose, range_max_m=30.0):
     """All of them: which are taken of a dense scan hangs on the last digit of its ranges."""
-    return LaserScan.from_ranges(0, ranges(walls, np.asarray(pose)), GEOMETRY).beams(0.05, range_max_m, spacing_m=0)
+    return LaserScan.from_ranges(0, ranges(walls, np.asarray(pose)), GEOMETRY).beams(0.05, range_max_m, Thinning(0.0))
 
 
 def map_of(walls, poses, range_max_m=30.0):

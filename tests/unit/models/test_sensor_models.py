@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.models import BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField
+from gridslam.scan import Thinning
 from gridslam.types import DistanceMaps, LaserScan, ScanGeometry, SensorModel, Weigher
 
 MODELS = [BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField]
@@ -168,7 +169,7 @@ def test_of_a_dense_scan_as_many_beams_without_return_are_weighed():
     bearings = np.linspace(-1.2, 1.2, 4001)
     ranges = np.where(np.arange(4001) % 3 == 0, 30.0, 2 / np.cos(bearings))
     scan = LaserScan.from_ranges(0, ranges, ScanGeometry(bearings), range_max_m=30.0)
-    thinned, all_of_them = scan.beams(0.05, 30.0), scan.beams(0.05, 30.0, 0.0)
+    thinned, all_of_them = scan.beams(0.05, 30.0), scan.beams(0.05, 30.0, Thinning(0.0))
     shares = [value(BeamRangeFinder(), beams, Walls(2.0)) / len(beams) for beams in (thinned, all_of_them)]
     assert len(thinned) < 0.2 * len(all_of_them)
     assert shares[0] == pytest.approx(shares[1], abs=0.1)

@@ -9,9 +9,6 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
-from dds_peer import free_domain
-from ros_node import until
-
 from gridslam.ros import dds
 from gridslam.ros.cdr import encoded
 from gridslam.ros.messages import GridMessage
@@ -19,6 +16,8 @@ from gridslam.ros.parameters import node_parameters
 from gridslam.ros.ros2_arguments import RosArguments
 from gridslam.ros.ros2_dds import DdsNode
 from gridslam.ros.ros2_outputs import TOPICS, Ros2Outputs
+from support.dds_peer import free_domain
+from support.ros_node import until
 
 STAMP = 1_700_000_000, 5
 

@@ -7,7 +7,6 @@ import threading
 
 import numpy as np
 import pytest
-from ros_node import BASE, LASER, ODOM, mounting
 
 from gridslam.io.ros_messages import ScanMessage, StampedTransform
 from gridslam.ros.accepted import Accepted, refusal_of
@@ -15,6 +14,7 @@ from gridslam.ros.complaints import Complaints
 from gridslam.ros.intake import Intake, Turn
 from gridslam.ros.messages import Level
 from gridslam.ros.settings import NodeSettings
+from support.ros_node import BASE, LASER, ODOM, mounting
 
 S = 10**9
 START = 1_700_000_000 * S

@@ -6,8 +6,6 @@ import struct
 
 import numpy as np
 import pytest
-from localization_world import drive, flat_map
-from ros_node import Heard, mounting, play, until
 
 from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
@@ -19,6 +17,8 @@ from gridslam.ros.cdr import encoded
 from gridslam.ros.initial_pose import place_by_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import node_parameters
+from support.localization_world import drive, flat_map
+from support.ros_node import Heard, mounting, play, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 HERE = np.array([2.6, 1.6, 0.0])

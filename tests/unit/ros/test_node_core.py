@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_node import BASE, ODOM, Heard, mounting, odometry_message, play, scan_message, until
 
 from gridslam.api import map_log
 from gridslam.config import Configuration, preset
@@ -23,6 +22,7 @@ from gridslam.ros.messages import Level
 from gridslam.ros.rendering import cells_of_map
 from gridslam.ros.services import saved
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support.ros_node import BASE, ODOM, Heard, mounting, odometry_message, play, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 FEW = Configuration(particles=4)
@@ -200,7 +200,7 @@ def test_saving_does_not_change_what_comes_after(drive, tmp_path):
 DRIVE = """
 import sys
 import numpy as np
-from ros_node import Heard, mounting, play, until
+from support.ros_node import Heard, mounting, play, until
 from gridslam.config import Configuration
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate

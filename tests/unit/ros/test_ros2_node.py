@@ -5,15 +5,15 @@ from __future__ import annotations
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-import fake_rclpy
 import numpy as np
 import pytest
-from ros_node import mounting, odometry_message, scan_message, until
 
 from gridslam.errors import ConfigurationError
 from gridslam.ros.cdr import encoded
 from gridslam.ros.ros2 import run_ros2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
+from support import fake_rclpy
+from support.ros_node import mounting, odometry_message, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 

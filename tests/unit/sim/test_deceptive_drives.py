@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+from closure_worlds import DECEPTIVE, SEEDS, campus, deceptive, judge, returns
 from gridslam import Trajectory
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-
-from closure_worlds import DECEPTIVE, SEEDS, campus, deceptive, judge, returns
 
 
 @pytest.fixture(scope="module")

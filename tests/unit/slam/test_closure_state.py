@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
 
 from gridslam.config import build, override
 from gridslam.io.state import SavedRun, read_state, write_state
 from gridslam.pipeline import run
 from gridslam.slam.full_slam import full_slam
+from support.loops import PROVOKED, loop_drive
 
 CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5", "closure.poses_per_scan=1")
 """The graph is solved and the correction drawn slowly."""

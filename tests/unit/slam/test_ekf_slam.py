@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from landmark_world import INCREMENT, MOTION, drive, ring
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.models.association import AMBIGUOUS, MaximumLikelihood, Told
@@ -13,6 +12,7 @@ from gridslam.models.motion import GaussianIncrement
 from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.landmark_existence import Existence
+from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 ALL_AROUND = Existence(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.evaluation import align
@@ -24,6 +23,7 @@ from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
+from support.landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 FILTERS = LandmarkFilters(SENSOR)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from landmark_world import INCREMENT, drive, ring
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.models.association import MaximumLikelihood
@@ -18,6 +17,7 @@ from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_path import path
 from gridslam.slam.landmark_raft import PoseAndRaft
+from support.landmark_world import INCREMENT, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.01, sigma_bearing_rad=0.002)
 FILTERS = LandmarkFilters(SENSOR)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
 
 from gridslam.config import build, override
 from gridslam.evaluation import absolute_errors, false_closures
@@ -14,6 +13,7 @@ from gridslam.slam.full_slam import full_slam
 from gridslam.slam.memory import Rejection
 from gridslam.slam.ties import Source
 from gridslam.types import Trajectory
+from support.loops import PROVOKED, loop_drive
 
 OFF = override(PROVOKED, "loop_closure=false")
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_graphs import random_graph
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.pose_graph import PoseGraph
+from support.random_graphs import random_graph
 
 
 @pytest.mark.parametrize("seed", range(5))

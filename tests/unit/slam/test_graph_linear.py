@@ -7,11 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from random_graphs import random_graph
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.slam.graph_linear import Blocks, BlockSystem, linearize, require_connected
+from support.random_graphs import random_graph
 
 
 def dense_jacobian(graph, poses, step=1e-6):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_graphs import random_graph
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, between_jacobians
@@ -12,6 +11,7 @@ from gridslam.slam.graph_linear import BlockSystem, linearize
 from gridslam.slam.graph_marginals import Marginals, marginal_covariances
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.pose_graph import PoseGraph
+from support.random_graphs import random_graph
 
 
 def dense_covariance(graph):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_graphs import random_graph
 
 from gridslam.geometry.se2 import between
 from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.pose_graph import PoseGraph
+from support.random_graphs import random_graph
 
 ROBUST = GraphSlam(robust=GraduatedNonConvexity(probability=0.99999))  # of 400 true closures below none is expected out
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from random_graphs import random_graph
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.pose_graph import PoseGraph
+from support.random_graphs import random_graph
 
 
 def ring(poses: int, given: np.ndarray) -> PoseGraph:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import hall
 import numpy as np
 import pytest
-from loops import loop_drive
 
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
@@ -22,6 +20,8 @@ from gridslam.slam.memory import Memory
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import drawn
 from gridslam.types import Trajectory
+from support import hall
+from support.loops import loop_drive
 
 CLOSURE = LoopClosure()
 SLAM = GridFastSlam(loop_closure=CLOSURE)

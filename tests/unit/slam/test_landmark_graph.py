@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from landmark_world import MOTION, drive, ring
 
 from gridslam.errors import ArgumentError
 from gridslam.evaluation import align
@@ -17,6 +16,7 @@ from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_graph import LandmarkGraph
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
+from support.landmark_world import MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 

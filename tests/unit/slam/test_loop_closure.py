@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import hall
 import numpy as np
 import pytest
 
@@ -21,6 +20,7 @@ from gridslam.slam.proposals import Prior
 from gridslam.slam.submaps import drawn
 from gridslam.slam.ties import Source
 from gridslam.types import Odometry, StepReport
+from support import hall
 
 SLIPS = slice(70, 150)
 RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
@@ -47,9 +47,7 @@ def slipped(seed):
         if SLIPS.start <= k < SLIPS.stop:
             increment = increment * [1.02, 1.02, 1.0] + [0.0, 0.0, 0.003 * math.hypot(*increment[:2])]
         poses.append(compose(poses[-1], increment))
-    read = [
-        (Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)
-    ]
+    read = [(Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)]
     return Slipped(read, between(log.truth.poses[0], log.truth.poses))
 
 

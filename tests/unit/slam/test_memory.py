@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hall
 import numpy as np
 import pytest
 
 from gridslam.slam.memory import Correction, Memory, Rejection
 from gridslam.slam.submaps import ROW
+from support import hall
 
 
 @pytest.fixture(scope="module")

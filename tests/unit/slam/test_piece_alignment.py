@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import hall
 import numpy as np
 import pytest
 
+from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.drift import Drift
 from gridslam.slam.memory import Memory
 from gridslam.slam.piece_alignment import PieceAlignment
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.ties import Source
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-
-from closure_worlds import deceptive
+from support import hall
 
 LAP = 95
 """Key scans of a lap in the hall."""

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import hall
 import numpy as np
 import pytest
 
+from closure_worlds import Drive, deceptive, returns
 from gridslam.geometry.se2 import between
 from gridslam.slam.drift import Drift
 from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory, Rejection
 from gridslam.slam.ties import Source
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
-
-from closure_worlds import Drive, deceptive, returns
+from support import hall
 
 LAP = 95
 """Key scans of a lap in the hall."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.matching import GaussNewton
+from gridslam.matching.gauss_newton import LOOK
 from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spread
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
@@ -109,6 +110,23 @@ def test_between_key_scans_a_random_walk_is_added(run):
         moved = math.hypot(*report.key_from_base[:2]) + abs(report.key_from_base[2])
         drift = moved * np.square([slam.confidence.drift_m, slam.confidence.drift_m, slam.confidence.drift_rad])
         np.testing.assert_allclose(report.covariance - key, np.diag(drift), atol=1e-15)
+
+
+def test_reports_read_the_state_and_never_write(run, drive):
+    slam, state, _ = run
+    scan = drive.measurements[-1].scan
+    before = {name: array.copy() for name, array in state.to_arrays().items()}
+    beams = scan.beams(0.05, 30.0)
+    rows = np.arange(PARTICLES, dtype=np.int32)
+    match = LOOK(state.maps, rows, state.poses, np.zeros((PARTICLES, 3, 3)), beams)
+    estimate = slam.confidence.estimate(state, match, beams)
+    slam.confidence.first_scan(state, scan, 1.0)
+    slam.confidence.between_key_scans(state, scan, np.ones(3), SkipReason.BETWEEN_KEY_SCANS)
+    slam.confidence.key_scan(state, scan, np.ones(3), estimate, 1.0, None)
+    after = state.to_arrays()
+    assert after.keys() == before.keys()
+    for name, array in before.items():
+        np.testing.assert_array_equal(after[name], array)
 
 
 def test_the_first_covariance_is_that_of_the_spread(drive):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hall
 import numpy as np
 import pytest
 
@@ -10,6 +9,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.slam.key_graph import BLOCK
 from gridslam.slam.memory import Memory
 from gridslam.slam.submaps import ROW, Submaps, anchor_of, drawn, keys_of
+from support import hall
 
 COUNT = 65
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import hall
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from gridslam.slam import Tracker
 from gridslam.slam.tracker_search import OdometrySearch
 from gridslam.slam.tracker_state import Prediction
+from support import hall
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SEARCH = OdometrySearch()

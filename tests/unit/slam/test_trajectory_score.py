@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import hall
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import drawn
 from gridslam.slam.trajectory_score import JointMapScore, ways
+from support import hall
 
 SCORE = JointMapScore()
 DRIFT = Drift()

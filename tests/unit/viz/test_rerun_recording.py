@@ -7,13 +7,13 @@ import sys
 
 import numpy as np
 import pytest
-from loops import PROVOKED, loop_drive
 
 from gridslam.cli.main import main
 from gridslam.config import build
 from gridslam.errors import ConfigurationError, OutputError
 from gridslam.pipeline import run
 from gridslam.viz.rerun_recording import RerunRecording
+from support.loops import PROVOKED, loop_drive
 
 
 @pytest.fixture
@@ -75,9 +75,8 @@ def test_a_run_is_read_back(read, tmp_path):
 
 
 def test_a_localization_is_read_back(read, tmp_path):
-    from localization_world import drive, flat_map
-
     from gridslam.localization import KnownMap, MonteCarloLocalization
+    from support.localization_world import drive, flat_map
 
     grid, reports = flat_map(), []
     mcl, rng = MonteCarloLocalization(KnownMap(grid)), np.random.default_rng(1)
@@ -148,10 +147,9 @@ def test_the_command_records_and_its_results_stay_the_same(rerun, read, tmp_path
 
 
 def test_a_node_is_recorded(read, tmp_path):
-    from ros_node import Heard, mounting, play, until
-
     from gridslam.config import Configuration
     from gridslam.ros import NodeCore, NodeSettings
+    from support.ros_node import Heard, mounting, play, until
 
     heard = Heard()
     core = NodeCore(NodeSettings(), Configuration(particles=3), heard)

@@ -1,0 +1,87 @@
+"""Count the package's code: statements by the syntax tree, modules, physical lines of src; today and at other commits.
+
+python benchmarks/count.py [COMMIT ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import subprocess
+import tarfile
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from report import table
+
+__all__ = ["Count", "count", "main"]
+
+_ROOT = Path(__file__).resolve().parent.parent
+_COMPILED = ".cpp", ".hpp"
+
+
+class Count(NamedTuple):
+    """Size of some source files."""
+
+    modules: int
+    """Files of Python."""
+    statements: int
+    """Nodes of the syntax tree that are statements; docstrings are none."""
+    lines: int
+    """Physical lines of Python, with blank ones and comments."""
+    compiled_lines: int
+    """Physical lines of C++."""
+
+
+def count(files: Iterable[tuple[str, str]]) -> Count:
+    """Count files, each a name and a text; what is neither Python nor C++ does not count."""
+    modules = statements = lines = compiled_lines = 0
+    for name, text in files:
+        length = len(text.splitlines())
+        if name.endswith(".py"):
+            modules += 1
+            lines += length
+            statements += sum(_is_statement(node) for node in ast.walk(ast.parse(text)))
+        elif name.endswith(_COMPILED):
+            compiled_lines += length
+    return Count(modules, statements, lines, compiled_lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> str:
+    """Print and return a table of the working tree and of the commits that are asked for."""
+    parser = argparse.ArgumentParser(description="Statements, modules and physical lines of src.")
+    parser.add_argument("commits", nargs="*", metavar="COMMIT", help="count these, too")
+    commits = parser.parse_args(arguments).commits
+    rows = [[commit, *count(_at(commit))] for commit in commits]
+    rows.append(["working tree", *count(_here())])
+    text = table(["", "modules", "statements", "lines of Python", "lines of C++"], rows)
+    print(text)
+    return text
+
+
+def _is_statement(node: ast.AST) -> bool:
+    docstring = (
+        isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    )
+    return isinstance(node, ast.stmt) and not docstring
+
+
+def _here() -> Iterator[tuple[str, str]]:
+    for path in sorted((_ROOT / "src").rglob("*")):
+        if path.suffix in (".py", *_COMPILED):
+            yield path.name, path.read_text(encoding="utf-8")
+
+
+def _at(commit: str) -> Iterator[tuple[str, str]]:
+    archive = subprocess.run(["git", "archive", commit, "src"], cwd=_ROOT, capture_output=True, check=True).stdout
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tree:
+        for member in tree.getmembers():
+            content = tree.extractfile(member) if member.name.endswith((".py", *_COMPILED)) else None
+            if content is not None:
+                yield member.name, content.read().decode()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""The linter of the house sees what breaks its rules; what it checks file by file, `house_rules.py` itself runs."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
+from support.house import ROOT, Source, sources
+
+EXTRAS = {"pooch", "pandas"}
+"""Of the dependencies, what is installed on demand."""
+
+UNSEEN = {"backports"}
+"""Declared, and imported by a name that depends on Python's version."""
+
+
+def test_the_package_itself_imports_nothing_but_names():
+    (root,) = (source for source in sources() if source.path == "__init__.py")
+    at_once = [name for line, name in root.imports() if not re.match(r"\s", root.text.splitlines()[line - 1])]
+    assert set(at_once) <= {"__future__.annotations", "importlib.import_module", "typing.TYPE_CHECKING"}
+
+
+def test_dependencies_are_declared():
+    declared = re.search(r"^dependencies = \[(.*?)^\]", (ROOT / "pyproject.toml").read_text(), re.DOTALL | re.MULTILINE)
+    names = {name.lower().replace("-", "_") for name in re.findall(r'"([A-Za-z0-9_-]+)', declared[1])}
+    assert {{"PIL": "pillow"}.get(name, name) for name in ONLY_IN.keys() - EXTRAS} == names - UNSEEN
+
+
+def test_exceptions_are_still_needed():
+    pure = [source for source in sources() if is_pure(source)]
+    used = {(source.path, name.partition(".")[0]) for source in pure for _, name in source.imports()}
+    assert set(ALLOWED) <= used
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("grid/a.py", "from gridslam.slam import tracker"),
+        ("grid/a.py", "def f():\n    import gridslam.particles.weights"),
+        ("grid/a.py", "from gridslam import models"),
+        ("slam/a.py", "from gridslam.evaluation import map"),
+        ("io/a.py", "from gridslam.utils import anything"),
+    ],
+)
+def test_an_import_that_does_not_go_down_is_seen(path, text):
+    assert len(upward(Source.of(path, text))) == 1
+
+
+def test_a_dependency_where_it_does_not_belong_is_seen():
+    assert len(misplaced(Source.of("grid/a.py", "import rich\nimport numpy\nimport math"))) == 1
+
+
+def test_a_folder_without_a_rank_is_seen():
+    assert violations(Source.of("utils/a.py", "")) == ["utils/a.py: utils has no rank"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "print(1)", "open('a')", "import sys", "from time import perf_counter", "from os import environ", "exit()",
+        "import numpy as np\nrng = np.random.default_rng(0)", "import numpy as np\nx = np.random.normal()",
+        "import numpy as np\nnp.load('a')", "import random", "rng = np.random.Generator(bits)",
+    ],
+)  # fmt: skip
+def test_an_impurity_is_seen(text):
+    assert len(impurities(Source.of("grid/a.py", text))) == 1
+
+
+def test_a_generator_may_be_an_argument():
+    assert impurities(Source.of("grid/a.py", "def f(rng: np.random.Generator): return rng.random()")) == []
