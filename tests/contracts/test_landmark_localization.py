@@ -80,7 +80,7 @@ def test_the_command(mapped_park, tmp_path, capsys):
     assert (document["correspondences"], document["not_believed"]) == ("unknown", 0)
     for more, said in (
         (["--particles", "5", "--landmarks", str(landmarks)], "--particles: expected none for ekf-localization, got 5"),
-        (["--method", "ekf", "--landmarks", str(landmarks)], "expected with --method ekf-localization alone"),
+        (["--method", "ekf", "--landmarks", str(landmarks)], "only valid with --method ekf-localization"),
         ([], "expected true landmarks beside it, as no others are given"),
     ):
         assert main([*how[:3], str(tmp_path / "none"), *how[4:], *more]) == 2

@@ -126,7 +126,7 @@ def convert_log(
     """
     form, source, target = format_of_name(out, to), opened_log(log, options), Path(out)
     if target.exists() and target.samefile(source.path):
-        raise ArgumentError("out", "another name than that of the log which is read", str(out))
+        raise ArgumentError("out", "a name other than the input log", str(out))
     lost: Counter[str] = Counter()
     scans = 0
 
