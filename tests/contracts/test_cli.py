@@ -261,7 +261,7 @@ GOOD = "FLASER 3 1.0 2.0 1.5 0 0 0 0 0 0 {0}.0 host {0}.0\n"
         (None, "no such file"),
         (b"", "the file is empty"),
         (b"\x00\x01\x02" * 100, "got binary data that begins with 00 01 02"),
-        (b"# nothing\n", "got text without a line that says anything"),
+        (b"# nothing\n", "got text with blank lines only"),
         (b"PARAM x 1 host 1.0\n", "got no scan"),
         ((GOOD.format(1) + "FLASER 3 1.0 x 1.5 0 0 0 0 0 0 2.0 host 2.0\n").encode(), "bad.clf, line 2: "),
         ((GOOD.format(1) + "FLASER 3 1.0 2.0\n" + GOOD.format(3)).encode(), "bad.clf, line 2: "),

@@ -218,7 +218,7 @@ def test_a_laser_that_is_upside_down(place, tmp_path, capsys):
     write_carmen(log, reflected_laser(drive(1, OdometryNoise()).measurements))
     status, text, said = run(capsys, log, "--map", place / "flat.yaml", "--json")
     assert status == 0
-    assert "run the other way" in said
+    assert "the beam order is reversed" in said
     document = json.loads(text)
     assert document["input"]["repair"]["reflected"] is True
     assert document["scans"]["lost"] < 0.2 * document["scans"]["read"]

@@ -51,7 +51,7 @@ def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> lis
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings"
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} observations"
         + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
         f"{document['strange_sightings']} outliers",

@@ -89,7 +89,7 @@ class Progress:
         self._scans, self._n_eff, self._first_ns = 0, 0.0, 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of one scan."""
+        """Show the progress after one scan."""
         self._first_ns = self._first_ns if self._scans else report.stamp_ns
         self._scans += 1
         if report.skipped is None:

@@ -1,4 +1,4 @@
-"""What the beams of each laser say: how many there are, where they point, and how many measure nothing."""
+"""Statistics of the beams of each laser: number, directions, and invalid beams."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Sweep:
         return 0 if lost is None else int(np.count_nonzero(lost >= _ALWAYS * self.counts[self.usual]))
 
     def invalid_figure(self) -> Figure:
-        """Share of invalid beams over the log."""
+        """Ratio of invalid beams over the log."""
         course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
         return Figure("Invalid beams", "scan", "share", (course,), ())
 
@@ -150,8 +150,8 @@ def _varies(sensor: str, sweep: Sweep) -> Finding:
         f"The number of beams varies from {least} to {most}; {sweep.counts[sweep.usual]} of {sweep.scans} scans have "
         f"{sweep.usual}.",
         most - least, "beams",
-        "gridslam takes each scan with its own angles: see to it that the driver states angle_min and angle_increment "
-        "anew with each scan, for a fixed increment with another number of beams bends the walls.",
+        "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
+        "for each scan, since a fixed increment with a varying number of beams bends the walls.",
         sensor, sweep.counts_figure(),
     )  # fmt: skip
 

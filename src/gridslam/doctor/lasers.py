@@ -1,4 +1,4 @@
-"""How the log says that each laser is mounted: several, tilted, tilting."""
+"""Reported mounting of each laser: several, tilted, tilting."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A diagnosis in words, for people, and as JSON, for machines."""
+"""A diagnosis as text and as JSON."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
 SCHEMA = "gridslam.doctor/1"
 
 _HEADS = {
-    Severity.SPOILS: "What spoils the map",
-    Severity.DOUBTFUL: "What makes it doubtful",
+    Severity.SPOILS: "Faults that make the map unusable",
+    Severity.DOUBTFUL: "Warnings",
     Severity.INFO: "For information",
 }
 
@@ -91,14 +91,14 @@ def text(diagnosis: Diagnosis) -> list[str]:
 
 
 def verdict(diagnosis: Diagnosis) -> str:
-    """The one sentence that a user wants to know."""
+    """Summarize the diagnosis in one sentence."""
     spoiling = sum(finding.severity is Severity.SPOILS for finding in diagnosis.findings)
     doubtful = len(diagnosis.faults) - spoiling
     if spoiling:
-        more = f", {_count(doubtful, 'more thing')} may harm it" if doubtful else ""
-        return f"{_count(spoiling, 'thing')} would spoil the map{more}."
+        more = f"; {_count(doubtful, 'warning')}" if doubtful else ""
+        return f"The map would be unusable: {_count(spoiling, 'fault')}{more}."
     if doubtful:
-        return f"Nothing that spoils the map was found; {_count(doubtful, 'thing')} may harm it."
+        return f"No fault makes the map unusable; {_count(doubtful, 'warning')}."
     return "This log is healthy: nothing was found that would harm the map."
 
 

@@ -21,7 +21,7 @@ _when = itemgetter(0)
 
 @final
 class DamageError(Exception):
-    """Something in a bag is not as its format wants it; told to the user as an `InputError`."""
+    """A bag violates its format; reported to the user as an `InputError`."""
 
 
 class BagSource(Protocol):

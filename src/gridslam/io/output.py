@@ -1,4 +1,4 @@
-"""Results are written aside and then renamed, so that a run leaves all of its files or none."""
+"""Results are written to a temporary folder and then renamed, so that a run leaves all of its files or none."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class OutputFolder:
         self._aside = Path()
 
     def __enter__(self) -> OutputFolder:
-        """Check that OUT can be written and make the folder aside."""
+        """Check that OUT can be written and create the temporary folder."""
         above = self.path
         while not above.exists() and above != above.parent:
             above = above.parent
@@ -105,7 +105,7 @@ class OutputFolder:
         return self._aside / name
 
     def write_json(self, name: str, document: Mapping[str, Any]) -> None:
-        """Write a JSON file; `document` says what it is in ``schema``. NaN and infinity have no place in JSON.
+        """Write a JSON file; ``schema`` names its type. NaN and infinity have no place in JSON.
 
         Raises ArgumentError where there is no schema or a value cannot be written.
         """
@@ -138,7 +138,7 @@ class OutputFolder:
             raise
 
     def _restore(self, staged: list[str], replaced: Path) -> None:
-        """Undo the moves; what lies where tells which of them had happened."""
+        """Undo the moves; the location of the files shows which of them had happened."""
         for name in staged:
             if (replaced / name).exists():
                 os.replace(replaced / name, self.path / name)

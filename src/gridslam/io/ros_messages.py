@@ -1,6 +1,6 @@
 """The three kinds of ROS messages that a log of a planar lidar consists of, decoded from their bytes.
 
-ROS 1 packs the fields one after another, little-endian; ROS 2 writes CDR: two bytes that tell the byte order, two of
+ROS 1 packs the fields one after another, little-endian; ROS 2 writes CDR: two bytes for the byte order, two of
 options, then the fields, each aligned to its size (strings end with a zero, which their length counts). Both begin a
 header with four bytes that do not matter here, seconds, nanoseconds and the frame's name. Frames are given without
 leading "/": "/laser" and "laser" are one frame.
@@ -105,7 +105,7 @@ class Wire:
             object.__setattr__(self, name, struct.Struct(self.order + layout))
 
     def string(self, data: bytes, begin: int) -> tuple[str, int]:
-        """Read the string at `begin`, where its length stands, and tell where it ends."""
+        """Read the string at `begin`, where its length is stored; return it and its end."""
         if self.aligned:
             begin = (begin + 3) & ~3
         start = begin + 4

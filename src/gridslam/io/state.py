@@ -36,7 +36,7 @@ class SavedRun:
     rng : numpy.random.Generator
         Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
     trajectory : TrajectoryRecorder
-        The scans so far; their number tells how many of the log are done.
+        The scans so far; their number is that of the processed measurements of the log.
     statistics : StatisticsRecorder
         Counts and latencies so far.
     """

@@ -86,7 +86,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12], total[kH22], total[kG0], total[kG1], total[kG2], total[kScore]};
 }
 
-// Holds the guess along the direction in which the scan says too little about the position (a corridor's axis).
+// Pins the position along a degenerate direction (a corridor's axis) to the guess.
 void hold_undetermined(const Normal& n, const MatchSettings& s, double h[6]) {
   const double t = n.h22 > 0 ? 1.0 / n.h22 : 0.0;
   const double a = n.h00 - n.h02 * n.h02 * t, b = n.h01 - n.h02 * n.h12 * t, c = n.h11 - n.h12 * n.h12 * t;

@@ -112,8 +112,8 @@ def match(
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
     less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells`
-    or more apart say nothing along it, and those in unknown cells whose nearest obstacle lies along their wall rather
-    than across say nothing at all (0: all say what the field says).
+    or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies along their wall rather
+    than across are ignored entirely (0: all are used).
 
     Returns
     -------

@@ -227,7 +227,7 @@ GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row
   }
 }
 
-// Mends the field around a cell that is no longer occupied: only where that cell was the nearest obstacle.
+// Recomputes the field around a freed cell, where that cell was the nearest obstacle.
 void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
   const int r = cone.reach;
   const Obstacles near(m, root, cy, cx, r);

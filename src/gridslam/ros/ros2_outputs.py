@@ -1,4 +1,4 @@
-"""What the node says in ROS 2, as bytes, for whatever carries them."""
+"""Messages published by the node in ROS 2, as bytes, independent of the transport."""
 
 from __future__ import annotations
 

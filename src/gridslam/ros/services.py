@@ -19,7 +19,7 @@ Watch: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 
 
 def check_folder(out: Path | None) -> None:
-    """Raise OutputError where results cannot be written; said now, not when the robot has driven for an hour."""
+    """Raise OutputError if results cannot be written, before the run rather than after it."""
     if out is not None:
         with OutputFolder(out):
             pass
@@ -32,7 +32,7 @@ def waiting_for(scans: str, core: NodeCore) -> str:
 
 
 def saved(core: NodeCore, folder: Path) -> tuple[bool, str]:
-    """Save, and tell whether that went well and what came of it."""
+    """Save; return whether it succeeded, and a message."""
     try:
         document = core.save(folder)
     except GridslamError as error:

@@ -19,7 +19,7 @@ from gridslam.scan.geometry import ScanGeometry
 __all__ = ["LONGEST_SCAN_S", "BeamStatus", "LaserScan"]
 
 LONGEST_SCAN_S = 10.0
-"""No planar laser takes so long for a scan: times of beams that say so are none."""
+"""No planar laser takes this long for a scan: such beam times are invalid."""
 
 _DENSE = 400  # beams; a turn of whole degrees, or half a one of half degrees, has no more
 _TINY = float(np.finfo(np.float64).tiny)
@@ -27,7 +27,7 @@ _SMALLEST = 5e-324  # a range of 0 is none
 
 
 class BeamStatus(IntEnum):
-    """What one beam says; decided once, by the adapter that reads the scan."""
+    """Status of a beam, set once by the reader of the scan."""
 
     HIT = 0
     NO_RETURN = 1
@@ -40,7 +40,7 @@ _HIT, _GREATEST = np.uint8(BeamStatus.HIT), int(max(BeamStatus))
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserScan:
-    """One sweep of a planar lidar; `from_ranges` makes it of what a sensor tells, `from_ros` of a ROS message's fields.
+    """One sweep of a planar lidar; `from_ranges` builds it from ranges, `from_ros` from the fields of a ROS message.
 
     The constructor takes arrays as they are, and checks that they belong together.
 
@@ -196,8 +196,8 @@ class LaserScan:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame.
 
         Of a dense scan only one is taken for each `spacing_m` of arc about the laser, the default being half a cell of
-        5 cm; 0 takes all. What is near else outweighs all the rest, and thousands of beams cost time and say the same
-        again. Scans of up to 400 such beams are left as they are, and of others about as many are kept at least.
+        5 cm; 0 takes all. Otherwise near structure outweighs all the rest, and thousands of beams cost time without new
+        information. Scans of up to 400 such beams are left as they are, and of others about as many are kept at least.
         """
         ranges, geometry = self.ranges, self.geometry
         usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]

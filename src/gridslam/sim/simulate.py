@@ -34,7 +34,7 @@ class SimulatedLog:
     truth : Trajectory
         True poses of the base at the stamps of the scans, in the frame of the walls.
     odometry : Trajectory
-        What odometry says at the same stamps; its first pose is the true one.
+        Odometry at the same stamps; its first pose is the true one.
     walls : (S, 4) float64, m
         Line segments of the floor plan, as it is at the start.
     """

@@ -1,4 +1,4 @@
-"""What the filter says about how much it knows: covariances, undetermined directions, the lost flag."""
+"""Builds the step reports: covariances, degenerate directions and the lost flag."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class Confidence:
     Parameters
     ----------
     sigma_m : float, m
-        Standard deviation of what one beam says about the pose, beams being correlated.
+        Standard deviation of one beam, inflated for correlated beams.
     lost_below : float
-        Share of the beams that must agree with the best map; below it the pose is not to be trusted. Entering a room
-        for the first time leaves about a third.
+        Inlier ratio with the map of the best particle below which the robot is lost. Entering a room for the first time
+        leaves about a third.
     drift_m, drift_rad : float
         Standard deviation of the tracker's error after one metre or radian.
     """
@@ -49,7 +49,7 @@ class Confidence:
     drift_rad: float = Field(default=0.01, ge=0)
 
     def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
-        """Report of the scan that the filter begins with: a key scan that weighs nothing."""
+        """Report of the first scan: a key scan without importance weights."""
         state.covariance = self._spread(state)
         n_eff = effective_sample_size(state.log_weights)
         return StepReport(
@@ -78,7 +78,7 @@ class Confidence:
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
         state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
-        # the second key scan is not judged: a first scan that saw nothing leaves an empty map
+        # the lost flag is not set at the second key scan, since the map may still be empty
         state.lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         return StepReport(
             scan.stamp_ns, state.poses[best], state.covariance, key_from_base,

@@ -54,7 +54,7 @@ class GridFastSlamState:
     memory : Memory or None
         What loop closure remembers, where it is at work.
     odometry_covariance : (3, 3) float64 or None
-        What the log told of the odometry's noise since the pose from which it goes on (see `OdometryNoise`).
+        Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     """
 
     tracker: TrackerState
