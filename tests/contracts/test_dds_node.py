@@ -140,7 +140,7 @@ def test_two_programs_that_tell_of_one_transform_are_named(running):
         for writer in (running.robot.moving, other):
             writer.write(transforms(running.peer, [StampedTransform(stamp_ns, "odom", "base_link", IDENTITY)]))
             stamp_ns += 1000
-        return running.node.says("two transforms: base_link is told to lie in odom by publisher ", 1.0)
+        return running.node.says("two transforms: base_link is published twice (in odom by publisher ", 1.0)
 
     assert until(named), running.node.log.read_text()
 

@@ -81,7 +81,7 @@ def map_landmarks(
     particles : int, optional
         Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0, and 200 for both where correspondences are unknown.
     seed : int, >= 0
-        Of FastSLAM; the same gives the same bytes.
+        Of FastSLAM; the same gives identical results.
     unknown : bool
         Ignore the correspondences of the log and estimate them. Not with "graph".
     sensor : LandmarkModel, optional

@@ -64,7 +64,7 @@ def localize(
     covariance : (3, 3) float64, m^2, m rad, rad^2
         Of that pose.
     seed : int, >= 0
-        The same log, map, parameters and seed give the same bytes.
+        The same log, map, parameters and seed give identical results.
     options : LogOptions, optional
         What to read of the log at a path.
     parts : MonteCarloParts, optional

@@ -54,7 +54,7 @@ def map_log(
     particles : int, optional
         Number of particles; the preset's own if not given. Not together with `configuration`.
     seed : int, >= 0
-        The same log, configuration and seed give the same bytes.
+        The same log, configuration and seed give identical results.
     options : LogOptions, optional
         What to read of the log at a path.
     preset : str

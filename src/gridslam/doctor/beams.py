@@ -17,7 +17,7 @@ from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeom
 
 __all__ = ["BeamExaminer", "Sweep", "field_of_view_rad", "is_clockwise"]
 
-_MANY_LOST = 0.1  # share of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
+_MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
 _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
 _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
@@ -107,7 +107,7 @@ class Sweep:
 
     def invalid_figure(self) -> Figure:
         """Ratio of invalid beams over the log."""
-        course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
+        course = Series("ratio of the beams of a scan", *self._invalid_trace.arrays())
         return Figure("Invalid beams", "scan", "share", (course,), ())
 
     def counts_figure(self) -> Figure:
@@ -133,7 +133,7 @@ class BeamExaminer:
         sweep.take(scan)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the beams."""
+        """Yield the findings on the beams."""
         for sensor, sweep in self.sweeps.items():
             if len(sweep.counts) > 1:
                 yield _varies(sensor, sweep)

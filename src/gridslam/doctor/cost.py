@@ -21,7 +21,7 @@ _MUCH_BYTES = 2e9  # more than a small computer on a robot may have to spare
 
 
 def expected_cost(scans: int, key_scans: int) -> Finding:
-    """Tell the time and memory of `gridslam map` with 30 particles from the number of scans and of key scans."""
+    """Predict the time and memory of `gridslam map` with 30 particles from the number of scans and of key scans."""
     seconds = _START_S + scans * _SCAN_S + key_scans * (_KEY_SCAN_S + _PARTICLES * _PARTICLE_S)
     memory = _START_BYTES + key_scans * _KEY_SCAN_BYTES
     remedy = "If that is too much, map with --no-loop-closure or fewer --particles." if memory > _MUCH_BYTES else ""

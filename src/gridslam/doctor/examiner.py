@@ -21,7 +21,7 @@ class Examiner(Protocol):
         """Look at the next measurement."""
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what was found so far."""
+        """Yield the findings so far."""
 
 
 @final

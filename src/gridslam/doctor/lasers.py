@@ -88,7 +88,7 @@ class LaserExaminer:
         laser.take(scan.geometry)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is particular of the lasers."""
+        """Yield the findings on the lasers."""
         if len(self.lasers) > 1:
             yield self._several()
         for sensor, laser in self.lasers.items():

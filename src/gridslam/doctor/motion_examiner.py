@@ -93,7 +93,7 @@ def _half_of_the_sweep(calibration: MotionCalibration, laser: _Laser) -> bool:
 
 
 def _skewed(motion: LaserMotion, laser: _Laser) -> Finding | None:
-    """Tell where scans are smeared by turning, and whether the log lets that be undone."""
+    """Find scans that are skewed by turning, and whether the log allows deskewing."""
     rates = np.abs(turn_rates(motion))
     fast = float(np.quantile(rates, _FASTEST))
     size, swept = fast * laser.sweep_s, laser.witness.times.order.swept

@@ -34,7 +34,7 @@ _CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no referenc
 
 
 def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None = None) -> list[Finding]:
-    """Tell what is wrong with mounting, clock and odometry, by the motion of one laser.
+    """Yield the findings on mounting, clock and odometry, by the motion of one laser.
 
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.

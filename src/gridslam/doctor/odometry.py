@@ -137,7 +137,7 @@ class OdometryExaminer:
         self._window = scan.stamp_ns, place, scan
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the odometry, and with how the robot was driven."""
+        """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
         if self._jumps:
@@ -209,7 +209,7 @@ def _turn(before: tuple[float, float, float], after: tuple[float, float, float])
 
 
 def _share_changed(before: LaserScan, after: LaserScan) -> float:
-    """Share of the beams that hit something both times and farther or nearer by more than noise; 0 where too few."""
+    """Ratio of beams with two hits whose ranges differ by more than noise; 0 if there are too few."""
     if len(before) != len(after):
         return 0.0
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)

@@ -78,7 +78,7 @@ def picture_name(number: int, finding: Finding) -> str | None:
 
 
 def text(diagnosis: Diagnosis) -> list[str]:
-    """Tell a diagnosis in lines for a terminal."""
+    """Format a diagnosis as lines for a terminal."""
     lines = [_head(diagnosis), *(f"  {line}" for line in _facts(diagnosis))]
     for severity, head in _HEADS.items():
         found = [finding for finding in diagnosis.findings if finding.severity is severity]
@@ -135,7 +135,7 @@ def _title(finding: Finding) -> str:
 
 
 def markdown(diagnosis: Diagnosis) -> list[str]:
-    """Tell a diagnosis in Markdown, with the pictures."""
+    """Format a diagnosis as Markdown, with figures."""
     lines = [f"# {diagnosis.path.name}", "", f"**{verdict(diagnosis)}**", "", _head(diagnosis), ""]
     lines += [f"{'  ' if line.startswith('  ') else ''}- {line.strip()}" for line in _facts(diagnosis)]
     for severity, head in _HEADS.items():

@@ -124,7 +124,7 @@ class StampExaminer:
         clock.take(scan.stamp_ns, None if odometry is None else tuple(odometry.pose.tolist()))
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the stamps."""
+        """Yield the findings on the stamps."""
         for sensor, clock in self.clocks.items():
             yield from _gaps(sensor, clock)
             if clock.backward:

@@ -209,7 +209,7 @@ def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:
 
 
 def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
-    """The base: what the odometry frame is the parent of, on the way to a laser if there is one."""
+    """The base: what the odometry frame is the parent of, between it and a laser if there is one."""
     if not odometry_frame:
         return ""
     for frames in above:

@@ -143,7 +143,7 @@ def moved(a: Rigid, b: Rigid) -> bool:
 
 
 def unreadable(source: BagSource, topic: str, time_ns: int, error: MessageError) -> InputError:
-    """Say which message cannot be decoded."""
+    """Name the message that cannot be decoded."""
     type_ = source.topics[topic].type
     return InputError(source.path, f"a message of {topic} recorded at {time_ns / 1e9:.3f} s is no {type_}: {error}")
 

@@ -28,7 +28,7 @@ class LineError(ValueError):
     """A line does not have the form of its tag; `row` is the index of the line."""
 
     def __init__(self, problem: str, row: int = 0) -> None:
-        """Say what was expected and what came."""
+        """State what was expected and what was found."""
         super().__init__(problem)
         self.row = row
 

@@ -89,7 +89,7 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     name : str
         One of those in `DATASETS`.
     folder : str or Path
-        Where its file is to lie; made if need be.
+        Output folder; created if missing.
     url : str, optional
         Base URL of the files; if not given, the environment variable `MIRROR`, or else `PUBLIC`.
 

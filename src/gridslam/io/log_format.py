@@ -43,7 +43,7 @@ class LogFormat(Enum):
 
 
 def log_format_of(path: str | Path) -> LogFormat:
-    """Tell the format of a log by its content, whatever its name is.
+    """Detect the format of a log from its content, not from its name.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def opened_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
     """Open a file whose bytes are compressed where `suffix` is .gz or .bz2."""
     with path.open("wb") as raw:
         if suffix == ".gz":
-            # Neither name nor time goes into the file: the same log gives the same bytes.
+            # Neither name nor time is stored in the file, so that the same log gives an identical file.
             with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file:
                 yield cast(IO[bytes], file)
         elif suffix == ".bz2":

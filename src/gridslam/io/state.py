@@ -1,4 +1,4 @@
-"""A run between two scans as one file, so that it can be resumed to the same bytes."""
+"""A run between two scans as one file, so that it can be resumed with identical results."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
 
 
 def read_state(path: str | Path, threads: int = 1) -> SavedRun:
-    """Read a run; going on with it gives the same bytes as if it had not been interrupted.
+    """Read a run; resuming from it gives the same results as without interruption.
 
     Parameters
     ----------

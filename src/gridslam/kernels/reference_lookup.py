@@ -177,7 +177,7 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
     """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells, 0 on none; 0 in (B,) for sparse ones.
 
     An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
-    where three ends that are equally many beams apart, so many that `_BASE` cells would lie between them were all as
+    where three ends that are equally many beams apart, such that `_BASE` cells would lie between them were all as
     sparse as here, follow one another along a line to a cell. The end is the middle one of the three; else, at the end
     of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
     """

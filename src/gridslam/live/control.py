@@ -140,7 +140,7 @@ class RobotControl:
     Parameters
     ----------
     is_paused : callable
-        Tells whether scans are left out.
+        Returns whether scans are left out.
     pause : callable
         Has them left out, or not.
     """

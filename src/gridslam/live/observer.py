@@ -78,7 +78,7 @@ class LiveObserver:
     period_s : float, s
         Least time between two snapshots; set by whoever knows whether somebody looks.
     share : callable
-        Tells how much of the source is read, in [0, 1]; NaN where that is unknown.
+        Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
     def __init__(

@@ -123,7 +123,7 @@ class LivePage:
         return bool(self.viewers)
 
     def linger(self) -> None:
-        """Say that all is done and written, and stay as long as someone looks.
+        """Show that all is done and written, and keep serving as long as a viewer is connected.
 
         A lost connection has some seconds to come back.
         """

@@ -43,7 +43,7 @@ class Deskew:
         twist : (3,) float64, m/s, m/s, rad/s
             Velocity of the base.
         share : callable
-            Share of the beams that agree with the map, once they are matched to it.
+            Inlier ratio after matching to the map.
         """
         told, times = beams.deskewed(twist), beams.scan.beam_times_s
         if times is None or abs(twist[2]) * (times.max() - times.min()) <= self.turn_rad:

@@ -19,7 +19,7 @@ __all__ = ["AugmentedRecovery", "Averages", "MeasurementProposal"]
 
 
 class Averages(NamedTuple):
-    """Share of the beams that agree with the map, averaged over the particles and, slowly and fast, over updates."""
+    """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""
 
     slow: float
     fast: float
@@ -28,7 +28,7 @@ class Averages(NamedTuple):
 @final
 @parameters(frozen=True, config=STRICT)
 class AugmentedRecovery:
-    """Tells how probable it is that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
+    """Probability that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
 
     Parameters
     ----------

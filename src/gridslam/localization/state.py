@@ -49,7 +49,7 @@ class LocalizationReport:
     lost : bool
         Whether the lost probability exceeds `MonteCarloParts.lost_above`.
     agreement : float, [0, 1]
-        Share of the beams that agreed with the map at the last update, at the cluster's mean.
+        Inlier ratio with the map at the last update, at the cluster's mean.
     particles : int
         Number of particles after the step.
     n_eff : float
@@ -57,7 +57,7 @@ class LocalizationReport:
     skipped : LocalizationSkip or None
         Why the particles were not updated; None where they were.
     augmented : float, [0, 1]
-        Ratio of the belief that was sampled anew over the whole map; 1 if the pose is unknown.
+        Ratio of the belief that was sampled over the whole map; 1 if the pose is unknown.
     poses, log_weights : (N, 3), (N,) float64 or None
         The particles where they were updated, before resampling; log weights are normalized.
     parents : (M,) int64 or None
@@ -103,7 +103,7 @@ class MonteCarloState:
     rivals : Rivals
         Places that the particles have left, and that nothing has refuted yet.
     agreement : float, [0, 1]
-        Share of the beams that agreed with the map there.
+        Inlier ratio with the map there.
     odometry : (3,) float64 or None
         Odometry's pose at the last update; None before the first one.
     last : Odometry or None
@@ -132,7 +132,7 @@ class MonteCarloState:
         return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays, of which `from_arrays` makes a state that goes on to the same bytes."""
+        """Plain arrays, from which `from_arrays` restores a state with identical results."""
         if self.consumed:
             raise ConsumedStateError
         numbers = {name: np.array(getattr(self, name)) for name in _NUMBERS}

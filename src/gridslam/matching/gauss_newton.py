@@ -47,8 +47,8 @@ class GaussNewton:
         Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
         and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. Ends on
         a straight wall, in unknown cells, whose nearest obstacle lies along the wall do not count at all: it goes on
-        where it is not mapped yet, and they would be pulled back to where its mapped part ends. 0: all count as the
-        field says.
+        where it is not mapped yet, and they would be pulled back to where its mapped part ends. 0: all count as in
+        the field.
 
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """

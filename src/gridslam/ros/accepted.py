@@ -61,7 +61,7 @@ class Accepted(NamedTuple):
 
 
 def refusal_of(message: ScanMessage, least: int, most: int) -> str:
-    """Say why a message is no scan to be mapped; empty where it is one of `least` to `most` beams."""
+    """Reason why a message is not a scan to map; empty for a scan of `least` to `most` beams."""
     beams = len(message.ranges)
     if beams > most:
         return f"{beams} beams, more than the {most} that a scan may have"

@@ -20,7 +20,7 @@ class Complaints:
     Parameters
     ----------
     say : callable
-        Tells people.
+        Reports to the user.
     every_s : float, s
         Between two sentences of one kind.
     clock : callable

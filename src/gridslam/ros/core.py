@@ -50,7 +50,7 @@ class NodeCore:
     outputs : Outputs
         The transport.
     record : str or Path, optional
-        CSV of the accepted scans, which `gridslam map` maps to the same bytes; later sessions get `-2`, `-3`, ...
+        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions get `-2`, `-3`, ...
         before its suffix.
     observers : sequence of Observer
         Called after each scan, in the filter's thread.
@@ -147,7 +147,7 @@ class NodeCore:
         self._intake.add_transforms(self._speaker.others(transforms, publisher), static=static, publisher=publisher)
 
     def refuse(self, what: str, problem: str) -> None:
-        """Tell of a message that the transport could not even decode."""
+        """Report a message that the transport could not even decode."""
         self._complain(f"{what} refused", problem)
 
     def dynamic_map(self) -> GridMessage | None:

@@ -269,7 +269,7 @@ class Intake:
         return None
 
     def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
-        """Tell of scans that are always older than the odometry which came before: each would get an old pose."""
+        """Report scans that are always older than the odometry which came before: each would get an old pose."""
         newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
         self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _FORGOTTEN_S else 0

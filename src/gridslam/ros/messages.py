@@ -105,4 +105,4 @@ class Outputs(Protocol):
         """Publish how the node does."""
 
     def say(self, level: Level, text: str) -> None:
-        """Tell people."""
+        """Report to the user."""

@@ -26,7 +26,7 @@ def check_folder(out: Path | None) -> None:
 
 
 def waiting_for(scans: str, core: NodeCore) -> str:
-    """Tell what a node listens to."""
+    """List the subscriptions of a node."""
     base, odom = core.settings.base_frame, core.settings.odom_frame
     return f"waiting for scans on {scans}" + ("" if core.settings.odometry == "none" else f" and for {base} in {odom}")
 

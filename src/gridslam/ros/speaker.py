@@ -47,7 +47,7 @@ class Speaker:
     outputs : Outputs
         The transport.
     renderer : MapRenderer or KnownMapTeller
-        Draws the map.
+        Renders the map.
     intake : Intake
         Of the scans, for the diagnostics.
     complain : Complaints
@@ -96,7 +96,7 @@ class Speaker:
             )  # fmt: skip
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
-        """Tell of one scan."""
+        """Publish the report of one scan."""
         accepted, outputs, frame = self._accepted, self._outputs, self._settings.map_frame
         assert accepted is not None
         odometry = accepted.measurement.odometry

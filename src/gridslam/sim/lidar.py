@@ -45,7 +45,7 @@ class LidarConfig:
     sigma_range_share : float, >= 0
         What it grows by with each metre of range, as it does where the range is triangulated.
     no_return_probability : float, [0, 1]
-        Share of the beams that are lost (dark or mirroring surfaces).
+        Ratio of beams that are lost (dark or mirroring surfaces).
     x_m, y_m, heading_rad : float
         Mounting: pose of the laser in the robot's base frame.
     rate_hz : float, Hz, > 0

@@ -86,7 +86,7 @@ def simulate(
 ) -> SimulatedLog:
     """Drive `world`'s route once and record scans, each with odometry: of one lidar, or of several merged by time.
 
-    Stamps begin at 0. The same arguments and state of `rng` give the same bytes. People stand still during a scan.
+    Stamps begin at 0. The same arguments and state of `rng` give identical results. People stand still during a scan.
 
     Raises
     ------

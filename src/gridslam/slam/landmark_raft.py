@@ -31,7 +31,7 @@ _EXACT = 1e-6  # m^2 and rad^2: what is known to 1 mm and 1 mrad is not known be
 
 
 def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
-    """Jacobians (..., 3, 3), for points two rows, of poses or points (..., 2 and more) by rafts (..., 3)."""
+    """Jacobians (..., 3, 3), for points two rows, of poses or points (..., 2 and more) by local frames (..., 3)."""
     moves = np.zeros((*points.shape[:-1], 3, 3))
     moves[..., 0, 0] = moves[..., 1, 1] = moves[..., 2, 2] = 1.0
     moves[..., 0, 2], moves[..., 1, 2] = rafts[..., 1] - points[..., 1], points[..., 0] - rafts[..., 0]

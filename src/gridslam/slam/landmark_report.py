@@ -63,4 +63,4 @@ class LandmarkMap:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} sightings)"
+        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} observations)"

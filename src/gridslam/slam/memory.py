@@ -132,7 +132,7 @@ class Memory:
         )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {
             "said": np.array(self.said, np.float64).reshape(-1, 3),
             "doubts": np.array(self.doubts),

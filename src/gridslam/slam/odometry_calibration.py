@@ -70,7 +70,7 @@ class LearnedOdometry:
         return replace(self)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
         arrays["stretches"] = np.array(self.stretches)
         return arrays | {"flags": np.array([self.trusted, self.determined])}

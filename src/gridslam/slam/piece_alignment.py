@@ -91,7 +91,7 @@ class PieceAlignment:
         The piece looks alike in itself where, in its own map, the next best place of a quarter of its key scans fits
         this well, as a part of how the right one does.
     share : float
-        Share of the beams that must agree for a key scan to give a constraint.
+        Minimum inlier ratio of a key scan that gives a constraint.
     least : int
         Constraints that an alignment must give, and searches that must have found nothing else.
     search : BranchAndBound

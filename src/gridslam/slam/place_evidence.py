@@ -53,7 +53,7 @@ def plausible(covariance: FloatArray, missed: FloatArray, gate: float) -> bool:
 
 
 def through_walls(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:
-    """Share of the beams that, from a pose (3,), would pass through what the map knows as walls."""
+    """Ratio of beams that, from a pose (3,), would pass through what the map knows as walls."""
     ways = beams.ends - beams.origin
     ranges = np.hypot(ways[:, 0], ways[:, 1])
     seen = maps.cast_rays(ROW, pose[None], beams.origin, ways / ranges[:, None], float(ranges.max()))[0]

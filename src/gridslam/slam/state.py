@@ -134,7 +134,7 @@ class GridFastSlamState:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
+        """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
         own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))

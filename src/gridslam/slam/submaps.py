@@ -44,7 +44,7 @@ def draw(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterabl
 
 
 def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
-    """Draw a new map of key scans `keys` (K,) at poses (K, 3)."""
+    """Build a map of key scans `keys` (K,) at poses (K, 3)."""
     maps = mapper.empty(1)
     draw(maps, scans, keys.tolist(), poses)
     return maps
@@ -53,7 +53,7 @@ def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, pose
 def joint_map(
     blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
 ) -> TileMaps:
-    """Draw one map of several blocks, each where the graph has its anchor."""
+    """Build one map of several blocks, each at the pose of its anchor in the graph."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
     keys = [keys_of(block, graph)[::stride] for block in blocks]
     poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]

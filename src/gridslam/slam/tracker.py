@@ -61,7 +61,7 @@ class Tracker:
         (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position
         keeps the odometry, and only the heading is taken.
     slip_gain : float
-        Share of the beams that must agree more after such a match than before it.
+        Minimum gain of the inlier ratio by such a match.
     matcher : GaussNewton
         How a scan is matched.
     steady_matcher : GaussNewton

@@ -41,7 +41,7 @@ class OdometrySearch:
     gates : tuple of float
         Standard deviations of the odometry within which is searched, one after the other.
     certain_share : float
-        Share of the beams from which on a place is taken without looking farther.
+        Inlier ratio above which a place is accepted without further search.
     gains : tuple of float
         By so much more of the beams a place must agree than the best one within the gates before.
     overlap : float
@@ -52,7 +52,7 @@ class OdometrySearch:
     anywhere : BranchAndBound
         How is searched where nothing certain was found within the gates: a turn was not counted at all.
     anywhere_share, anywhere_gain : float
-        Share of the beams that must agree with a place found so, and how many more than with any before.
+        Minimum inlier ratio of such a place, and its minimum gain over any previous one.
     unique : float
         A place must be the only one: no other within the same gate has this part of its share.
     follow_m, follow_rad : float

@@ -146,7 +146,7 @@ class TrackerState:
         return replace(self, maps=self.maps.snapshot(), learned=self.learned.snapshot())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
         counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.overruled, self.even]
         arrays["counters"] = np.array(counters, np.int64)
