@@ -34,7 +34,7 @@ class ConsumedStateError(GridslamError, RuntimeError):
 
 
 class InputError(GridslamError):
-    """A file cannot be used: says which file, which line where there is one, what was expected and what came."""
+    """A file cannot be used: names the file, the line if there is one, what was expected and what was found."""
 
     def __init__(self, path: str | Path, problem: str, line: int | None = None) -> None:
         where = f"{path}" if line is None else f"{path}, line {line}"

@@ -1,4 +1,4 @@
-"""Observers of the pipeline: what a run leaves behind besides its map."""
+"""Pipeline observers: recorders of trajectory and statistics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 
 @final
 class TrajectoryRecorder:
-    """Keeps what is needed for a pose of every scan: as it was told at the time, and as the end tells it.
+    """Records what is needed for the online and the full trajectory of all scans.
 
     Between two key scans all particles move with the tracker (see `gridslam.slam.full_trajectory`).
     Memory is 64 bytes a scan.
@@ -36,7 +36,7 @@ class TrajectoryRecorder:
         self._online, self._from_key = array("d"), array("d")
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of one scan."""
+        """Record one scan."""
         self._steps += report.skipped is None
         self._stamps_ns.append(report.stamp_ns)
         self._keys.append(self._steps - 1)
@@ -77,7 +77,7 @@ class TrajectoryRecorder:
         return _poses(self._from_key)
 
     def online(self) -> Trajectory:
-        """Give the online-SLAM answer: what the best particle said at the time of each scan."""
+        """Return the online trajectory: the pose of the best particle at each scan."""
         return Trajectory(_integers(self._stamps_ns), _poses(self._online))
 
     def full(self, state: GridFastSlamState) -> Trajectory:
@@ -106,7 +106,7 @@ class Latency:
 @final
 @dataclass(frozen=True, slots=True)
 class RunStatistics:
-    """What a run did.
+    """Statistics of a run.
 
     Attributes
     ----------
@@ -149,7 +149,7 @@ class StatisticsRecorder:
         self._resamplings = self._lost = self._undetermined = self._corrections = 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of one scan."""
+        """Record one scan."""
         self._seconds.append(seconds)
         self._is_key.append(report.skipped is None)
         self._lost += report.lost

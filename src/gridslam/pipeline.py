@@ -21,7 +21,7 @@ Report = TypeVar("Report", bound="Reported", covariant=True)
 
 
 class Reported(Protocol):
-    """What a filter tells of a scan."""
+    """Report of a filter on one scan."""
 
     @property
     def skipped(self) -> object | None:
@@ -41,12 +41,12 @@ class Observer(Protocol):
     """Sees every scan's report; trajectories, statistics, progress and publishers are observers."""
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of a step that took `seconds`; `state` may be read now, but belongs to the filter."""
+        """Process a step that took `seconds`; `state` may be read now, but belongs to the filter."""
 
 
 @final
 class Stopwatch:
-    """Wall and CPU time (s) of the stages of a run; a moment belongs to the stage whose `lap` comes next.
+    """Wall and CPU time (s) of the stages of a run; each `lap` ends a stage.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Stopwatch:
         return sum(wall for wall, _ in times), sum(cpu for _, cpu in times)
 
     def to_dict(self) -> dict[str, Any]:
-        """What run.json says of time: `wall_s` and `cpu_s` of all stages, and of each under `stages`."""
+        """Times for run.json: `wall_s` and `cpu_s` of all stages, and of each under `stages`."""
         wall, cpu = self.total()
         stages = {name: {"wall_s": times[0], "cpu_s": times[1]} for name, times in self.stages.items()}
         return {"wall_s": wall, "cpu_s": cpu, "stages": stages}

@@ -177,8 +177,8 @@ def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
     (tmp_path / "closing.toml").write_text(dumps(PROVOKED))
     options = "--config", tmp_path / "closing.toml"
     _, out, _ = call("map", loop_log, "-o", tmp_path / "out", *options)
-    assert re.search(r"^[1-9]\d* places recognized, \d+ key scans tied .*, [1-9]\d* corrections? on the way", out, re.M)
-    assert re.search(r"^\d+ places not believed: .* \d+", out, re.M)
+    assert re.search(r"^[1-9]\d* places recognized, \d+ tracked revisits, [1-9]\d* online corrections?", out, re.M)
+    assert re.search(r"^\d+ loop-closure candidates rejected: .* \d+", out, re.M)
     assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
 
 
@@ -188,15 +188,13 @@ def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
     with progress_module.progress(LogStatistics) as show:
         for _ in range(5):
             show.last_word()
-    assert capsys.readouterr().err == (
-        "100%  0 scans; the last word, for 5 s\n100%  0 scans; the last word, for 10 s\n"
-    )
+    assert capsys.readouterr().err == ("100%  0 scans; final refinement, 5 s\n100%  0 scans; final refinement, 10 s\n")
 
 
 def test_map_says_what_came_of_it(log, tmp_path, call):
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert status == 0
-    assert "0 places recognized, 0 key scans tied to known places, 0 corrections on the way" in out
+    assert "0 places recognized, 0 tracked revisits, 0 online corrections" in out
     assert out.startswith("rooms.clf.bz2: 120 scans, 24 s, ")
     assert str(tmp_path / "out" / "map.png") in out
     assert err == ""
@@ -263,7 +261,7 @@ GOOD = "FLASER 3 1.0 2.0 1.5 0 0 0 0 0 0 {0}.0 host {0}.0\n"
         (None, "no such file"),
         (b"", "the file is empty"),
         (b"\x00\x01\x02" * 100, "got binary data that begins with 00 01 02"),
-        (b"# nothing\n", "got text without a line that says anything"),
+        (b"# nothing\n", "got text with blank lines only"),
         (b"PARAM x 1 host 1.0\n", "got no scan"),
         ((GOOD.format(1) + "FLASER 3 1.0 x 1.5 0 0 0 0 0 0 2.0 host 2.0\n").encode(), "bad.clf, line 2: "),
         ((GOOD.format(1) + "FLASER 3 1.0 2.0\n" + GOOD.format(3)).encode(), "bad.clf, line 2: "),
@@ -310,7 +308,7 @@ def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, 
     assert run["input"]["truncated"]
     assert 20 < run["scans"]["read"] < 120
     assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == run["scans"]["read"]
-    assert err == f"gridslam: {path}: the log is cut off; {run['scans']['read']} scans were there\n"
+    assert err == f"gridslam: {path}: the log is truncated after {run['scans']['read']} scans\n"
 
 
 @pytest.mark.parametrize(

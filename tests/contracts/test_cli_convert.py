@@ -120,7 +120,7 @@ def test_a_log_that_is_cut_off(log, tmp_path, call):
     refused(call, tmp_path, "convert", cut, tmp_path / "out.clf")
     status, out, err = call("convert", cut, tmp_path / "out.clf", "--keep-truncated")
     assert status == 0
-    assert err == f"gridslam: {cut}: the log is cut off; 119 scans were there\n"
+    assert err == f"gridslam: {cut}: the log is truncated after 119 scans\n"
     assert out.endswith("119 scans in the format carmen\n")
 
 
@@ -144,8 +144,8 @@ def refused(call, tmp_path, *arguments, status=2) -> str:
         ("log.clf", ["--to", "ros1"], "expected a name for a log in the format ros1"),
         ("log.bag", ["--to", "ros2"], "expected a name for a log in the format ros2"),
         ("log.csv", ["--to", "rosbag"], "Invalid value for '--to'"),
-        (".", [], "got a folder that is there"),
-        ("there", [], "got a folder that is there"),
+        (".", [], "got an existing folder"),
+        ("there", [], "got an existing folder"),
         ("taken/log.csv", [], "taken is a file"),
         ("log.tum", ["--no-odometry"], "cannot be written as tum: it has no odometry"),
         ("log.csv", ["--start", "1000"], "expected scans 1000 s or more after the first: the log lasts"),
@@ -165,8 +165,8 @@ def test_the_log_itself_is_no_place_for_its_copy(log, tmp_path, call):
     (tmp_path / "log.clf").write_bytes(log.read_bytes())
     (tmp_path / "link.clf").symlink_to(tmp_path / "log.clf")
     for name in ("log.clf", "link.clf"):
-        assert "expected another name" in refused(call, tmp_path, "convert", tmp_path / "log.clf", tmp_path / name)
-    with pytest.raises(ArgumentError, match="expected another name"):
+        assert "expected a name other than" in refused(call, tmp_path, "convert", tmp_path / "log.clf", tmp_path / name)
+    with pytest.raises(ArgumentError, match="expected a name other than"):
         convert_log(tmp_path / "log.clf", tmp_path / "log.clf")
 
 

@@ -61,7 +61,7 @@ def test_landmarks_by_a_graph_that_is_not_told_which(call, tmp_path):
     log.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 1 7 1 0 1 0 1\n")
     status, out, err = call("landmarks", log, "-o", tmp_path / "out", "--method", "graph", "--unknown")
     assert (status, out) == (2, "")
-    assert err == "gridslam: --unknown: GraphSLAM has to be told which landmark was seen\n"
+    assert err == "gridslam: --unknown: GraphSLAM requires known correspondences\n"
     assert not (tmp_path / "out").exists()
 
 
@@ -71,7 +71,7 @@ def test_landmarks_of_a_log_that_sees_none(call, tmp_path, method):
     log.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n")
     status, out, err = call("landmarks", log, "-o", tmp_path / "out", "--method", method)
     assert (status, out) == (2, "")
-    assert err == f"gridslam: {log}: expected sightings of landmarks, got none\n"
+    assert err == f"gridslam: {log}: expected landmark observations, got none\n"
     assert not (tmp_path / "out").exists()
 
 

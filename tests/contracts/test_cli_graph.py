@@ -165,7 +165,7 @@ def test_too_few_iterations_are_told(call, graph, tmp_path):
     status, text, err = call(path, "-o", tmp_path / "out", "--json", "--max-iterations", "1", "--no-guess")
     assert status == 0
     assert json.loads(text)["converged"] is False
-    assert err == f"gridslam: {path}: the least chi2 was not reached with --max-iterations 1\n"
+    assert err == f"gridslam: {path}: no convergence within --max-iterations 1\n"
 
 
 def test_unknown_tags(call, graph, tmp_path):
@@ -177,7 +177,7 @@ def test_unknown_tags(call, graph, tmp_path):
     assert "--skip-unknown" in err
     status, text, _ = call(path, "-o", tmp_path / "out", "--skip-unknown")
     assert status == 0
-    assert "passed over: 2 VERTEX_XY, 1 PARAMS" in text
+    assert "skipped lines: 2 VERTEX_XY, 1 PARAMS" in text
     document = json.loads((tmp_path / "out" / "graph.json").read_text())
     assert document["input"]["skipped"] == {"VERTEX_XY": 2, "PARAMS": 1}
 

@@ -123,7 +123,7 @@ def test_scans_outside_and_in_gaps_are_counted_and_told(call, log, truth, tmp_pa
     assert json.loads(text)["scans"] == {"read": 120, "used": 80, "skipped": skipped}
     first, last = err.splitlines()
     assert f"gridslam: {log}: 20 of 120 scans are not mapped: they lie outside the trajectory" in first
-    assert "20 of 120 scans are not mapped: the poses about them are more than 1 s apart (--max-gap)" in last
+    assert "20 of 120 scans are not mapped: the neighbouring poses are more than 1 s apart (--max-gap)" in last
 
 
 def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):

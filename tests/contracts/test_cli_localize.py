@@ -78,7 +78,7 @@ def test_in_words_without_a_folder(place, tmp_path, capsys, monkeypatch):
     lines = text.splitlines()
     assert status == 0
     assert lines[0].startswith("flat.clf in flat.yaml: ")
-    assert lines[2] == "lost at first: poses until it is found are guesses"
+    assert lines[2] == "not localized at the start: poses up to the first fix are guesses"
     assert lines[3].startswith("found after ")
     assert lines[-1].startswith("at the end: x ")
     assert not list(tmp_path.iterdir())
@@ -106,7 +106,7 @@ def test_names_of_amcl(place, capsys):
     assert configuration["motion"]["kind"] == "OdometryMotion"
     assert configuration["kld"]["particles_max"] == 800
     assert (configuration["max_beams"], configuration["recovery"]["alpha_fast"]) == (50, 0.1)
-    assert "tf_broadcast: means nothing here, ignored" in warned
+    assert "tf_broadcast: not supported, ignored" in warned
 
 
 def test_the_same_seed_gives_the_same_bytes(place, tmp_path):
@@ -218,7 +218,7 @@ def test_a_laser_that_is_upside_down(place, tmp_path, capsys):
     write_carmen(log, reflected_laser(drive(1, OdometryNoise()).measurements))
     status, text, said = run(capsys, log, "--map", place / "flat.yaml", "--json")
     assert status == 0
-    assert "run the other way" in said
+    assert "the beam order is reversed" in said
     document = json.loads(text)
     assert document["input"]["repair"]["reflected"] is True
     assert document["scans"]["lost"] < 0.2 * document["scans"]["read"]
@@ -239,6 +239,6 @@ def test_a_room_whose_ends_are_alike_is_no_error(tmp_path, capsys):
     write_carmen(tmp_path / "room.clf", log.measurements)
     status, text, said = run(capsys, tmp_path / "room.clf", "--map", tmp_path / "room.yaml", "--json")
     assert status == 0
-    assert "look alike" in said
+    assert "the map is ambiguous" in said
     scans = json.loads(text)["scans"]
     assert scans["lost"] == scans["read"]

@@ -127,7 +127,7 @@ def test_what_is_no_scan_is_named_and_the_node_lives(running, drive):
 def test_another_node_that_says_where_odometry_lies_is_named(running):
     link = StampedTransform(1, "map", "odom", IDENTITY)
     running.robot.moving.write(transforms(running.peer, [link]))
-    assert running.node.says("says where odom lies in map, and this one where in map"), running.node.log.read_text()
+    assert running.node.says("publishes odom in map, and this node publishes it in map"), running.node.log.read_text()
 
 
 def test_two_programs_that_tell_of_one_transform_are_named(running):
@@ -140,7 +140,7 @@ def test_two_programs_that_tell_of_one_transform_are_named(running):
         for writer in (running.robot.moving, other):
             writer.write(transforms(running.peer, [StampedTransform(stamp_ns, "odom", "base_link", IDENTITY)]))
             stamp_ns += 1000
-        return running.node.says("two transforms: base_link is told to lie in odom by publisher ", 1.0)
+        return running.node.says("two transforms: base_link is published twice (in odom by publisher ", 1.0)
 
     assert until(named), running.node.log.read_text()
 

@@ -80,7 +80,7 @@ def test_the_command(mapped_park, tmp_path, capsys):
     assert (document["correspondences"], document["not_believed"]) == ("unknown", 0)
     for more, said in (
         (["--particles", "5", "--landmarks", str(landmarks)], "--particles: expected none for ekf-localization, got 5"),
-        (["--method", "ekf", "--landmarks", str(landmarks)], "expected with --method ekf-localization alone"),
+        (["--method", "ekf", "--landmarks", str(landmarks)], "only valid with --method ekf-localization"),
         ([], "expected true landmarks beside it, as no others are given"),
     ):
         assert main([*how[:3], str(tmp_path / "none"), *how[4:], *more]) == 2
@@ -100,7 +100,7 @@ def test_what_is_refused(mapped_park, tmp_path):
     bad.write_text("".join(line + "\n" for line in [*landmarks.read_text().splitlines(), "1100,0,0,1,0,1,1"]))
     with pytest.raises(InputError, match=r"bad.csv: names: expected each landmark once"):
         localize_by_landmarks(log, bad)
-    with pytest.raises(InputError, match=r"ring.txt: expected sightings of the landmarks in the map"):
+    with pytest.raises(InputError, match=r"ring.txt: expected observations of the landmarks in the map"):
         localize_by_landmarks(log, KnownLandmarks.of([1], [[0.0, 0.0]]))
     with pytest.raises(ArgumentError, match="pose: expected finite x, y, theta"):
         localize_by_landmarks(log, landmarks, pose=(0, 0, np.nan))

@@ -304,7 +304,7 @@ def test_roslaunch_starts_the_node_of_the_examples(ros, tmp_path):
         ("angles", "message refused: scan: its angles are from nan"),
         ("large", "scan refused: /scan: 26214400 beams, more than the 100000 that a scan may have"),
         ("type", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String"),
-        ("map", "says where odom lies in map, and this one where in map: end one of them"),
+        ("map", "publishes odom in map, and this node publishes it in map: end one of them"),
         ("transform", "transform refused: odom <- base_link"),
     ],
 )

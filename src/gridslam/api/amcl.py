@@ -88,7 +88,7 @@ class AmclParameters(NamedTuple):
 
 
 def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None) -> AmclParameters:
-    """Read AMCL's parameters, by ROS 1's names or nav2's; what they do not say stays as in `base`.
+    """Read AMCL's parameters, by the names of ROS 1 or nav2; parameters that are not given stay as in `base`.
 
     Parameters
     ----------

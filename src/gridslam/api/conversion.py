@@ -71,9 +71,9 @@ class Conversion:
 
 
 def format_of_name(out: str | Path, to: str | None = None) -> OutFormat:
-    """The format that a log is to be written in: by the suffix of its name, or as `to` says.
+    """The format of the new log: by the suffix of its name, or `to`.
 
-    Raises ArgumentError where the name tells none, or a bag of another kind than `to`.
+    Raises ArgumentError if the name has no known suffix, or that of a bag of another kind than `to`.
     """
     path = Path(out)
     packed = path.suffix in _PACKED
@@ -83,7 +83,7 @@ def format_of_name(out: str | Path, to: str | None = None) -> OutFormat:
     form = named if to is None else OutFormat(to)
     if form in (OutFormat.CARMEN, OutFormat.CSV):
         return form
-    kinds = OutFormat.ROS1, OutFormat.MCAP  # whose writer goes by the suffix
+    kinds = OutFormat.ROS1, OutFormat.MCAP  # whose writer uses the suffix
     if form is None or packed or (form is not named and (form in kinds or (form is OutFormat.ROS2 and named in kinds))):
         what = "a log" if form is None else f"a log in the format {form.value}"
         raise ArgumentError("out", f"a name for {what}, which ends in {_NAMES}", repr(path.name))
@@ -105,11 +105,11 @@ def convert_log(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     out : str or Path
-        The new log; its suffix tells its format: .clf, .log, .carmen (CARMEN), .csv, .tum (the odometry alone), .bag
-        (ROS 1), .mcap, .db3 or none (the folder of a ROS 2 bag). CARMEN and CSV are compressed where .gz or .bz2
+        The new log; its suffix determines the format: .clf, .log, .carmen (CARMEN), .csv, .tum (the odometry alone),
+        .bag (ROS 1), .mcap, .db3 or none (the folder of a ROS 2 bag). CARMEN and CSV are compressed where .gz or .bz2
         follows.
     to : str, optional
-        The format whatever the name says: "carmen", "csv", "tum", "ros1", "ros2" or "mcap".
+        The format, independent of the name: "carmen", "csv", "tum", "ros1", "ros2" or "mcap".
     options : LogOptions, optional
         What to read of the log at a path.
     tick : callable
@@ -120,13 +120,13 @@ def convert_log(
     ArgumentError
         The format is not known, `out` is the log itself, or `options` come with a log that is open already.
     InputError
-        The log cannot be read, or holds what the format cannot say at all.
+        The log cannot be read, or contains data that the format cannot represent at all.
     OutputError
         The new log cannot be written.
     """
     form, source, target = format_of_name(out, to), opened_log(log, options), Path(out)
     if target.exists() and target.samefile(source.path):
-        raise ArgumentError("out", "another name than that of the log which is read", str(out))
+        raise ArgumentError("out", "a name other than the input log", str(out))
     lost: Counter[str] = Counter()
     scans = 0
 
@@ -172,7 +172,7 @@ def _with_beams(measurements: Iterable[Measurement], lost: Counter[str]) -> Iter
 
 
 def _with_odometry(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
-    """What a trajectory can tell: odometry, each once."""
+    """The odometry, each reading once, which is what a trajectory can represent."""
     before: Odometry | None = None
     for measurement in measurements:
         odometry = measurement.odometry

@@ -34,7 +34,7 @@ _ORDERS = {1: "as told", 0: "none", -1: "backward"}
 
 
 def run_document(result: MapResult) -> dict[str, Any]:
-    """What run.json says."""
+    """Build the content of run.json."""
     statistics = result.statistics
     return {
         "schema": RUN_SCHEMA,
@@ -78,7 +78,7 @@ def _input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dic
 
 
 def _sensor(sensor: str, log: LogStatistics) -> dict[str, Any]:
-    """Where a laser is mounted, seen from the base, and how often that was not as at its first scan."""
+    """Pose of a laser in the base frame, and the number of scans at which it had changed since the first."""
     mounting = log.mountings[sensor]
     moved = log.moving_mountings[sensor]
     return {"base_from_laser": mounting.pose.tolist(), "source": mounting.source, "moved": moved}
@@ -95,7 +95,7 @@ def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:
 
 
 def _tracker(result: MapResult) -> dict[str, Any] | None:
-    """What the tracker learned; None where it takes the odometry as it is."""
+    """Summary of the tracker; None for the tracker that uses the odometry unchanged."""
     tracker, state = result.configuration.tracker, result.state.tracker
     if not isinstance(tracker, Tracker):
         return None
@@ -110,7 +110,7 @@ def _tracker(result: MapResult) -> dict[str, Any] | None:
 
 
 def _learned(state: TrackerState) -> dict[str, Any]:
-    """The odometry's errors: true increments for those that it tells, and what is left of a stretch."""
+    """Estimated odometry errors: ratios of true to measured increments, and the residual per segment."""
     learned = state.learned
     a, c, _, _, turn_scale, turn_rad_per_m = learned.factors.tolist()
     sigma_m, sigma_rad = np.sqrt(learned.variances).tolist()
@@ -158,14 +158,14 @@ def _loop_closure(loops: Loops, key_stamps_ns: IntArray, corrections: int) -> di
 
 
 def _score(score: TrajectoryScore) -> dict[str, Any]:
-    """Of a candidate; an agreement of no beams is none."""
+    """Score of a candidate; the agreement is null if no beam was compared."""
     return asdict(score) | {"agreement": score.agreement if score.beams else None}
 
 
 def _peak_memory_bytes() -> int:
     """Greatest memory that this process has held.
 
-    What `getrusage` tells may be that of the process from which this one was started, so /proc is asked first.
+    `getrusage` may report the memory of the parent process, so /proc is read first.
     """
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()

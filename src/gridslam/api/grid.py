@@ -49,7 +49,7 @@ def map_with_poses(
     tick: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> GridResult:
-    """Draw the map of a log whose trajectory is known: no SLAM, no matching, the poses are believed as they are.
+    """Build the map of a log whose trajectory is known: no SLAM, no matching; the poses are not corrected.
 
     A scan gets the pose at its own stamp, interpolated between the trajectory's neighbours in time and never
     extrapolated; scans without one are left out and counted. Where beams have times, the trajectory's motion during the
@@ -60,12 +60,12 @@ def map_with_poses(
     log : str, Path or Log
         The log, of any format that `open_log` knows.
     trajectory : str, Path or Trajectory
-        Poses of the robot's base in the map frame; a path names a file in TUM's form.
+        Poses of the robot's base in the map frame; a path names a file in TUM format.
     model : "bayes" or "counting"
-        The binary Bayes filter, or the share of the beams that a cell reflects (see `bayes_map` and `counting_map`).
+        Inverse sensor model with log-odds, or reflection probability per cell (see `bayes_map` and `counting_map`).
     half_life_scans : float, optional
-        What a scan told of a cell counts half after so many more scans that saw the cell, so that things that move
-        fade; for ever if not given (see `BeamCounts`).
+        Number of scans observing a cell after which the weight of a scan is halved, so that moving objects fade; no
+        decay if not given (see `BeamCounts`).
     resolution_m : float, m, (0, 1], optional
         Side of a cell; 5 cm, or what suits the laser, if not given.
     laser : str, optional

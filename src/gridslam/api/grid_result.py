@@ -1,4 +1,4 @@
-"""What mapping with known poses gives, and the files that tell it."""
+"""Result of mapping with known poses, and its output files."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class GridResult:
     stopwatch: Stopwatch
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write all results into a folder, all of them or none; returns what run.json says.
+        """Write all results into a folder, all or none; returns the content of run.json.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class GridResult:
             return self.write(out)
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says."""
+        """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         write_map(out.file("map.yaml"), self.map)
         self.stopwatch.lap("write")
@@ -103,7 +103,7 @@ class GridResult:
         return document
 
     def caption(self) -> list[str]:
-        """Lines that tell what was mapped."""
+        """Lines that describe the map."""
         height, width = (side * self.map.resolution_m for side in self.map.known.shape)
         fading = "" if self.half_life_scans is None else f", half-life {self.half_life_scans:g} scans"
         name = {"bayes": "binary Bayes filter", "counting": "counting model"}[self.model]
@@ -139,7 +139,7 @@ class GridResult:
         return encode_png(self.picture())
 
     def _document(self) -> dict[str, Any]:
-        """What run.json says."""
+        """Build the content of run.json."""
         grid, config = self.map, self.configuration
         height, width = (side * grid.resolution_m for side in grid.known.shape)
         return {

@@ -25,13 +25,13 @@ from gridslam.types import FloatArray, MotionModel
 __all__ = ["localize_by_landmarks"]
 
 _SEEN_IN_MAP = MaximumLikelihood(same=100.0, other=100.0)
-"""In a map that is complete a sighting far off tells that the pose is wrong, rather than that it is of something new.
+"""In a complete map an observation far off indicates a wrong pose rather than a new landmark.
 
 On MRCLAM a gate of 3 standard deviations loses robot 3 where it sees nothing for 24 s; 5 to 10 do not.
 """
 
 _NEAR = np.diag([0.1**2, 0.1**2, 0.1**2])
-"""How well the first pose is known if nothing is said: 10 cm and 6 degrees, where someone put the robot on a mark."""
+"""Default covariance of the initial pose: 10 cm and 6 degrees, as for a robot placed on a mark."""
 
 
 def localize_by_landmarks(
@@ -53,8 +53,8 @@ def localize_by_landmarks(
     log : str, Path or LandmarkLog
         As `open_landmark_log` knows.
     landmarks : str, Path or KnownLandmarks, optional
-        The map; a path names a landmarks.csv, as `gridslam landmarks` writes it, whose positions are held for exact. If
-        not given, the true landmarks that the log has beside it.
+        The map; a path names a landmarks.csv, as `gridslam landmarks` writes it, whose positions are regarded as exact.
+        If not given, the true landmarks of the log.
     pose : (3,), optional
         The robot's pose [x m, y m, theta rad] before the first step, in the frame of the landmarks. If not given it is
         the true pose in the map of the true landmarks, and the origin in any other, for there a map of `gridslam
@@ -62,11 +62,11 @@ def localize_by_landmarks(
     covariance : (3, 3), m and rad
         How well it is known.
     unknown : bool
-        Take no notice of what the log tells of which landmark is seen: find the correspondences (Table 7.3).
+        Ignore the correspondences of the log and estimate them (Table 7.3).
     sensor : LandmarkModel, optional
-        Measurement model; that of the log's kind of sightings if not given.
+        Measurement model; if not given, that of the observation type of the log.
     motion : MotionModel
-        For a log that does not tell how noisy its odometry is.
+        For a log without odometry covariances.
     tick : callable
         Called after each step.
     stopwatch : Stopwatch, optional
@@ -98,7 +98,7 @@ def localize_by_landmarks(
         tick()
     watch.lap("solve")
     if not any((report.landmarks >= 0).any() for report in reports):
-        raise InputError(source.path, "expected sightings of the landmarks in the map, got none that fits")
+        raise InputError(source.path, "expected observations of the landmarks in the map, got none that fits")
     return LandmarkLocalizationResult(
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
         reports=tuple(reports), landmarks=known, unknown=unknown, log=source,
@@ -123,7 +123,7 @@ def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> K
 
 
 def _start(log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None) -> FloatArray:
-    """Where the robot begins, where nothing is said."""
+    """Default initial pose."""
     if landmarks is not None:
         return np.zeros(3)
     if log.truth is None or log.truth.trajectory is None or not steps:

@@ -1,4 +1,4 @@
-"""What localization by landmarks gives, and the files that tell it."""
+"""Result of localization in a landmark map, and its output files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/1"
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkLocalizationResult:
-    """The robot's way in a map of landmarks, as it was told at the time.
+    """Online trajectory of the robot in a known landmark map.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class LandmarkLocalizationResult:
     landmarks_path : Path or None
         Where it was read, unless it is the truth or was given as such.
     in_true_frame : bool
-        Whether the map is that of the true landmarks: then errors are told without alignment.
+        Whether the map is that of the true landmarks: then errors are computed without alignment.
     unknown : bool
         Whether the correspondences were to be found.
     log : LandmarkLog
@@ -82,7 +82,7 @@ class LandmarkLocalizationResult:
 
     @property
     def not_believed(self) -> int:
-        """Sightings of which nothing was learned."""
+        """Number of outlier observations."""
         return sum(int((report.landmarks < 0).sum()) for report in self.reports)
 
     def errors(self) -> PoseErrors | None:
@@ -92,12 +92,12 @@ class LandmarkLocalizationResult:
         return absolute_errors(*compared, aligned=not self.in_true_frame, tolerance_ns=0)
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write all results into a folder, all of them or none; returns what run.json says."""
+        """Write all results into a folder, all or none; returns the content of run.json."""
         with OutputFolder(folder) as out:
             return self.write(out)
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says."""
+        """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
@@ -109,18 +109,19 @@ class LandmarkLocalizationResult:
         return document
 
     def caption(self) -> list[str]:
-        """Lines that tell how the robot was localized."""
+        """Lines that describe the result."""
         counts, errors = self.log.statistics, self.errors()
         lines = [
             f"EKF localization, {'unknown' if self.unknown else 'known'} correspondences",
-            f"{len(self.stamps_ns)} steps, {counts.sightings} sightings, {len(self.landmarks.names)} known landmarks",
+            f"{len(self.stamps_ns)} steps, {counts.sightings} observations, "
+            f"{len(self.landmarks.names)} known landmarks",
         ]
         if errors is not None:
             lines.append(f"RMSE: position {errors.trans_rmse_m:.3f} m, heading {errors.rot_rmse_deg:.1f} degrees")
         return [*lines, f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"]
 
     def _document(self) -> dict[str, Any]:
-        """What run.json says."""
+        """Build the content of run.json."""
         counts, errors = self.log.statistics, self.errors()
         statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
         return {

@@ -15,14 +15,14 @@ SENSORS: Final[dict[SightingKind, LandmarkModel]] = {
     SightingKind.DEPTH_BEARING: DepthBearing(),
     SightingKind.POSITION: RelativePosition(),
 }
-"""Measurement model of each kind of sightings."""
+"""Measurement model of each observation type."""
 
 MOTION: Final = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.08)
-"""What MRCLAM's commands are off by after a metre or a radian; logs that tell their own noise do not need it."""
+"""Errors of MRCLAM's commands per metre or radian; logs with covariances do not need it."""
 
 WIDE_MOTION: Final = DiffusionMotion(sigma_xy_m=0.06, sigma_theta_rad=0.12)
-"""The same over long spells, for gates by which correspondences are found: the commands' errors have a bias.
+"""The same over long intervals, for the gates of data association: the errors of the commands have a bias.
 
-Measured over the 30 spells of 4 s and more without a sighting: by `MOTION` their NEES is 13 instead of 3. Where
-sightings are told, the narrow one serves better: particles spread less between one and the next.
+Measured over the 30 intervals of 4 s and more without observations: with `MOTION` their NEES is 13 instead of 3. With
+known correspondences the narrow model performs better: particles spread less between observations.
 """

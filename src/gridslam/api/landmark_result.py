@@ -1,4 +1,4 @@
-"""What mapping landmarks gives, and the files that tell it."""
+"""Result of mapping landmarks, and its output files."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ LANDMARKS_SCHEMA = "gridslam.landmarks/1"
 
 
 class Estimate(NamedTuple):
-    """What an algorithm says.
+    """Estimate of a landmark algorithm.
 
     Attributes
     ----------
     poses : (T, 3) float64
-        After each step: told from the end, by all methods but EKF SLAM, which forgets the past.
+        After each step: smoothed, by all methods except EKF SLAM, which marginalizes the past.
     online : (T, 3) float64 or None
-        As told at the time, by filters.
+        Online estimates, by filters.
     covariances : (T, 3, 3) float64
-        Of the poses: as told at the time by filters, in the end by the graph.
+        Of the poses: online by filters, of the final solution by the graph.
     landmarks : LandmarkMap
     strange : int
-        Sightings of which nothing was learned.
+        Number of outlier observations.
     figures : dict
-        What else the method tells, as JSON values.
+        Other results of the method, as JSON values.
     """
 
     poses: FloatArray
@@ -59,7 +59,7 @@ class Estimate(NamedTuple):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkResult:
-    """The robot's way and the landmarks of a log, and how they came about.
+    """Trajectory and landmark map of a log.
 
     Attributes
     ----------
@@ -110,12 +110,12 @@ class LandmarkResult:
         return poses, landmark_errors(self.landmarks.positions, self.log.truth.positions, pairs)
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write all results into a folder, all of them or none; returns what run.json says."""
+        """Write all results into a folder, all or none; returns the content of run.json."""
         with OutputFolder(folder) as out:
             return self.write(out)
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says."""
+        """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.estimate.covariances)
@@ -130,7 +130,7 @@ class LandmarkResult:
         return document
 
     def _document(self) -> dict[str, Any]:
-        """What run.json says."""
+        """Build the content of run.json."""
         counts = self.log.statistics
         statistics = {**asdict(counts), "duration_s": counts.duration_s, "stamped": self.log.stamped}
         poses, landmarks = self.errors()
@@ -154,13 +154,14 @@ class LandmarkResult:
         }
 
     def caption(self) -> list[str]:
-        """Lines that tell what was found."""
+        """Lines that describe the result."""
         known = "unknown" if self.unknown else "known"
         particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
         poses, landmarks = self.errors()
         lines = [
             f"{self.method}, {known} correspondences{particles}",
-            f"{len(self.stamps_ns)} steps, {self.log.statistics.sightings} sightings, {len(self.landmarks)} landmarks",
+            f"{len(self.stamps_ns)} steps, {self.log.statistics.sightings} observations, "
+            f"{len(self.landmarks)} landmarks",
         ]
         if poses is not None and landmarks is not None:
             lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")

@@ -39,18 +39,19 @@ METHODS: tuple[LandmarkMethod, ...] = "ekf", "fastslam1", "fastslam2", "graph"
 """The algorithms there are."""
 
 PARTICLES = {"fastslam1": 100, "fastslam2": 20}
-"""How many particles each method has that has any, if nothing is said."""
+"""Default number of particles of the methods that use particles."""
 
 PARTICLES_IN_DOUBT = 200
 """The same where the correspondences are unknown.
 
-After a spell without a sighting the first one may be of any of some landmarks in any of some directions, and some
-particles must be right: of MRCLAM's spells of 30 s, in a room of 15 barcodes, 20 particles seldom survive all.
+After an interval without observations the first one may be of any of several landmarks in any of several directions,
+and some particles must be right: of MRCLAM's intervals of 30 s, in a room of 15 barcodes, 20 particles seldom survive
+all.
 """
 
-_COUNTS_LITTLE = 0.1  # a sighting of a smaller weight is held for misread
+_COUNTS_LITTLE = 0.1  # an observation of a smaller weight is regarded as an outlier
 _WHATEVER = Told(believed=1e6)
-"""No sighting is so far off, not even where a loop of kilometres closes that no particle has closed."""
+"""No observation is rejected, not even at the closure of a loop of kilometres that no particle has closed."""
 _NEARLY_ALL = Told(believed=50.0)
 """7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
 
@@ -80,13 +81,13 @@ def map_landmarks(
     particles : int, optional
         Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0, and 200 for both where correspondences are unknown.
     seed : int, >= 0
-        Of FastSLAM; the same gives the same bytes.
+        Of FastSLAM; the same gives identical results.
     unknown : bool
-        Take no notice of what the log tells of which landmark is seen: find the correspondences. Not with "graph".
+        Ignore the correspondences of the log and estimate them. Not with "graph".
     sensor : LandmarkModel, optional
-        Measurement model; that of the log's kind of sightings if not given.
+        Measurement model; if not given, that of the observation type of the log.
     motion : MotionModel, optional
-        For a log that does not tell how noisy its odometry is; if not given, one for MRCLAM's commands.
+        For a log without odometry covariances; if not given, one for MRCLAM's commands.
     tick : callable
         Called after each step.
     stopwatch : Stopwatch, optional
@@ -171,7 +172,7 @@ def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: Moti
 
 
 def _noise_is_told(steps: Sequence[LandmarkStep]) -> bool:
-    """Whether a log tells its own noise; then its landmarks are believed, too, and elsewhere one may be misread."""
+    """Whether a log contains measurement covariances; only then its correspondences are trusted without a gate."""
     return all(step.covariance is not None for step in steps)
 
 

@@ -1,4 +1,4 @@
-"""From a log and a map to where the robot was."""
+"""Localize the robot of a log in a map."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gridslam.types import FloatArray, OccupancyGrid, Odometry
 __all__ = ["INITIAL_COVARIANCE", "known_map", "localize"]
 
 INITIAL_COVARIANCE: FloatArray = np.diag([0.25, 0.25, (math.pi / 12) ** 2])
-"""Of an initial pose of which nothing is said: half a metre and 15 degrees, as AMCL takes it."""
+"""Default covariance of an initial pose: 0.5 m and 15 degrees, as in AMCL."""
 
 _FOUND, _TRIED_M = 0.2, 5.0  # found at a smaller share of the scans on so long a way: the log is of somewhere else
 
@@ -64,7 +64,7 @@ def localize(
     covariance : (3, 3) float64, m^2, m rad, rad^2
         Of that pose.
     seed : int, >= 0
-        The same log, map, parameters and seed give the same bytes.
+        The same log, map, parameters and seed give identical results.
     options : LogOptions, optional
         What to read of the log at a path.
     parts : MonteCarloParts, optional
@@ -85,7 +85,7 @@ def localize(
     Returns
     -------
     LocalizationResult
-        A pose for every scan, as it was told at the time; `lost` says which of them are guesses.
+        The online pose estimate of every scan; `lost` marks those that are guesses.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def known_map(
 
 
 class _Told:
-    """Observer that keeps reports, without particles, and the way (m) up to each."""
+    """Observer that keeps reports (without particles) and the path length (m) at each."""
 
     def __init__(self) -> None:
         self.reports, self.driven_m = list[LocalizationReport](), list[float]()
@@ -157,7 +157,7 @@ class _Told:
 def _check(
     log: Log, path: Path, reports: list[LocalizationReport], driven_m: FloatArray, parts: MonteCarloParts
 ) -> None:
-    """Refuse a log of which nothing can be told, but not one of a place that is only told apart from none like it."""
+    """Raise if the log does not match the map; ambiguity alone is not an error."""
     updates = [report for report in reports if report.skipped is None]
     if not updates:
         lacks = "odometry, which localization needs" if log.statistics.without_odometry else "scan with a usable beam"
@@ -169,5 +169,6 @@ def _check(
     if best < parts.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
         where = path.name or "the map"
         raise InputError(
-            log.path, f"does not fit {where}: {usual:.0%} of a scan's beams agree with it, the robot is never found"
+            log.path,
+            f"does not fit {where}: {usual:.0%} of the beams of a scan agree with it; the robot is never localized",
         )

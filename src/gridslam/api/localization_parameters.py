@@ -36,7 +36,7 @@ def override_parts(parts: MonteCarloParts, assignments: Iterable[str]) -> AmclPa
 
 
 def _put(changes: Table, name: str, value: object, parts: MonteCarloParts) -> None:
-    """Put a value into nested tables, where its dotted name says."""
+    """Put a value into nested tables, under its dotted name."""
     *above, last = name.split(".")
     if [*above, last][0] not in to_table(parts):
         raise ConfigurationError(f"{name}: no such parameter{meant(name, [*names(parts), *AMCL_NAMES])}")

@@ -70,7 +70,7 @@ class LocalizationResult:
     parts : MonteCarloParts
         The effective parameters.
     pose : (3,) float64 or None
-        Where the robot was said to begin; None where it was to be found.
+        Initial pose; None for global localization.
     seed, threads : int
         As given.
     log : LogStatistics
@@ -105,7 +105,7 @@ class LocalizationResult:
 
     @property
     def trajectory(self) -> Trajectory:
-        """A pose for each scan, map frame, as it was told at the time; a guess where the robot was lost."""
+        """Online pose of each scan, map frame; a guess where the robot was lost."""
         return Trajectory(self.stamps_ns, np.array([report.pose for report in self.reports]))
 
     @property
@@ -132,12 +132,12 @@ class LocalizationResult:
         return [Stretch(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write all results into a folder, all of them or none; returns what run.json says."""
+        """Write all results into a folder, all or none; returns the content of run.json."""
         with OutputFolder(folder) as out:
             return self.write(out)
 
     def write(self, out: OutputFolder) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says."""
+        """Write all results into an open output folder; returns the content of run.json."""
         self.stopwatch.resume()
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
@@ -150,7 +150,7 @@ class LocalizationResult:
         return document
 
     def document(self) -> dict[str, Any]:
-        """What run.json says."""
+        """Build the content of run.json."""
         return {
             "schema": LOCALIZATION_SCHEMA,
             "version": __version__,
@@ -166,7 +166,7 @@ class LocalizationResult:
         }
 
     def caption(self) -> list[str]:
-        """Lines that tell how the robot was localized."""
+        """Lines that describe the result."""
         scans, lost = len(self.reports), int(self.lost.sum())
         found = next((stretch for stretch in self.stretches() if not stretch.lost), None)
         where = "never found" if found is None else f"found after {found.driven_m:.1f} m"

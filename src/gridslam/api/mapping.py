@@ -54,7 +54,7 @@ def map_log(
     particles : int, optional
         Number of particles; the preset's own if not given. Not together with `configuration`.
     seed : int, >= 0
-        The same log, configuration and seed give the same bytes.
+        The same log, configuration and seed give identical results.
     options : LogOptions, optional
         What to read of the log at a path.
     preset : str
@@ -64,24 +64,23 @@ def map_log(
     configuration : Configuration, optional
         Instead of a preset and a laser.
     loop_closure : bool
-        False for the filter alone, whatever the configuration says.
+        False to disable loop closure, whatever the configuration.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
     repair : "needed", "all" or "none"
-        What is taken out of a log that contradicts itself, before it is mapped: what would make any map wrong (a laser
-        that is mirrored, or looks elsewhere than the log says), or also skewed clocks and false odometry, or nothing.
-        The result tells it.
+        Faults of the log corrected before mapping: those that make any map unusable (a mirrored or misaligned laser),
+        also clock offsets and odometry errors, or none. The result reports them.
     observers : sequence of Observer
         Called after each scan.
     gate : callable
         Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
     tick : callable
-        Called now and then while the last word is found, after the last scan.
+        Called periodically during the final refinement, after the last scan.
     stopwatch : Stopwatch, optional
         To go on with.
     keep_particles : bool
-        False: after the last scan the best particle alone is kept, so that the last word has the memory of the others'
-        maps for its own. The answer is the same.
+        False: after the last scan the best particle alone is kept, so that the final refinement can use the memory of
+        the others' maps. The result is the same.
 
     Raises
     ------

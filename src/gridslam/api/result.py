@@ -1,4 +1,4 @@
-"""What a run gives, and the files that tell it."""
+"""Result of a mapping run, and its output files."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ class MapResult:
     Attributes
     ----------
     trajectory : Trajectory
-        The full-SLAM answer: a pose for every scan, at the scan's own stamp, told from the end.
+        The full SLAM trajectory: the pose of every scan given all measurements, at the scan's own stamp.
     covariances : (N, 3, 3) float64
         Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
     online_trajectory : Trajectory
-        The online-SLAM answer: what the best particle said at the time.
+        The online trajectory: the pose of the best particle at each scan.
     drawn : TiledGrid
         The map, drawn from the trajectory.
     graph : PoseGraph
         The key scans and what was measured between them.
     loops : Loops or None
-        What loop closure made of the run; None for the filter alone.
+        Summary of loop closure; None without loop closure.
     key_stamps_ns : (T,) int64, ns
         Stamps of the key scans, the nodes of the graph.
     state : GridFastSlamState
@@ -104,7 +104,7 @@ class MapResult:
     stopwatch: Stopwatch
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write all results into a folder, all of them or none; returns what run.json says.
+        """Write all results into a folder, all or none; returns the content of run.json.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class MapResult:
             return self.write(out)
 
     def write(self, out: OutputFolder, *, truth: Trajectory | None = None) -> dict[str, Any]:
-        """Write all results into an open output folder; returns what run.json says.
+        """Write all results into an open output folder; returns the content of run.json.
 
         A true trajectory in the map's frame is drawn into the picture, too.
         """
@@ -135,17 +135,17 @@ class MapResult:
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map, unfolded anew at each access."""
+        """The map as one array, built at each access."""
         return self.drawn.whole()
 
     @property
     def driven(self) -> str:
-        """How far the robot was driven, as its odometry has it, in words."""
+        """Odometry path length as text."""
         log = self.log
         return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
 
     def caption(self) -> list[str]:
-        """Lines that tell what was mapped."""
+        """Lines that describe the map."""
         height, width = (side * self.drawn.resolution_m for side in self.drawn.shape)
         log, wall = self.log, self.stopwatch.total()[0]
         found, known = (0, 0) if self.loops is None else (len(self.loops.closures), len(self.loops.revisits))

@@ -1,4 +1,4 @@
-"""The commands and their options; what a command does is imported when it runs, so that help comes at once."""
+"""Commands and their options; the implementation of a command is imported when it runs, to keep help fast."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def gridslam() -> None:
 
 
 class _MapCommand(click.Command):
-    """Lists the parameters in its help; only then they are imported."""
+    """Command that lists the parameters in its help, and imports them only then."""
 
     def format_epilog(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the parameters that face the user."""
@@ -45,25 +45,30 @@ class _MapCommand(click.Command):
             formatter.write_dl(rows)
         formatter.write_paragraph()
         formatter.write_text(
-            "Every other parameter goes by its dotted name, as run.json and --config have it: "
+            "Set any other parameter by its dotted name, as in run.json and --config: "
             "--set tracker.map_scans=30 --set motion.kind=OdometryMotion."
         )
 
 
 @gridslam.command("map", cls=_MapCommand)
 @click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Folder for the results; made if need be.")
+@click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
 @click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="The same seed gives the same bytes.")
-@click.option("--threads", type=click.IntRange(1, 256), default=1, show_default=True, help="Never changes a result.")
-@click.option("--preset", default="default", show_default=True, help="default, fast, accurate or gmapping.")
-@click.option("--laser", metavar="NAME", help="What the laser is: limits and cells that suit it (see below).")
-@click.option("--config", type=PATH, help="TOML file with parameters, over the preset's.")
+@click.option(
+    "--seed", type=SEED, default=0, show_default=True, help="Random seed; the same seed gives identical output files."
+)
+@click.option(
+    "--threads", type=click.IntRange(1, 256), default=1, show_default=True,
+    help="Number of threads; does not affect the results.",
+)  # fmt: skip
+@click.option("--preset", default="default", show_default=True, help="Preset: default, fast, accurate or gmapping.")
+@click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below).")
+@click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset.")
 @click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
-@click.option("--no-loop-closure", is_flag=True, help="The filter alone.")
+@click.option("--no-loop-closure", is_flag=True, help="Disable loop closure.")
 @click.option(
     "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
-    help="What is taken out of a log first: what would spoil any map, all that gridslam doctor can measure, nothing.",
+    help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones.",
 )  # fmt: skip
 @log_options
 @live_options
@@ -74,8 +79,8 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
     LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans.
 
-    OUT gets map.yaml, map.pgm and map.png, trajectory.tum (a pose for every scan, told from the end), trajectory.csv
-    (with covariances), trajectory_online.tum (what was said at the time), graph.g2o (the key scans and what ties them),
+    Writes to OUT: map.yaml, map.pgm and map.png, trajectory.tum (full SLAM: a pose for every scan), trajectory.csv
+    (with covariances), trajectory_online.tum (the online pose estimates), graph.g2o (key scans and constraints),
     record.npz (the particles at each key scan) and run.json (counts, times, parameters).
     """
     from gridslam.cli.map import map_to_folder
@@ -85,13 +90,13 @@ def map_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.command("doctor")
 @click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, help="Folder for pictures of what was found; made if need be.")
+@click.option("-o", "--out", type=PATH, help="Folder for the report and its figures; created if missing.")
 @log_options
 @json_option
 def doctor_command(**options: Any) -> Any:  # noqa: ANN401
-    """Tell what is in LOG, and what is wrong with it, in plain words.
+    """Check LOG and report its content and its faults.
 
-    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 where something would spoil the map.
+    LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 if a fault makes the map unusable.
     """
     from gridslam.cli.doctor import doctor_log
 
@@ -108,14 +113,15 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
     """Write the log IN in another format.
 
     \b
-    The name of OUT tells the format, unless --to does:
+    The format follows from the suffix of OUT unless --to is given:
       .clf, .log, .carmen   CARMEN
       .csv                  a row for each scan (columns: docs/logs.md)
       .tum                  the odometry alone
       .bag                  ROS 1
       .mcap, .db3, a name without suffix (a folder)   ROS 2
 
-    CARMEN and CSV are compressed where .gz or .bz2 follows. What OUT cannot hold is told.
+    CARMEN and CSV are compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is
+    reported.
     """
     from gridslam.cli.convert import convert
 
@@ -124,13 +130,13 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.group("dataset")
 def dataset_group() -> None:
-    """Get public logs to try things on."""
+    """Download public logs."""
 
 
 @dataset_group.command("list")
 @json_option
 def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
-    """List the logs that there are, with their credit and licence."""
+    """List the available logs with their credit and licence."""
     from gridslam.cli.dataset import list_datasets
 
     list_datasets(**options)
@@ -138,26 +144,28 @@ def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
 
 @dataset_group.command("get")
 @click.argument("name")
-@click.option("-o", "--out", type=PATH, default=Path("."), help="Folder for the log; made if need be.  [default: .]")
-@click.option("--url", help="Where the files lie, if not at the public place or at GRIDSLAM_DATASETS_URL.")
+@click.option("-o", "--out", type=PATH, default=Path("."), help="Output folder; created if missing.  [default: .]")
+@click.option("--url", help="Base URL of the files.  [default: GRIDSLAM_DATASETS_URL or the public mirror]")
 @json_option
 def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
-    """Get the log NAME, unless it is there already; its SHA-256 is checked."""
+    """Download the log NAME if it is missing, and verify its SHA-256."""
     from gridslam.cli.dataset import get_dataset
 
     get_dataset(**options)
 
 
 @gridslam.command("demo")
-@click.option("-o", "--out", type=PATH, default=Path("gridslam-demo"), show_default=True, help="Folder of results.")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Of the simulation and of the filter.")
+@click.option("-o", "--out", type=PATH, default=Path("gridslam-demo"), show_default=True, help="Output folder.")
+@click.option(
+    "--seed", type=SEED, default=0, show_default=True, help="Random seed of the simulation and of the filter."
+)
 @live_options
 @rerun_option
 @json_option
 def demo_command(**options: Any) -> None:  # noqa: ANN401
     """Simulate a robot in a small office, and map it; needs no data.
 
-    OUT gets what `gridslam map` writes, and demo.clf.gz (the log) and truth.tum.
+    Writes to OUT the files of `gridslam map`, demo.clf.gz (the log) and truth.tum (the true trajectory).
     """
     from gridslam.cli.demo import demo
 
@@ -168,7 +176,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("out", type=PATH)
 @place_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
-    """Show the results in OUT in the browser, with a time line."""
+    """Replay the results in OUT in the browser."""
     from gridslam.cli.view import view
 
     view(**options)

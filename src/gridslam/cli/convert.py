@@ -21,7 +21,7 @@ CONVERSION_SCHEMA = "gridslam.conversion/1"
 
 
 def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
-    """Write a log in another format, and say what the format could not hold."""
+    """Convert a log and report the data that the target format cannot represent."""
     _check(log, out, to)
     source = open_log(log, options)
     with opened(out.parent) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
@@ -32,7 +32,7 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
 
         done = replace(convert_log(source, folder.file(out.name), to, tick=tick), out=out)
     if done.log.truncated:
-        click.echo(f"gridslam: {log}: the log is cut off; {done.log.scan_count} scans were there", err=True)
+        click.echo(f"gridslam: {log}: the log is truncated after {done.log.scan_count} scans", err=True)
     if done.lost:
         click.echo(f"gridslam: {out}: lost in the format {done.format.value}: {_lost(done)}", err=True)
     if as_json:
@@ -46,13 +46,13 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
 def _check(log: Path, out: Path, to: str | None) -> None:
     """Refuse an OUT that is no name for a new log."""
     if not out.name or out.is_dir():
-        raise click.ClickException(f"{out}: expected the name of a new log, got a folder that is there")
+        raise click.ClickException(f"{out}: expected the name of a new log, got an existing folder")
     if out.exists() and log.exists() and out.samefile(log):
-        raise click.ClickException(f"{out}: expected another name than that of the log which is read")
+        raise click.ClickException(f"{out}: expected a name other than the input log")
     try:
         format_of_name(out, to)
     except ArgumentError as error:
-        raise click.ClickException(f"{error}; or say the format by --to") from None
+        raise click.ClickException(f"{error}; or set the format with --to") from None
 
 
 def _lost(done: Conversion) -> str:

@@ -17,7 +17,7 @@ DATASETS_SCHEMA = "gridslam.datasets/1"
 
 
 def list_datasets(as_json: bool) -> None:
-    """Tell which datasets there are."""
+    """List the available datasets."""
     if as_json:
         print_json({"schema": DATASETS_SCHEMA, "datasets": [asdict(dataset) for dataset in DATASETS]})
         return
@@ -27,7 +27,7 @@ def list_datasets(as_json: bool) -> None:
 
 
 def get_dataset(name: str, out: Path, url: str | None, as_json: bool) -> None:
-    """Get a dataset, and tell whose it is."""
+    """Download a dataset, and print its credit."""
     try:
         dataset = dataset_named(name)
     except ArgumentError as error:

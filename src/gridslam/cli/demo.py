@@ -59,5 +59,5 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
 
 
 def _in_map_frame(truth: Trajectory, estimate: Trajectory) -> Trajectory:
-    """The truth, moved as a whole to where it fits the estimate best; both have the same scans."""
+    """Align the true trajectory rigidly with the estimate; both have the same scans."""
     return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))

@@ -17,11 +17,11 @@ from gridslam.io.output import OutputFolder
 __all__ = ["SPOILED", "checked", "doctor_log"]
 
 SPOILED = 3
-"""Exit status where something would spoil the map."""
+"""Exit status if a fault makes the map unusable."""
 
 
 def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) -> int:
-    """Diagnose a log, say what was found, and write the report and its pictures into a folder where one is given."""
+    """Diagnose a log, print the findings, and write the report and its figures if a folder is given."""
     source = open_log(log, options)
     if out is None:
         diagnosis = _shown(source, not as_json)
@@ -37,7 +37,7 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
 
 
 def checked(log: Log, options: LogOptions) -> CheckedLog:
-    """A log that says on stderr, one line each, what is wrong in its first minute as it is read.
+    """Wrap a log so that faults in its first minute are reported on stderr, one line each, while it is read.
 
     That there is no odometry is no news to who asked for it.
     """

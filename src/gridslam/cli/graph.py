@@ -34,7 +34,7 @@ _SHOWN = 10  # rejected edges in the summary
 def graph_to_folder(
     file: Path, out: Path, robust: bool, no_guess: bool, skip_unknown: bool, max_iterations: int, as_json: bool
 ) -> None:
-    """Solve a graph into a folder and say what came of it."""
+    """Solve a pose graph, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     solver = GraphSlam(
         first_guess="computed" if no_guess else "either",
@@ -52,7 +52,7 @@ def graph_to_folder(
         document = _document(file, source, solver, solution, watch)
         _write(folder, source, solution, document, watch)
     if not solution.converged:
-        problem = f"the least chi2 was not reached with --max-iterations {max_iterations}"
+        problem = f"no convergence within --max-iterations {max_iterations}"
         click.echo(f"gridslam: {file}: {problem}", err=True)
     if as_json:
         print_json(document)
@@ -61,19 +61,19 @@ def graph_to_folder(
 
 
 def _import_algebra() -> None:
-    """Solve a graph of two poses: the first one imports SciPy, which the time of the one that is asked for is not."""
+    """Solve a graph of two poses to import SciPy, so that the measured time excludes the import."""
     GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
 
 
 def _rejected(solution: GraphSolution) -> NDArray[np.bool_]:
-    """Which edges (M,) were found to be false."""
+    """Return the mask (M,) of rejected edges."""
     return np.asarray(solution.weights < _KEPT)
 
 
 def _document(
     file: Path, source: G2oGraph, solver: GraphSlam, solution: GraphSolution, watch: Stopwatch
 ) -> dict[str, Any]:
-    """What graph.json says, but for the times of writing."""
+    """Build the content of graph.json, except for the times of writing."""
     graph = source.graph
     document = {
         "schema": GRAPH_SCHEMA,
@@ -145,7 +145,7 @@ def _caption(document: dict[str, Any]) -> list[str]:
 
 
 def _summary(document: dict[str, Any], out: Path) -> list[str]:
-    """What a person wants to know, in a few lines."""
+    """Format the summary."""
     graph, rejected = document["input"], document.get("rejected", [])
     lines = [
         f"{Path(graph['path']).name}: {graph['vertices']} poses, {graph['edges']} edges, "
@@ -156,7 +156,7 @@ def _summary(document: dict[str, Any], out: Path) -> list[str]:
     ]
     if graph["skipped"]:
         counts = ", ".join(f"{count} {tag}" for tag, count in graph["skipped"].items())
-        lines.insert(1, f"passed over: {counts}")
+        lines.insert(1, f"skipped lines: {counts}")
     if document["robust"]:
         some = ", ".join(f"{first} {second}" for first, second in rejected[:_SHOWN])
         listed = (": " + some + (", ..." if len(rejected) > _SHOWN else "")) if rejected else ""

@@ -37,7 +37,7 @@ def grid_to_folder(
     threads: int,
     as_json: bool,
 ) -> None:
-    """Map a log with known poses into a folder and say what came of it."""
+    """Map a log with known poses, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_log(log, options)
     with opened(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
@@ -68,7 +68,7 @@ _OPTIONS = {"half_life_scans": "decay", "resolution_m": "resolution", "max_gap_s
 
 
 def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[str]:
-    """What a person wants to know, in a few lines."""
+    """Format the summary."""
     scans, seconds, size = document["scans"], document["time"]["wall_s"], document["map"]
     return [
         f"{result.source.name}: {scans['read']} scans, {result.log.duration_s:.0f} s",
@@ -79,17 +79,17 @@ def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[st
 
 
 def _warnings(result: GridResult) -> Iterator[str]:
-    """What is not in the map, and what makes it doubtful."""
+    """Yield the warnings about unmapped scans and the log."""
     log = result.log
     for fault in result.repair.says():
-        yield f"{fault}: taken out before mapping (--repair none leaves it; gridslam doctor tells more)"
+        yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
     yield from log.remarks
     if log.truncated:
-        yield f"the log is cut off; {log.scan_count} scans were there"
+        yield f"the log is truncated after {log.scan_count} scans"
     first, last = (stamp * 1e-9 for stamp in (result.given.stamps_ns.min(), result.given.stamps_ns.max()))
     reasons = {
         Unplaced.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
-        Unplaced.GAP: f"the poses about them are more than {result.max_gap_s:g} s apart (--max-gap)",
+        Unplaced.GAP: f"the neighbouring poses are more than {result.max_gap_s:g} s apart (--max-gap)",
     }
     for reason, why in reasons.items():
         if count := result.unplaced[reason]:

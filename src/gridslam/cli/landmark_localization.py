@@ -29,7 +29,7 @@ def localize_to_folder(
     particles: int | None = None,
     seed: int = 0,
 ) -> None:
-    """Localize a robot by known landmarks into a folder and say what came of it; it has no particles and no noise."""
+    """Localize with known landmarks, write the results and print a summary; deterministic, without particles."""
     if particles is not None:
         raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
     watch = Stopwatch(STARTED_S, 0.0)
@@ -47,13 +47,13 @@ def localize_to_folder(
 
 
 def _summary(document: dict[str, Any], out: Path) -> list[str]:
-    """What a person wants to know, in a few lines."""
+    """Format the summary."""
     told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings",
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} observations",
         f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, "
-        f"{document['not_believed']} sightings not believed",
+        f"{document['not_believed']} outliers",
     ]
     if errors is not None:
         aligned = ", aligned" if errors["aligned"] else ""

@@ -22,9 +22,9 @@ __all__ = ["landmarks_to_folder"]
 def landmarks_to_folder(
     log: Path, out: Path, method: LandmarkMethod, particles: int | None, seed: int, unknown: bool, as_json: bool
 ) -> None:
-    """Map the landmarks of a log into a folder and say what came of it."""
+    """Map the landmarks of a log, write the results to a folder and print a summary."""
     if method == "graph" and unknown:
-        raise click.ClickException("--unknown: GraphSLAM has to be told which landmark was seen")
+        raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with opened(out) as folder:
@@ -36,7 +36,7 @@ def landmarks_to_folder(
         except ArgumentError as error:
             raise click.ClickException(f"--{error}") from None
         if not source.statistics.sightings:
-            raise InputError(log, "expected sightings of landmarks, got none")
+            raise InputError(log, "expected landmark observations, got none")
         document = result.write(folder)
     if as_json:
         print_json(document)
@@ -45,16 +45,16 @@ def landmarks_to_folder(
 
 
 def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> list[str]:
-    """What a person wants to know, in a few lines."""
+    """Format the summary."""
     told, errors = document["input"], document["errors"]
     left_out = ", ".join(f"{told[name]} {what}" for name, what in _LEFT_OUT.items() if told[name])
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings"
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} observations"
         + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
-        f"{document['strange_sightings']} sightings not believed",
+        f"{document['strange_sightings']} outliers",
     ]
     if errors["trajectory"] is not None:
         lines.append(f"position RMSE {errors['trajectory']['trans_rmse_m']:.3f} m against the truth, aligned")

@@ -33,7 +33,9 @@ _PATIENCE_S = 60.0
 _PLACE = (
     click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
     click.option(
-        "--live-host", metavar="HOST", help="Address of the page; others than 127.0.0.1 open it, behind a token."
+        "--live-host",
+        metavar="HOST",
+        help="Address of the page; any other than 127.0.0.1 exposes it, protected by a token.",
     ),
 )
 
@@ -47,7 +49,7 @@ def live_options(command: _Command) -> _Command:
             raise click.UsageError("--live-port and --live-host need --live")
         return command(live=_options(live_port, live_host) if live else None, **given)
 
-    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show it in the browser meanwhile.")):
+    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show the run live in the browser.")):
         collected = option(collected)
     return collected  # type: ignore[return-value]
 

@@ -55,7 +55,7 @@ def localize_to_folder(
     rerun: str | None,
     as_json: bool,
 ) -> None:
-    """Localize a log in a map, into a folder where one is given, and say what came of it."""
+    """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     read = _parameters(preset, assignments, particles)
     pose = read.pose if initial_pose is None else np.array(initial_pose)
@@ -112,7 +112,7 @@ def _shown(
 
 
 def _parameters(preset: str, assignments: Sequence[str], particles: int | None) -> AmclParameters:
-    """The preset, then single parameters; --particles holds whatever these say."""
+    """Build the parameters from the preset and assignments; --particles takes precedence."""
     parts = MonteCarloParts() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).parts
     most = [] if particles is None else [f"kld.particles_max={particles}"]
     if particles is not None and particles < parts.kld.particles_min:
@@ -121,7 +121,7 @@ def _parameters(preset: str, assignments: Sequence[str], particles: int | None) 
 
 
 def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
-    """What a person wants to know of a run, in a few lines."""
+    """Format the summary of a run."""
     scans, filter_, seconds = document["scans"], document["filter"], document["time"]["wall_s"]
     yield (
         f"{result.source.name} in {result.map_path.name}: {scans['read']} scans, {result.log.duration_s:.0f} s, "
@@ -140,30 +140,31 @@ def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | N
 
 
 def _found(result: LocalizationResult) -> Iterator[str]:
-    """Where the robot was found and lost."""
+    """Format the intervals in which the robot was localized or lost."""
     begin, stretches = int(result.stamps_ns[0]), result.stretches()
     for k, stretch in enumerate(stretches[:_TOLD]):
         after = 1e-9 * (int(result.stamps_ns[stretch.first]) - begin)
         if stretch.lost:
-            yield f"lost from {after:.1f} s on" if k else "lost at first: poses until it is found are guesses"
+            start = "not localized at the start: poses up to the first fix are guesses"
+            yield f"lost from {after:.1f} s on" if k else start
         elif k or result.pose is None:
             yield f"found after {stretch.driven_m:.1f} m ({after:.1f} s)"
     if len(stretches) > _TOLD:
-        yield f"and so on, {len(stretches)} stretches in all: run.json has them"
+        yield f"... {len(stretches)} intervals in total, listed in run.json"
 
 
 _TOLD = 8
 
 
 def _warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
-    """What is odd about the log and the map, and what was not heeded."""
+    """Yield the warnings about log, map and ignored parameters."""
     for fault in result.repair.says():
-        yield f"{result.source}: {fault}: taken out (--repair none leaves it; gridslam doctor tells more)"
+        yield f"{result.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
     yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
     if ignored:
-        yield f"{', '.join(ignored)}: means nothing here, ignored"
+        yield f"{', '.join(ignored)}: not supported, ignored"
     if result.lost.all():
         yield (
-            f"{result.source}: the robot was never found for certain: it was not driven far enough, or places of the "
-            "map look alike"
+            f"{result.source}: the robot was never localized with confidence: the drive is too short, or the "
+            "map is ambiguous"
         )

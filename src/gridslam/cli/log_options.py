@@ -13,17 +13,17 @@ __all__ = ["log_options"]
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _SPAN = (
-    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Begin so many seconds into the log."),
-    click.option("--duration", "duration_s", type=float, metavar="S", help="Read so many seconds, not to the end."),
-    click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Read every N-th scan only."),
+    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Skip the first S seconds of the log."),
+    click.option("--duration", "duration_s", type=float, metavar="S", help="Read only S seconds."),
+    click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Use only every N-th scan."),
 )
 _SOURCES = (
     click.option("--scan", "scan_topics", multiple=True, metavar="TOPIC", help="Topic of the scans; may be repeated."),
     click.option("--odom", "odometry_topic", metavar="TOPIC", help="Topic of the odometry."),
-    click.option("--odom-frame", "odometry_frame", metavar="FRAME", help="Take the odometry from /tf, in this frame."),
-    click.option("--base-frame", metavar="FRAME", help="The robot's own frame."),
-    click.option("--no-odometry", is_flag=True, help="Take no notice of the odometry."),
-    click.option("--keep-truncated", is_flag=True, help="Read a log that is cut off as far as it goes."),
+    click.option("--odom-frame", "odometry_frame", metavar="FRAME", help="Odometry frame; take the odometry from /tf."),
+    click.option("--base-frame", metavar="FRAME", help="Base frame of the robot (REP-105 base_link)."),
+    click.option("--no-odometry", is_flag=True, help="Ignore the odometry."),
+    click.option("--keep-truncated", is_flag=True, help="Accept a truncated log and read the part that exists."),
 )
 _FIELDS = (
     "scan_topics", "odometry_topic", "odometry_frame", "base_frame", "no_odometry", "keep_truncated", "start_s",

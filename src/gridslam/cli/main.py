@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _failed(error: BaseException) -> int:
-    """Say in one line why the command ended, and with which status."""
+    """Print in one line why the command ended, and return its exit status."""
     if isinstance(error, SystemExit | GeneratorExit):
         raise error
     if isinstance(error, KeyboardInterrupt | click.Abort):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["map_shown", "map_to_folder", "summary"]
 
 _MANY = 0.1
-"""Share of scans stamped before their predecessor from which on the order of the log is in doubt; jitter makes 0.05."""
+"""Ratio of scans stamped before their predecessor above which a warning is printed; jitter causes up to 0.05."""
 
 
 def map_to_folder(
@@ -50,7 +50,7 @@ def map_to_folder(
     rerun: str | None,
     as_json: bool,
 ) -> None:
-    """Map a log into a folder and say what came of it."""
+    """Map a log, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     configuration = _configuration(preset, laser, particles, config, assignments, no_loop_closure)
     source = checked(open_log(log, options), options)
@@ -99,7 +99,7 @@ def map_shown(
 
 
 def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]:
-    """What a person wants to know of a run, in a few lines."""
+    """Format the summary of a run."""
     scans, filter_, seconds = document["scans"], document["filter"], document["time"]["wall_s"]
     latency, log = document["latency"]["all_scans"], result.log
     lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
@@ -121,7 +121,7 @@ def _configuration(
     name: str, laser: str | None, particles: int | None, path: Path | None, assignments: Sequence[str],
     no_loop_closure: bool,
 ) -> Configuration:  # fmt: skip
-    """The preset, the laser, the file, single parameters; --particles and --no-loop-closure hold whatever these say."""
+    """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
     config = preset(name, particles)
     config = config if laser is None else with_laser(config, laser)
     if path is not None:
@@ -133,29 +133,32 @@ def _configuration(
 
 
 def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
-    """What loop closure did, where it was at work."""
+    """Format the loop-closure lines of the summary."""
     if not loops:
         return
     rejected = loops["rejected"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
-    corrections = f"{loops['corrections']} correction{'s' * (loops['corrections'] != 1)} on the way"
-    moved = f"{loops['moved_m']:.2f} m"
-    tied = f"{loops['ties']['known']} key scans tied to known places"
-    yield f"{len(loops['closures'])} places recognized, {tied}, {corrections}; the last word moved by up to {moved}"
+    corrections = f"{loops['corrections']} online correction{'s' * (loops['corrections'] != 1)}"
+    moved = f"the final refinement moved key scans by up to {loops['moved_m']:.2f} m"
+    tied = f"{loops['ties']['known']} tracked revisits"
+    yield f"{len(loops['closures'])} places recognized, {tied}, {corrections}; {moved}"
     if rejected:
-        yield f"{sum(rejected.values())} places not believed: {reasons}"
+        yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"
 
 
 def _warnings(result: MapResult) -> Iterator[str]:
-    """What makes the map doubtful, and what was done about it."""
+    """Yield the warnings about the log and the map."""
     log = result.log
     for fault in result.repair.says():
-        yield f"{fault}: taken out before mapping (--repair none leaves it; gridslam doctor tells more)"
+        yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
     yield from log.remarks
     if log.truncated:
-        yield f"the log is cut off; {log.scan_count} scans were there"
+        yield f"the log is truncated after {log.scan_count} scans"
     if log.backward_stamps > _MANY * log.scan_count:
-        yield f"{log.backward_stamps} of {log.scan_count} scans are stamped before the one ahead: is the log in order?"
+        yield (
+            f"{log.backward_stamps} of {log.scan_count} scans have a stamp older than their predecessor: "
+            "check the order of the log"
+        )
     beams = sum(count * scans for count, scans in log.beam_counts.items())
     if log.invalid_beams > 0.5 * beams:
         yield f"{log.invalid_beams} of {beams} ranges are invalid (zero, negative or not a number)"

@@ -15,15 +15,15 @@ __all__ = ["NODE_COMMANDS"]
 
 _NODE = (
     click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
-    click.option("--preset", help="default, fast, accurate or gmapping."),
+    click.option("--preset", help="Preset: default, fast, accurate or gmapping."),
     click.option("--particles", type=int, help="Number of particles."),
-    click.option("--seed", type=SEED, help="The same seed and scans give the same bytes."),
-    click.option("--threads", type=click.IntRange(1, 256), help="Never changes a result."),
-    click.option("--config", type=PATH, help="TOML file with parameters, over the preset's."),
+    click.option("--seed", type=SEED, help="Random seed; equal seeds and scans give equal results."),
+    click.option("--threads", type=click.IntRange(1, 256), help="Number of threads; does not affect the results."),
+    click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
     click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see map)."),
-    click.option("--map", "map_file", type=PATH, help="Localize the robot in this map, instead of making one."),
-    click.option("-o", "--out", type=PATH, help="Folder that the node saves its results in."),
-    click.option("--record", type=PATH, metavar="FILE", help="Keep the accepted scans, to be mapped again."),
+    click.option("--map", "map_file", type=PATH, help="Map YAML file; localize in this map instead of mapping."),
+    click.option("-o", "--out", type=PATH, help="Output folder of the node."),
+    click.option("--record", type=PATH, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."),
 )
 _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
@@ -38,9 +38,9 @@ def _node_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.command("ros1", context_settings=_NODE_SETTINGS)
 @_node_options
 def ros1_command(**options: Any) -> None:  # noqa: ANN401
-    """Be a node in ROS 1, in the place of slam_gmapping: /scan and /tf in, /map out.
+    """Run the ROS 1 node, a drop-in replacement for slam_gmapping: subscribes to /scan and /tf, publishes /map.
 
-    ARGUMENTS are ROS's own: _name:=value for a parameter, name:=other to remap a topic.
+    ARGUMENTS are ROS arguments: _name:=value sets a parameter, name:=other remaps a topic.
     """
     from gridslam.cli.ros import ros1
 
@@ -51,13 +51,13 @@ def ros1_command(**options: Any) -> None:  # noqa: ANN401
 @_node_options
 @click.option(
     "--transport", type=click.Choice(["auto", "rclpy", "dds"]), default="auto", show_default=True,
-    help="rclpy of a sourced ROS 2, or Cyclone DDS, which needs no ROS (extra: ros2).",
+    help="rclpy of a sourced ROS 2, or Cyclone DDS without ROS (extra: ros2).",
 )  # fmt: skip
-@click.option("--interface", "interfaces", multiple=True, help="Network interface for DDS; may be repeated.")
+@click.option("--interface", "interfaces", multiple=True, help="Network interface of DDS; repeatable.")
 def ros2_command(**options: Any) -> None:  # noqa: ANN401
-    """Be a node in ROS 2: /scan and /tf in, /map out.
+    """Run the ROS 2 node: subscribes to /scan and /tf, publishes /map.
 
-    ARGUMENTS are ROS's own, after --ros-args.
+    ARGUMENTS are ROS arguments after --ros-args.
     """
     from gridslam.cli.ros import ros2
 

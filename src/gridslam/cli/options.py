@@ -41,7 +41,7 @@ def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> t
 
 @contextmanager
 def named(**options: str) -> Iterator[None]:
-    """Where an argument is wrong, say so of the option that it came by: `pose="--initial-pose"`."""
+    """Report an invalid argument under the name of its option: `pose="--initial-pose"`."""
     try:
         yield
     except ArgumentError as error:

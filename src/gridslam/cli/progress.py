@@ -1,4 +1,4 @@
-"""How far a run has come: a bar on a terminal, a line every few seconds elsewhere; both on stderr."""
+"""Progress on stderr: a bar on a terminal, otherwise one line every few seconds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BAR_EVERY_S, _LINE_EVERY_S = 0.25, 5.0
 
 @contextmanager
 def progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
-    """Give what shows how far the mapping of a log has come; nothing is printed where nothing is to be shown."""
+    """Yield the progress observer of a mapping run; it prints nothing if disabled."""
     with _display(shown) as (show, every_s):
         yield Progress(statistics, show, every_s)
 
@@ -44,7 +44,7 @@ def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
 
 @contextmanager
 def _display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
-    """Give what shows a share and a text, and every how many seconds it is to be called."""
+    """Yield a function that displays a fraction and a text, and its period in seconds."""
     if not shown:
         yield lambda share, text: None, math.inf
     elif sys.stderr.isatty():
@@ -74,22 +74,22 @@ def _bar() -> Iterator[Callable[[float, str], None]]:
 
 @final
 class Progress:
-    """Observer that tells rate, effective sample size, size of the map and time left, now and then.
+    """Observer that periodically shows rate, N_eff, map size and time left.
 
-    After the last scan `last_word` tells that the work goes on.
+    After the last scan `last_word` shows that the run is still working.
     """
 
     def __init__(
         self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float
     ) -> None:
-        """Show a share of 1 and a text by `show`, every so many seconds."""
+        """Display a fraction (0 to 1) and a text with `show`, at the given period in seconds."""
         self._statistics, self._show, self._every_s = statistics, show, every_s
         self._began, self._ended = time.perf_counter(), math.inf
         self._due = self._began + every_s
         self._scans, self._n_eff, self._first_ns = 0, 0.0, 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of one scan."""
+        """Show the progress after one scan."""
         self._first_ns = self._first_ns if self._scans else report.stamp_ns
         self._scans += 1
         if report.skipped is None:
@@ -99,12 +99,12 @@ class Progress:
             self._tell(now - self._began, report, state)
 
     def last_word(self) -> None:
-        """Tell for how long the last word has been looked for, now and then."""
+        """Periodically show the elapsed time of the final refinement."""
         now = time.perf_counter()
         self._ended = min(self._ended, now)
         if now >= self._due:
             self._due = now + self._every_s
-            self._show(1.0, f"{self._scans} scans; the last word, for {now - self._ended:.0f} s")
+            self._show(1.0, f"{self._scans} scans; final refinement, {now - self._ended:.0f} s")
 
     def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()

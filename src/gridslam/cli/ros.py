@@ -42,7 +42,7 @@ def ros1(
     rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
-    """Be the node in ROS 1 until it is stopped."""
+    """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
     given, watch = given_parameters(**options), watched("ROS 1", live, rerun)
@@ -58,7 +58,7 @@ def ros2(
     rerun: str | None = None,
     **options: Any,  # noqa: ANN401
 ) -> None:
-    """Be the node in ROS 2 until it is stopped: by rclpy where a ROS 2 is sourced, else by Cyclone DDS."""
+    """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
     given, watch = given_parameters(**options), watched("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds

@@ -45,7 +45,7 @@ def simulate_to_log(
     duration_s: float | None,
     as_json: bool,
 ) -> None:
-    """Write a simulated log, and the truth beside it."""
+    """Write a simulated log and its true trajectory."""
     truth = out.with_name(_truth_name(out))
     lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
     if duration_s is not None and not duration_s >= 0:

@@ -39,20 +39,20 @@ __all__ = ["PARAMETERS", "Configuration", "build", "dumps", "load", "loads", "ov
 
 PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
     "particles": ("particles", "number of particles"),
-    "resolution_m": ("mapper.resolution_m", "side of a cell of the map"),
-    "range_min_m": ("range_min_m", "shorter beams are not used: they see the robot itself"),
-    "range_max_m": ("range_max_m", "beams of this range or more are not used"),
-    "key_scan_m": ("when_to_update.translation_m", "the particles are stepped after this much motion"),
-    "key_scan_rad": ("when_to_update.rotation_rad", "... or after this much turning"),
-    "insert_m": ("tracker.insert_m", "the tracker adds a scan to its local map after this much motion"),
-    "insert_rad": ("tracker.insert_rad", "... or after this much turning"),
-    "beam_sigma_m": ("tracker.beam_sigma_m", "deviation of a beam; more trusts the odometry more"),
-    "noise_m": ("motion.sigma_xy_m", "how far the particles spread over a metre of tracked motion"),
-    "noise_rad": ("motion.sigma_theta_rad", "... and how much they turn"),
-    "tempering": ("sensor.tempering", "share of a beam's evidence that is new"),
-    "resample_below": ("when_to_resample.fraction", "resample below this share of effective particles"),
-    "lost_below": ("confidence.lost_below", "lost where a smaller share of the beams agrees with the map"),
-    "loop_closure": ("loop_closure", "recognize old places and correct the past; false: the filter alone"),
+    "resolution_m": ("mapper.resolution_m", "map resolution, m per cell"),
+    "range_min_m": ("range_min_m", "shorter beams are ignored: they hit the robot itself"),
+    "range_max_m": ("range_max_m", "beams of this range or more are ignored"),
+    "key_scan_m": ("when_to_update.translation_m", "distance between key scans"),
+    "key_scan_rad": ("when_to_update.rotation_rad", "... or after this much rotation"),
+    "insert_m": ("tracker.insert_m", "distance between the scans that the tracker inserts into its local map"),
+    "insert_rad": ("tracker.insert_rad", "... or after this much rotation"),
+    "beam_sigma_m": ("tracker.beam_sigma_m", "standard deviation of a beam; larger values favour the odometry"),
+    "noise_m": ("motion.sigma_xy_m", "standard deviation of the position per sqrt metre of tracked motion"),
+    "noise_rad": ("motion.sigma_theta_rad", "... and of the heading"),
+    "tempering": ("sensor.tempering", "exponent of the likelihood (0 to 1); accounts for correlated beams"),
+    "resample_below": ("when_to_resample.fraction", "resample if N_eff falls below this fraction of the particles"),
+    "lost_below": ("confidence.lost_below", "inlier ratio with the map below which the robot is lost"),
+    "loop_closure": ("loop_closure", "detect loop closures and correct the trajectory; false: filter only"),
 }
 """The parameters that face the user: short name, dotted name and what it is."""
 
@@ -83,7 +83,7 @@ class Configuration:
     tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, confidence
         The parts of `GridFastSlam`.
     loop_closure : bool
-        Whether old places are recognized and the past is corrected; False for the filter alone.
+        Whether loop closures are detected and the trajectory is corrected; False for the filter only.
     closure : LoopClosure
         How, while the robot drives.
     last_word : JointMatching
@@ -110,7 +110,7 @@ class Configuration:
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:
-    """Assemble the filter; `threads` is no parameter of it, as the number never changes a result."""
+    """Assemble the filter; `threads` is not a parameter, since it does not affect the results."""
     return GridFastSlam(
         tracker=config.tracker,
         motion=config.motion,
@@ -139,7 +139,7 @@ def dumps(config: Configuration) -> str:
 
 
 def loads(text: str, base: Configuration | None = None) -> Configuration:
-    """Read TOML; what it does not say stays as in `base`, or at the defaults.
+    """Read TOML; parameters that it does not contain stay as in `base`, or at the defaults.
 
     Raises
     ------

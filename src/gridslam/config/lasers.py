@@ -1,4 +1,4 @@
-"""What the maker of a laser tells about it, as parameters: to be laid over any preset."""
+"""Laser models from data sheets, as parameter overrides."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Laser(NamedTuple):
     says : str
         Which one it is, and its data sheet's figures.
     range_min_m, range_max_m : float
-        Ranges outside are not used, whatever the log tells: nearer ones see the robot, and farther ones are noise, or
+        Ranges outside are ignored, whatever the log declares: nearer ones hit the robot, and farther ones are noise, or
         what the driver reports where nothing returned. 30 m at most, as beyond it beams are wider than what they hit.
     fine : bool
         Its ranges are exact enough, and its beams dense enough, for cells of 3 cm and ends that belong to a wall 5 cm

@@ -61,7 +61,7 @@ def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
     Parameters
     ----------
     part : pydantic dataclass
-        What holds where `changes` say nothing. A change of kind starts from that kind's defaults.
+        Values of parameters that `changes` do not contain. A change of kind starts from that kind's defaults.
     changes : mapping
         Nested as `to_table` gives it.
     where : str

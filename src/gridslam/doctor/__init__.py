@@ -1,4 +1,4 @@
-"""What is in a log and what is wrong with it, in plain words; docs/doctor.md tells every finding."""
+"""Log diagnosis: content and faults; docs/doctor.md lists every finding."""
 
 from gridslam.doctor.diagnose import Doctor, diagnose
 from gridslam.doctor.diagnosis import Diagnosis, LaserFacts

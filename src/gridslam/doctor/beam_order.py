@@ -1,4 +1,4 @@
-"""In which order, and over which time, the beams of a scan are measured, told by which order fits the map best."""
+"""Order and duration of the beams of a scan, estimated from which order fits the map best."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gridslam.types import FloatArray, IntArray, LaserScan
 
 __all__ = ["BeamOrder", "BeamTimes"]
 
-_FEWEST, _ENOUGH = 25, 300  # scans that tell: more than one turn has, and as many as are looked at
+_FEWEST, _ENOUGH = 25, 300  # informative scans: more than one turn has, and the largest number used
 _SWEEPS, _GAIN = 0.2, 0.01
 """Share of the presumed time, and of the beams that agree more in order than backward, from which on scans are swept.
 Maps drawn from bent scans hide up to three fourths of it: 0.25 to 1, and 0.017 to 0.28, were measured of lasers that
@@ -25,12 +25,12 @@ _SMEAR_RAD = 0.02  # turned while a scan is taken: ends 5 m away are moved by tw
 @final
 @dataclass(slots=True)
 class BeamTimes:
-    """When the beams of a laser's scans are measured: as its scans tell, or as a mirror that turns once a scan has it.
+    """Beam times of a laser: as reported by its scans, or as of a mirror that turns once per scan.
 
     Attributes
     ----------
     order : BeamOrder
-        What the scans say of that.
+        Estimate from the scans.
     period_s : float
         Time from scan to scan, lately; NaN before the second.
     """
@@ -64,9 +64,9 @@ class BeamTimes:
         return abs(turned_rad) > _SMEAR_RAD and self.order.count < _ENOUGH
 
     def straightening(self, times_s: FloatArray | None) -> FloatArray | None:
-        """The times (K,) by which to straighten a scan, in the order that is certain; None before, also where told.
+        """The times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
 
-        Of scans that are straightened the wrong way a map is drawn that they fit best.
+        Scans deskewed in the wrong order would build a map that they fit best.
         """
         swept = self.order.swept
         return None if times_s is None or not swept else math.copysign(1.0, swept) * times_s
@@ -75,7 +75,7 @@ class BeamTimes:
 @final
 @dataclass(slots=True)
 class BeamOrder:
-    """Takes the shares of beams that agree with the map, of scans of a turning robot.
+    """Collects inlier ratios of scans of a turning robot.
 
     A scan is tried as if its beams had been measured at once, one after the other over a presumed time, and the other
     way round. The share that agrees falls with the square of how far a presumption is from what is true, and of three

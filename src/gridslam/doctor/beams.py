@@ -1,4 +1,4 @@
-"""What the beams of each laser say: how many there are, where they point, and how many measure nothing."""
+"""Statistics of the beams of each laser: number, directions, and invalid beams."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeom
 
 __all__ = ["BeamExaminer", "Sweep", "field_of_view_rad", "is_clockwise"]
 
-_MANY_LOST = 0.1  # share of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
+_MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
 _FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
 _OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
@@ -106,8 +106,8 @@ class Sweep:
         return 0 if lost is None else int(np.count_nonzero(lost >= _ALWAYS * self.counts[self.usual]))
 
     def invalid_figure(self) -> Figure:
-        """Share of invalid beams over the log."""
-        course = Series("share of the beams of a scan", *self._invalid_trace.arrays())
+        """Ratio of invalid beams over the log."""
+        course = Series("ratio of the beams of a scan", *self._invalid_trace.arrays())
         return Figure("Invalid beams", "scan", "share", (course,), ())
 
     def counts_figure(self) -> Figure:
@@ -133,7 +133,7 @@ class BeamExaminer:
         sweep.take(scan)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the beams."""
+        """Yield the findings on the beams."""
         for sensor, sweep in self.sweeps.items():
             if len(sweep.counts) > 1:
                 yield _varies(sensor, sweep)
@@ -150,8 +150,8 @@ def _varies(sensor: str, sweep: Sweep) -> Finding:
         f"The number of beams varies from {least} to {most}; {sweep.counts[sweep.usual]} of {sweep.scans} scans have "
         f"{sweep.usual}.",
         most - least, "beams",
-        "gridslam takes each scan with its own angles: see to it that the driver states angle_min and angle_increment "
-        "anew with each scan, for a fixed increment with another number of beams bends the walls.",
+        "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
+        "for each scan, since a fixed increment with a varying number of beams bends the walls.",
         sensor, sweep.counts_figure(),
     )  # fmt: skip
 

@@ -1,10 +1,10 @@
 """Odometry and mounting calibrated together against the motion of the laser.
 
-A robot whose odometry tells `scale` metres for each metre, `turn_scale` radians for each radian and `drift_rad_per_m`
+A robot whose odometry reports `scale` metres for each metre, `turn_scale` radians for each radian and `drift_rad_per_m`
 radians more for each metre, with a laser at (x, y, yaw) whose scans are stamped `skew_s` s late, gives
 
-    turn told(t)  = turn_scale * turn(t + skew) + drift * metres(t + skew)
-    way told      = scale * (R(yaw) way of the laser - (R(turn) - 1) (x, y))
+    odometry turn(t)  = turn_scale * turn(t + skew) + drift * metres(t + skew)
+    odometry path     = scale * (R(yaw) path of the laser - (R(turn) - 1) (x, y))
 
 which is linear but for the skew. The laser is the more exact of the two, so it stands on the right: noise on that side
 would make all factors come out too small.
@@ -38,7 +38,7 @@ _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionCalibration:
-    """What the motion of a laser says of odometry and mounting.
+    """Calibration of odometry and mounting from the motion of a laser.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class MotionCalibration:
         The beams are read in the wrong direction: laser and odometry turn opposite ways.
     agreement : float
         Correlation of the turns of laser and odometry in [-1, 1], negative for a reflected laser; NaN where there are
-        too few turns to tell.
+        too few turns.
     scale, turn_scale : Estimate
-        Metres that odometry tells for a metre, radians for a radian.
+        Measured metres per true metre, measured radians per true radian.
     drift_rad_per_m : Estimate, rad/m
         What odometry turns too much to the left for each metre driven forward.
     yaw_rad : Estimate, rad
@@ -64,7 +64,7 @@ class MotionCalibration:
     intervals : Intervals
         Of the ways; and
     residuals : (N, 3) float64
-        what odometry tells beyond what the calibrated laser explains: x and y in m in the base frame, rad.
+        Residual of the odometry after calibration: x and y in m in the base frame, rad.
     noise : (2,) float64
         Standard deviations of the residuals of an interval, m and rad.
     """
@@ -89,7 +89,7 @@ class MotionCalibration:
 
 
 def calibrate(motion: LaserMotion) -> MotionCalibration:
-    """Compare a laser's motion with its odometry; parts that the log does not determine say so themselves."""
+    """Compare a laser's motion with its odometry; estimates that the log does not determine are marked."""
     turns = fitted_turns(motion)
     reflected = bool(turns.agreement < 0)
     odometry = shifted(motion, turns.skew.value if turns.skew.determined else 0.0)
@@ -114,7 +114,7 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
 
 
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
-    """What odometry tells of the ways (N, 2), rid of the wrong turn that bends them."""
+    """Odometry of the paths (N, 2), corrected for the wrong rotation that bends them."""
     bend = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
     c, s, (x, y) = np.cos(bend), np.sin(bend), ways.odometry[:, :2].T
     return np.stack([c * x - s * y, s * x + c * y], axis=1)

@@ -1,4 +1,4 @@
-"""The doctor: reads a log once and says what is in it and what is wrong with it."""
+"""The doctor: reads a log once and reports its content and its faults."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Doctor", "diagnose"]
 
 @final
 class Doctor:
-    """Sees every measurement of a log, in its order, and tells at any time what was found.
+    """Processes the measurements of a log in order, and reports the findings at any time.
 
     The memory does not grow with the log; with matching (see `LaserWitness`) by 100 bytes for each scan that is
     matched, which are ever fewer.
@@ -32,8 +32,7 @@ class Doctor:
     Parameters
     ----------
     matching : bool
-        Whether scans are matched, to check odometry and mountings by the motion that the scans tell. It takes most of
-        the time.
+        Whether scans are matched, to check odometry and mountings by laser odometry. It takes most of the time.
     """
 
     def __init__(self, *, matching: bool = True) -> None:
@@ -55,7 +54,7 @@ class Doctor:
             self._matched.take(measurement)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what was found so far; a laser that tilts is no witness of the motion."""
+        """Yield the findings so far; a tilting laser is not used as a reference of the motion."""
         tilting = set()
         for examiner in self._examiners:
             for finding in examiner.findings():
@@ -65,7 +64,7 @@ class Doctor:
             yield from (finding for finding in self._matched.findings() if finding.sensor not in tilting)
 
     def cost(self) -> Finding:
-        """Tell what mapping so many scans costs; without odometry as if each stepped the particles."""
+        """Estimate the cost of mapping these scans; without odometry as if each updated the particles."""
         odometry = self._odometry
         return expected_cost(odometry.scans, odometry.key_scans + odometry.without)
 
@@ -84,7 +83,7 @@ class Doctor:
 def diagnose(
     log: LogSource, *, options: LogOptions | None = None, tick: Callable[[], None] = lambda: None
 ) -> Diagnosis:
-    """Read a log once and say what is in it and what is wrong with it.
+    """Read a log once and report its content and its faults.
 
     Parameters
     ----------

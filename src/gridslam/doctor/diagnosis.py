@@ -1,4 +1,4 @@
-"""What the doctor has to say of a log."""
+"""Result of a diagnosis."""
 
 from __future__ import annotations
 
@@ -78,13 +78,13 @@ class Diagnosis:
     ----------
     path : Path
     findings : tuple of Finding
-        Those that spoil the map, then what is doubtful, then information.
+        Sorted by severity: spoils, doubtful, info.
     lasers : mapping of str to LaserFacts
         By sensor.
     statistics : LogStatistics
         What the reader met.
     metres, radians : float
-        Way and turns that odometry tells.
+        Path length and rotation of the odometry.
     """
 
     path: Path

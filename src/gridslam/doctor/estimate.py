@@ -18,14 +18,14 @@ DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "
 
 
 class Estimate(NamedTuple):
-    """A value, its standard deviation (infinite where the log says nothing) and whether that is small enough."""
+    """A value, its standard deviation (infinite if the log does not determine it) and whether that is small enough."""
 
     value: float
     sigma: float = _UNKNOWN
     determined: bool = False
 
     def differs(self, from_value: float, by: float, sigmas: float = 4.0) -> bool:
-        """Whether the value is determined, and farther than `by` and than so many deviations from another."""
+        """Whether the value is determined, and differs by more than `by` and than `sigmas` deviations from another."""
         return self.determined and abs(self.value - from_value) > max(by, sigmas * self.sigma)
 
 

@@ -21,7 +21,7 @@ class Examiner(Protocol):
         """Look at the next measurement."""
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what was found so far."""
+        """Yield the findings so far."""
 
 
 @final
@@ -92,6 +92,6 @@ class Trace:
 
 
 def percent(share: float) -> str:
-    """Write a share for people: enough digits not to say 0 % or 100 % of what is neither."""
+    """Format a ratio: enough digits not to print 0 % or 100 % for other values."""
     digits = 0 if 0.1 <= share <= 0.9 or share in (0.0, 1.0) else 1 if 0.001 <= share <= 0.999 else 3
     return f"{100 * share:.{digits}f} %"

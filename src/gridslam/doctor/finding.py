@@ -1,4 +1,4 @@
-"""What the doctor says: findings, and the figures that go with them."""
+"""Findings of the doctor, and their figures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Severity(Enum):
 
     @property
     def rank(self) -> int:
-        """0 for what merely informs, 2 for what spoils the map."""
+        """0 for information, 1 for a warning, 2 for a fault that makes the map unusable."""
         return _RANKS[self]
 
 

@@ -35,7 +35,7 @@ class Intervals:
     covariances : (N, 3, 3) float64
         Of `laser`.
     odometry : (N, 3) float64
-        Pose of the base at the end seen from the begin, as odometry tells.
+        Pose of the base at the end relative to the begin, by odometry.
     """
 
     begins: IntArray

@@ -1,4 +1,4 @@
-"""The motion of a laser through a log, and what odometry says of it."""
+"""The motion of a laser through a log, and the corresponding odometry."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ __all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
 _MOST_BEAMS = 360
 _RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
-_STRETCH = 500  # scans that are matched, or passed over, together
-_WHOLE_STRETCHES = 40  # so many are matched without a gap; of later ones ever fewer
+_STRETCH = 500  # scans that are matched, or skipped, together
+_WHOLE_STRETCHES = 40  # segments matched without a gap; of later ones fewer and fewer
 _BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
 _FLOOR_M, _FLOOR_RAD = 0.004, 0.001  # what the grid of the map costs
 
@@ -80,7 +80,7 @@ class LaserMotion:
 @final
 @dataclass(slots=True)
 class LaserWitness:
-    """Takes the scans of one laser as they come, and tells its `motion` at any time.
+    """Processes the scans of one laser; `motion` is available at any time.
 
     The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and of a log of more than 20000 such scans the
     later ones are matched in stretches of 500 that become rare as it grows.
@@ -93,7 +93,7 @@ class LaserWitness:
     Attributes
     ----------
     times : BeamTimes
-        When the beams of a scan are measured. Scans are straightened by it.
+        Beam times, by which scans are deskewed.
     """
 
     rate_hz: float = 21.0

@@ -1,6 +1,6 @@
-"""How a laser moved, told by its scans alone: the witness against which odometry and mounting are checked.
+"""Laser odometry: the reference against which odometry and mounting are checked.
 
-Neither is believed, because either may be what is wrong. Scans are matched in the laser's own frame to a sliding local
+Neither is trusted, because either may be wrong. Scans are matched in the laser's own frame to a sliding local
 map, from where the laser would be if it went on as before; no prior pulls the match, so that it does not lag behind.
 A laser whose beams are read in the wrong direction sees the mirrored world, and matches as well in it.
 """
@@ -34,8 +34,8 @@ _EVIDENCE = InverseSensorModel.from_log_odds(2.4, -0.01)
 drawn a little too far ahead, and the way comes out up to 1 % too long. So, and refined by the beams that fit best, it
 is within 0.3 %, measured with noise of 3 cm."""
 _ROUGH, _FINE = GaussNewton(), GaussNewton(cauchy_m=0.05)
-_JITTER = 3  # stamps that go backward more often than this say nothing of a single interval
-_LONGEST_S = 1.0  # after a longer gap a constant velocity tells nothing
+_JITTER = 3  # stamps that go backward more often than this make single intervals unusable
+_LONGEST_S = 1.0  # after a longer gap a constant velocity is no prediction
 
 
 @final
@@ -47,7 +47,7 @@ class LaserOdometry:
     pose : (3,) float64
         The laser in the frame of the present track.
     track : int
-        Counts from 0 how often the track was lost and begun anew.
+        Number of times that the track was lost and restarted.
     """
 
     __slots__ = (

@@ -1,4 +1,4 @@
-"""How the log says that each laser is mounted: several, tilted, tilting."""
+"""Reported mounting of each laser: several, tilted, tilting."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class LaserExaminer:
         laser.take(scan.geometry)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is particular of the lasers."""
+        """Yield the findings on the lasers."""
         if len(self.lasers) > 1:
             yield self._several()
         for sensor, laser in self.lasers.items():

@@ -1,4 +1,4 @@
-"""What only matching tells: the motion of each laser against odometry, mounting and clock."""
+"""Checks that need scan matching: the motion of each laser against odometry, mounting and clock."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HALF, _HALF_SIGMAS = 0.25, 4.0  # of half the sweep, and deviations: how near t
 @final
 @dataclass(slots=True)
 class _Laser:
-    """One laser: what its motion tells, and how long it takes for a scan, as told or as presumed."""
+    """One laser: its motion, and the duration of a scan, reported or assumed."""
 
     witness: LaserWitness = field(default_factory=LaserWitness)
     geometry: ScanGeometry | None = None
@@ -46,7 +46,7 @@ class _Laser:
 
 @final
 class MotionExaminer:
-    """Finds skewed_while_turning, and what `motion_findings` tells of each laser."""
+    """Finds skewed_while_turning, and the `motion_findings` of each laser."""
 
     def __init__(self) -> None:
         """Begin with no laser seen."""
@@ -61,7 +61,7 @@ class MotionExaminer:
         laser.take(measurement)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what the motion of each laser says; of the wheels, once, what all lasers see."""
+        """Yield the findings of each laser; findings on the wheels once, if all lasers agree."""
         told = [findings for laser in self._lasers.values() if (findings := _told(laser)) is not None]
         known: set[str] = set()
         for finding in (finding for findings in told for finding in findings):
@@ -73,7 +73,7 @@ class MotionExaminer:
 
 
 def _told(laser: _Laser) -> list[Finding] | None:
-    """What the motion of one laser says; None where it is no witness."""
+    """Findings of one laser; None if its motion is not reliable."""
     motion = laser.witness.motion
     if laser.geometry is None or len(motion) < 2:
         return None
@@ -93,7 +93,7 @@ def _half_of_the_sweep(calibration: MotionCalibration, laser: _Laser) -> bool:
 
 
 def _skewed(motion: LaserMotion, laser: _Laser) -> Finding | None:
-    """Tell where scans are smeared by turning, and whether the log lets that be undone."""
+    """Find scans that are skewed by turning, and whether the log allows deskewing."""
     rates = np.abs(turn_rates(motion))
     fast = float(np.quantile(rates, _FASTEST))
     size, swept = fast * laser.sweep_s, laser.witness.times.order.swept
@@ -103,13 +103,13 @@ def _skewed(motion: LaserMotion, laser: _Laser) -> Finding | None:
     says = f"A scan takes {about}{1e3 * laser.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
     says += f"({fast:.1f} rad/s)"
     if laser.told:
-        says += "; each beam has its time, and the scans are straightened"
-        wrong = ", but by their reverse, which fits better: the driver tells them in the wrong order" * (swept < 0)
+        says += "; each beam has its time, and the scans are deskewed"
+        wrong = ", but by their reverse, which fits better: the driver reports them in reverse order" * (swept < 0)
         return Finding("skewed_while_turning", Severity.INFO, f"{says}{wrong}.", size, "rad", "", motion.sensor)
     return Finding(
         "skewed_while_turning", Severity.DOUBTFUL,
-        f"{says}, and the log does not tell when each beam was measured: walls come out bent.", size, "rad",
-        "Let the driver state time_increment, so that scans can be straightened; until then turn more slowly.",
+        f"{says}, and the log has no beam times: walls are bent.", size, "rad",
+        "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more slowly.",
         motion.sensor, _figure(motion, rates, laser.sweep_s),
     )  # fmt: skip
 

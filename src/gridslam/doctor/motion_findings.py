@@ -1,4 +1,4 @@
-"""What the motion of a laser says is wrong, in words."""
+"""Findings from the motion of a laser."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from gridslam.types import FloatArray
 
 __all__ = ["motion_findings"]
 
-# Where a difference begins to be told, and where it is more than information. Wheel odometry is wrong by a percent or
-# two on every robot and matching makes up for it; what is more than that can be measured and taken out.
+# Differences from which on they are reported, and are more than information. Wheel odometry errs by a percent or
+# two on every robot and matching compensates for it; larger errors can be measured and corrected.
 _SCALE, _SCALE_TOLD = 0.02, 0.012
 _TURN_SCALE, _TURN_SCALE_TOLD = 0.025, 0.015
 _DRIFT, _DRIFT_TOLD = 0.01, 0.006  # rad/m: half a degree a metre
@@ -28,15 +28,15 @@ _SKEW_HARMS_S, _SKEW_HARMS_RAD = 0.3, 0.5
 errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two of these six were lost."""
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0
-_OPPOSITE, _UNRELATED, _TURNED_RAD = -0.6, 0.5, 1.2  # one corner tells
+_OPPOSITE, _UNRELATED, _TURNED_RAD = -0.6, 0.5, 1.2  # one corner suffices
 _SLIP_M, _SLIP_RAD, _SLIP_SHARE = 0.22, 0.3, 0.01  # of one episode; of all the way
-_CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no witness
+_CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no reference
 
 
 def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None = None) -> list[Finding]:
-    """Tell what is wrong with mounting, clock and odometry, by the motion of one laser.
+    """Yield the findings on mounting, clock and odometry, by the motion of one laser.
 
-    A fault is told only where it is larger than what every robot has, and than four standard deviations of its
+    A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.
     Reads `calibration` where that of `motion` is known already. Codes: reflected_laser, yaw_offset, clock_skew,
     odometry_scale, odometry_rotation_bias, odometry_drift, wheel_slip, odometry_unrelated.
@@ -59,7 +59,7 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     return Finding(
         "odometry_unrelated", Severity.SPOILS,
         f"Odometry turned by {found.odometry_rad:.1f} rad, the laser by {found.laser_rad:.1f} rad, but not at the same "
-        f"times (correlation {found.agreement:+.2f}): it is another robot's, or of another time.",
+        f"times (correlation {found.agreement:+.2f}): it belongs to another robot or another time.",
         found.agreement, "1", "Choose the odometry's topic, or map with --no-odometry.", motion.sensor,
         _turns_figure(motion, 1.0),
     )  # fmt: skip
@@ -69,8 +69,8 @@ def _reflected(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     if not found.agreement < _OPPOSITE or found.laser_rad < _TURNED_RAD:
         return None
     cause = (
-        "the log says that the laser is upside-down, and its beams come in the order of an upright one"
-        if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, and the log does not say so"
+        "the log declares the laser upside-down, and its beams come in the order of an upright one"
+        if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
     )  # fmt: skip
     return Finding(
         "reflected_laser", Severity.SPOILS,
@@ -89,8 +89,8 @@ def _yaw(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     degrees, declared = math.degrees(yaw.value), math.degrees(found.mounting[2])
     return Finding(
         "yaw_offset", Severity.SPOILS if abs(yaw.value) > _YAW_SPOILS else Severity.DOUBTFUL,
-        f"The laser looks {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees farther to the "
-        f"{_side(degrees)} than the log says ({declared:.1f} degrees).",
+        f"The laser is rotated by {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees to the "
+        f"{_side(degrees)} relative to the declared mounting ({declared:.1f} degrees).",
         yaw.value, "rad", f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.", motion.sensor,
     )  # fmt: skip
 
@@ -104,10 +104,10 @@ def _skew(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
     return Finding(
         "clock_skew", Severity.DOUBTFUL if harms else Severity.INFO,
-        f"Scans come {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the turns that both "
-        f"tell agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
-        f"{milliseconds:+.0f} ms; which of the two is wrong the log does not tell. In turns odometry is then wrong by "
-        f"up to {wrong_rad:.2f} rad{'' if harms else ', which matching makes up for'}.",
+        f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured turns "
+        f"agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
+        f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs by "
+        f"up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
         skew.value, "s",
         "Stamp both when they are measured, by one clock; --repair all takes it out before mapping." if harms else "",
         motion.sensor, _turns_figure(motion, -1.0 if found.reflected else 1.0),
@@ -127,7 +127,7 @@ def _scale(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     percent, sigma = 100 * (found.scale.value - 1), 100 * found.scale.sigma
     return Finding(
         "odometry_scale", severity,
-        f"Odometry tells {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} way than the laser saw, over "
+        f"Odometry reports {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} distance than the laser measures, over "
         f"{found.laser_m:.0f} m.",
         found.scale.value - 1, "m/m",
         f"Divide the odometry's distances (the wheels' diameter) by {found.scale.value:.3f}.", motion.sensor,
@@ -141,7 +141,7 @@ def _rotation_bias(motion: LaserMotion, found: MotionCalibration) -> Finding | N
     percent, sigma = 100 * (found.turn_scale.value - 1), 100 * found.turn_scale.sigma
     return Finding(
         "odometry_rotation_bias", severity,
-        f"Odometry turns {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} than the laser saw, over "
+        f"Odometry turns {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} than the laser measures, over "
         f"{found.laser_rad:.0f} rad.",
         found.turn_scale.value - 1, "rad/rad",
         f"Multiply the distance between the wheels by {found.turn_scale.value:.3f}.", motion.sensor,
@@ -176,7 +176,7 @@ def _slip(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
         "wheel_slip", Severity.DOUBTFUL if matters else Severity.INFO,
         f"The wheels slipped {_times(len(slips))}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
         f"{seconds:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in {largest.duration_s:.1f} s.",
-        *_size(sizes, turns), "Drive more gently there; matching makes up for it where walls tell the motion.",
+        *_size(sizes, turns), "Drive more gently there; scan matching compensates where walls constrain the motion.",
         motion.sensor, _slip_figure(motion, found, slips),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What can be told of odometry without matching a scan: none, leaping, frozen, standing still, turning too fast."""
+"""Odometry checks without scan matching: missing, jumping, frozen, standing still, turning too fast."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["OdometryExaminer"]
 
 _WINDOW_S = 1.0
 _STILL_M, _STILL_RAD = 0.01, 0.01  # in a second: slower than any robot drives, more than encoders flicker
-_CHANGED_M, _CHANGED_SHARE = 0.1, 0.02  # a range has changed by more than noise: so many m, and of the range
+_CHANGED_M, _CHANGED_SHARE = 0.1, 0.02  # change of a range above noise: m, and ratio of the range
 _MOST_CHANGED = 0.5  # of the beams: people who pass change fewer
 _FROZEN_WINDOWS, _FROZEN_SHARE = 3, 0.1  # a shorter stop of the wheels' messages is what matching is for
 _STILL_WORTH_S = 10.0  # seconds that are worth a line
@@ -78,7 +78,7 @@ class OdometryExaminer:
         self._note_window(odometry, scan, place)
 
     def _note_way(self, stamp_ns: int, place: tuple[float, float, float]) -> None:
-        """Count way and turn since the scan before, or take note that no robot moves so."""
+        """Add path length and rotation since the last scan, or record a jump that is faster than a robot can move."""
         before, self._last = self._last, (stamp_ns, place)
         if before is None:
             self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
@@ -137,7 +137,7 @@ class OdometryExaminer:
         self._window = scan.stamp_ns, place, scan
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the odometry, and with how the robot was driven."""
+        """Yield the findings on the odometry, and on how the robot was driven."""
         if self.without:
             yield self._no_odometry()
         if self._jumps:
@@ -150,7 +150,7 @@ class OdometryExaminer:
 
     def _no_odometry(self) -> Finding:
         share = self.without / self.scans
-        says = "There is no odometry: motion is told by the scans alone, and long bare corridors come out short."
+        says = "There is no odometry: motion is estimated from scans alone, which underestimates long bare corridors."
         remedy = "Record odometry too; until then drive slowly, and map with --no-odometry."
         if share < 1:
             says = f"{self.without} of {self.scans} scans ({percent(share)}) have no odometry."
@@ -164,9 +164,9 @@ class OdometryExaminer:
         size = (metres, "m") if metres > _LEAP_M else (radians, "rad")
         return Finding(
             "odometry_jumps", Severity.DOUBTFUL,
-            f"Odometry jumps {often} by {metres:.4g} m and {radians:.2f} rad after {at_s:.1f} s: no robot moves so "
-            "fast from one scan to the next. It was set anew, or a reading is false.",
-            *size, "Look for what restarts or corrects odometry on the robot; in a jump the scans tell the motion.",
+            f"Odometry jumps {often} by {metres:.4g} m and {radians:.2f} rad after {at_s:.1f} s: no robot moves this "
+            "fast from one scan to the next. The odometry was reset, or a reading is wrong.",
+            *size, "Look for what restarts or corrects the odometry; in a jump the motion is estimated from scans.",
         )  # fmt: skip
 
     def _odometry_frozen(self) -> Finding:
@@ -182,10 +182,11 @@ class OdometryExaminer:
         share = self._still_s / self._watched_s
         never = self.metres < _NEVER_MOVED_M and self.radians < _NEVER_MOVED_RAD and not self._frozen
         if never and share > _MOSTLY_STILL:
-            says = f"The robot never moves (odometry says {self.metres:.2f} m): there is one view, and no map to make."
-            yield Finding("standing_still", Severity.DOUBTFUL, says, self._still_s, "s", "Drive the robot about.")
+            says = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
+            remedy = "Record while the robot drives."
+            yield Finding("standing_still", Severity.DOUBTFUL, says, self._still_s, "s", remedy)
         elif self._still_s > _STILL_WORTH_S:
-            says = f"The robot stands still for {self._still_s:.0f} s, {percent(share)} of the time: no harm."
+            says = f"The robot stands still for {self._still_s:.0f} s, {percent(share)} of the time, which is harmless."
             yield Finding("standing_still", Severity.INFO, says, self._still_s, "s")
 
     def _fast_turning(self) -> Iterator[Finding]:
@@ -208,7 +209,7 @@ def _turn(before: tuple[float, float, float], after: tuple[float, float, float])
 
 
 def _share_changed(before: LaserScan, after: LaserScan) -> float:
-    """Share of the beams that hit something both times and farther or nearer by more than noise; 0 where too few."""
+    """Ratio of beams with two hits whose ranges differ by more than noise; 0 if there are too few."""
     if len(before) != len(after):
         return 0.0
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)

@@ -22,7 +22,7 @@ _ONLY_WHOLE = ("standing_still",)
 
 @final
 class CheckedLog:
-    """A log that looks at its own first minute (300 scans at the most) as it is read, and tells what is wrong there.
+    """A log that is checked over its first minute (at most 300 scans) while it is read.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ class CheckedLog:
 
 
 def quick_check(log: LogSource) -> tuple[Finding, ...]:
-    """Tell what the first minute of a log (300 scans at the most) shows that is doubtful or spoils the map.
+    """Yield the warnings and errors of the first minute of a log (300 scans at most).
 
-    No scan is matched, and what only a whole log can tell, such as that the robot never moves, is left out.
+    No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
     """
     found: list[Finding] = []
     for _ in _looked_at(iter(opened_log(log)), found.extend):
@@ -68,7 +68,7 @@ def quick_check(log: LogSource) -> tuple[Finding, ...]:
 def _looked_at(
     measurements: Iterator[Measurement], tell: Callable[[tuple[Finding, ...]], None]
 ) -> Iterator[Measurement]:
-    """The measurements of the first minute, and what is wrong with them told before the last of them is given."""
+    """The measurements of the first minute; its findings are reported before the last of them is yielded."""
     doctor, first_ns = Doctor(matching=False), None
     for count, measurement in enumerate(measurements, 1):
         stamp_ns = measurement.scan.stamp_ns

@@ -18,7 +18,7 @@ __all__ = ["RangeCounts", "RangeExaminer"]
 
 _BIN_M, _BINS, _SECTORS = 0.01, 20_000, 16
 _BLOCK = 1 << 16  # readings that are counted together
-_USED_M = 30.0  # the configuration's range_max_m: what lies beyond is neither matched nor drawn, whatever it says
+_USED_M = 30.0  # the configuration's range_max_m: farther readings are neither matched nor mapped
 
 _LEAST = 100  # readings: fewer at one value may be chance
 _LEAST_SHARE = 1e-3  # of all hits: fewer harm nobody
@@ -95,7 +95,7 @@ class RangeCounts:
         return None
 
     def false_hits_m(self) -> float | None:
-        """From which range on hits are beams that hit nothing, if there are so many that they spoil a map."""
+        """Range from which on hits are beams without return, if there are so many that the map becomes unusable."""
         self.count()
         pile = self.pile()
         if pile is None or pile.value_m >= _USED_M or pile.share <= _SPOILING:
@@ -145,7 +145,7 @@ class RangeExaminer:
         counts.take(scan)
 
     def findings(self) -> Iterator[Finding]:
-        """Tell where the limits are not what they are said to be."""
+        """Report where the true limits differ from the declared ones."""
         for sensor, counts in self.ranges.items():
             counts.count()
             if (pile := counts.pile()) is not None:

@@ -16,14 +16,14 @@ _SHOWN = 40
 
 
 def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
-    """Tell what the statistics of a log that was read to its end say."""
+    """Yield the findings from the statistics of a log that was read to its end."""
     for reason, scans in statistics.missing_transforms.most_common():
         chain = f" ({statistics.odometry_source})" if reason.startswith("odometry") else ""
         yield _missing(reason + chain, scans, statistics.scan_count)
     if statistics.truncated:
         yield Finding(
             "unreadable", Severity.DOUBTFUL,
-            f"The log is cut off: {statistics.scan_count} scans were there, and what came after them is lost.",
+            f"The log is truncated after {statistics.scan_count} scans.",
             statistics.scan_count, "scans", "Record it again, if the end matters.",
         )  # fmt: skip
     for remark, count in statistics.remarks.items():

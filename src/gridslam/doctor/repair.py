@@ -19,8 +19,8 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeom
 __all__ = ["Repair", "early_calibration", "full_repair", "needed_repair", "repaired"]
 
 _EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
-_LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log in which nothing is wrong is known as such sooner
-_EARLY_HZ = 7.0  # every other scan of 10 Hz tells as much
+_LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
+_EARLY_HZ = 7.0  # every other scan of 10 Hz is as informative
 _NO_ODOMETRY_SCANS = 50
 _SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.2
 _SPOILING_YAW_RAD, _SIGMAS = 0.35, 6.0
@@ -34,13 +34,13 @@ class Repair:
     Attributes
     ----------
     reflected : bool
-        The beams run the other way than the log says.
+        The beam order is reversed relative to the log.
     yaw_rad : float, rad
-        The laser looks so much farther to the left than the log says.
+        Error of the mounting yaw, to the left.
     skew_s : float, s
         Scans are stamped so much too late.
     scale, turn_scale : float
-        Metres, radians that odometry tells for one.
+        Measured metres per true metre, measured radians per true radian.
     drift_rad_per_m : float, rad/m
         What odometry turns too much to the left for each metre driven forward.
     range_max_m : float or None, m
@@ -62,26 +62,27 @@ class Repair:
     def says(self) -> Iterator[str]:
         """What is taken out, in words."""
         if self.reflected:
-            yield "the beams run the other way than the log says (a laser that turns clockwise, or is upside down)"
+            yield "the beam order is reversed (a clockwise or upside-down laser)"
         if self.yaw_rad:
-            yield f"the laser looks {math.degrees(self.yaw_rad):+.1f} degrees past where the log says"
+            yield f"the mounting yaw of the laser is off by {math.degrees(self.yaw_rad):+.1f} degrees"
         if self.skew_s:
             late = "late" if self.skew_s > 0 else "early"
             yield f"scans are stamped {1e3 * abs(self.skew_s):.0f} ms too {late} against the odometry"
         if self.scale != 1:
-            yield f"odometry tells {self.scale:.3f} m for a metre"
+            yield f"odometry scale is {self.scale:.3f} m per metre"
         if self.turn_scale != 1:
-            yield f"odometry tells {self.turn_scale:.3f} rad for a radian"
+            yield f"odometry rotation scale is {self.turn_scale:.3f} rad per radian"
         if self.drift_rad_per_m:
-            yield f"odometry turns {math.degrees(self.drift_rad_per_m):+.2f} degrees for each metre"
+            yield f"odometry heading drifts by {math.degrees(self.drift_rad_per_m):+.2f} degrees per metre"
         if self.range_max_m is not None:
-            yield f"beams that hit nothing are told as hits, from {self.range_max_m:.2f} m on"
+            yield f"no-return beams are reported as hits from {self.range_max_m:.2f} m on"
 
 
 def needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
 
-    Matching makes up for all else, while these two it cannot see: the odometry's motion is the only witness. Hits from
+    Matching compensates for all other errors, but these two it cannot detect: it relies on the odometry there. Hits
+    from
     `range_max_m` on that are none follow the robot around, and hold it back along a corridor.
     """
     reflected = calibration.agreement < _SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
@@ -98,7 +99,7 @@ def _is_clean(calibration: MotionCalibration) -> bool:
 
 
 def full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
-    """All that the calibration tells for certain: what differs by more than four standard deviations."""
+    """All faults that the calibration determines reliably: those larger than four standard deviations."""
 
     def sure(estimate: Estimate, usual: float) -> float:
         return estimate.value if estimate.differs(usual, 0.0) else usual
@@ -111,7 +112,7 @@ def full_repair(calibration: MotionCalibration, range_max_m: float | None = None
 
 
 def early_calibration(measurements: Iterable[Measurement]) -> MotionCalibration:
-    """Calibrate with the begin of a log: until odometry tells 8 m and 6 rad, or 1000 scans of the first laser.
+    """Calibrate with the begin of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
 
     That settles the two faults of `needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad where
     neither is there; a log without odometry settles neither.
@@ -191,7 +192,7 @@ def _limited(scan: LaserScan, range_max_m: float | None) -> LaserScan:
 
 @final
 class _Odometer:
-    """Puts odometry together anew from corrected increments."""
+    """Rebuilds odometry from corrected increments."""
 
     def __init__(self, repair: Repair) -> None:
         self._repair = repair

@@ -28,8 +28,8 @@ class RepairedLog:
         What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
         own.
     kind : "needed" or "all"
-        Only what would make any map wrong, told from the begin of the log (see `needed_repair`), or all that is
-        certain, told from the whole of it (see `full_repair`).
+        Only faults that make any map unusable, estimated from the begin of the log (see `needed_repair`), or all faults
+        that are certain, estimated from the whole log (see `full_repair`).
     tell : callable
         Gets the repair, if there is any, before the first measurement.
 
@@ -84,7 +84,7 @@ def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
 
 
 def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
-    """Open a log as `opened_log` does, and take out of it what `RepairedLog` does, or nothing.
+    """Open a log as `opened_log` does, with the corrections of `RepairedLog`, or none.
 
     Raises ArgumentError for another `kind`, too.
     """

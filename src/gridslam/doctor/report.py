@@ -1,4 +1,4 @@
-"""A diagnosis in words, for people, and as JSON, for machines."""
+"""A diagnosis as text and as JSON."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ __all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
 SCHEMA = "gridslam.doctor/1"
 
 _HEADS = {
-    Severity.SPOILS: "What spoils the map",
-    Severity.DOUBTFUL: "What makes it doubtful",
+    Severity.SPOILS: "Faults that make the map unusable",
+    Severity.DOUBTFUL: "Warnings",
     Severity.INFO: "For information",
 }
 
@@ -78,7 +78,7 @@ def picture_name(number: int, finding: Finding) -> str | None:
 
 
 def text(diagnosis: Diagnosis) -> list[str]:
-    """Tell a diagnosis in lines for a terminal."""
+    """Format a diagnosis as lines for a terminal."""
     lines = [_head(diagnosis), *(f"  {line}" for line in _facts(diagnosis))]
     for severity, head in _HEADS.items():
         found = [finding for finding in diagnosis.findings if finding.severity is severity]
@@ -91,14 +91,14 @@ def text(diagnosis: Diagnosis) -> list[str]:
 
 
 def verdict(diagnosis: Diagnosis) -> str:
-    """The one sentence that a user wants to know."""
+    """Summarize the diagnosis in one sentence."""
     spoiling = sum(finding.severity is Severity.SPOILS for finding in diagnosis.findings)
     doubtful = len(diagnosis.faults) - spoiling
     if spoiling:
-        more = f", {_count(doubtful, 'more thing')} may harm it" if doubtful else ""
-        return f"{_count(spoiling, 'thing')} would spoil the map{more}."
+        more = f"; {_count(doubtful, 'warning')}" if doubtful else ""
+        return f"The map would be unusable: {_count(spoiling, 'fault')}{more}."
     if doubtful:
-        return f"Nothing that spoils the map was found; {_count(doubtful, 'thing')} may harm it."
+        return f"No fault makes the map unusable; {_count(doubtful, 'warning')}."
     return "This log is healthy: nothing was found that would harm the map."
 
 
@@ -135,7 +135,7 @@ def _title(finding: Finding) -> str:
 
 
 def markdown(diagnosis: Diagnosis) -> list[str]:
-    """Tell a diagnosis in Markdown, with the pictures."""
+    """Format a diagnosis as Markdown, with figures."""
     lines = [f"# {diagnosis.path.name}", "", f"**{verdict(diagnosis)}**", "", _head(diagnosis), ""]
     lines += [f"{'  ' if line.startswith('  ') else ''}- {line.strip()}" for line in _facts(diagnosis)]
     for severity, head in _HEADS.items():

@@ -27,10 +27,11 @@ class Fit(NamedTuple):
 def robust_fit(design: FloatArray, response: FloatArray, least_spread: float = 1e-9) -> Fit:
     """Fit response (N, D) = design (N, D, P) x parameters, D = 1 or 2, by Cauchy's M-estimator.
 
-    The noise of each of the N terms has unit variance up to a common factor, which the residuals tell by their median
-    norm; it is `least_spread` at the least, or what a first bad guess leaves out might stay out. The covariance sums
-    the scores of consecutive terms before it squares them, in `_BLOCKS` blocks, so that it holds whatever the true
-    variances are and however neighbours correlate; what no term tells of has the variance of `least_spread`.
+    The noise of each of the N terms has unit variance up to a common factor, which is estimated from the residuals by
+    their median norm; it is `least_spread` at the least, or what a first bad guess leaves out might stay out. The
+    covariance sums the scores of consecutive terms before it squares them, in `_BLOCKS` blocks, so that it holds
+    whatever the true variances are and however neighbours correlate; parameters without any term have the variance of
+    `least_spread`.
 
     Source: Huber and Ronchetti, Robust Statistics (2009), section 7; the sandwich with clusters is Liang and Zeger's
     (1986).

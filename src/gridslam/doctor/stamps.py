@@ -27,7 +27,7 @@ _KEPT = 64
 
 
 class _Pause(NamedTuple):
-    """Time between two scans of a laser, when it began, and what odometry says was moved in it (NaN: nothing)."""
+    """Time between two scans of a laser, when it began, and the odometry motion in it (NaN: unknown)."""
 
     seconds: float
     began_s: float
@@ -124,7 +124,7 @@ class StampExaminer:
         clock.take(scan.stamp_ns, None if odometry is None else tuple(odometry.pose.tolist()))
 
     def findings(self) -> Iterator[Finding]:
-        """Tell what is wrong with the stamps."""
+        """Yield the findings on the stamps."""
         for sensor, clock in self.clocks.items():
             yield from _gaps(sensor, clock)
             if clock.backward:
@@ -142,7 +142,7 @@ def _gaps(sensor: str, clock: Clock) -> Iterator[Finding]:
     count = f"{len(gaps)} gaps" if len(gaps) < _KEPT else f"{_KEPT} gaps or more"
     says = f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {gaps[0].seconds:.2f} s"
     if math.isnan(worst.metres):
-        says += ", and no odometry tells what was moved in it"
+        says += ", without odometry of the motion in it"
     else:
         when = "in it" if worst is gaps[0] else f"in one of {worst.seconds:.2f} s at {worst.began_s:.1f} s"
         turned = math.degrees(worst.radians)
@@ -174,7 +174,7 @@ def _backward(sensor: str, clock: Clock) -> Finding:
         remedy = "Map each recording by itself, with --start and --duration."
     elif clock.deepest_s > _DEEP_S or share > _DISORDER:
         severity = Severity.DOUBTFUL
-        says += ": the order of the log is in doubt"
+        says += ": the order of the log is questionable"
         remedy = "Stamp scans when they are measured, with one clock, and record them in that order."
     else:
         says += "; it is jitter, and scans are taken in the order of the file"
@@ -189,6 +189,6 @@ def _repeated(sensor: str, clock: Clock) -> Finding:
         "duplicate_stamps", Severity.DOUBTFUL if many else Severity.INFO,
         f"{clock.repeated} of {clock.scans} scans ({percent(share)}) have the stamp of the scan before.",
         share, "share",
-        "Stamp each scan by itself, finely enough to tell scans apart; drop scans that are sent twice." if many else "",
+        "Stamp each scan by itself, with sufficient resolution; drop scans that are sent twice." if many else "",
         sensor,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the turns of laser and odometry tell: scale, drift, and the skew of their clocks."""
+"""Calibration from the turns of laser and odometry: scale, drift, and clock offset."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["Turns", "fitted_turns"]
 _BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
 _TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
 _LAGS_S = np.arange(-1.0, 1.001, 0.05)
-_UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or tells no turn rate
-_BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be told
+_UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or yields no turn rate
+_BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be estimated
 _CONTRADICT = 3.5
 """Deviations by which the skew of brief intervals must differ from that of long ones to give way to it. It is the more
 exact of the two, but where turns are few and begin in an instant the fit takes just those intervals for outliers."""
@@ -27,7 +27,7 @@ _JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 
 
 class Turns(NamedTuple):
-    """What turns alone tell; the drift is that for each metre of odometry."""
+    """Estimates from turns alone; the drift is per metre of odometry."""
 
     agreement: float
     turn_scale: Estimate

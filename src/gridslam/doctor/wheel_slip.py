@@ -1,4 +1,4 @@
-"""Episodes in which the wheels turned and the robot did not move as they say."""
+"""Episodes of wheel slip."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _EPISODE = np.array([0.15, 0.25])  # m, rad of a whole episode
 _DETERMINED = np.array([0.028, 0.02])  # m, rad: greatest standard deviation of the laser's own increment
 _AROUND_S = 2.0  # what is made up for so soon was no slip: a message came late, or a match was wrong for a moment
 _KEPT = 0.6
-_MOSTLY = 0.75  # of the episodes odometry tells too much: where it as often tells too little, it jitters
-_LEAP_M = 0.3  # odometry that leaps more from one scan to the next: scans are missing, and the laser may be wrong
+_MOSTLY = 0.75  # of the episodes have too much odometry: if as many have too little, it jitters
+_LEAP_M = 0.3  # larger jumps of odometry from one scan to the next: scans are missing, and the laser may be wrong
 
 
 class Slip(NamedTuple):
-    """One episode: when it began, how long it lasted, and what odometry told beyond the true motion (signed)."""
+    """One episode: start, duration, and the excess of the odometry over the true motion (signed)."""
 
     stamp_ns: int
     duration_s: float
@@ -37,7 +37,7 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
     """Find episodes in the residuals of a calibration, by the time they began.
 
     Intervals in which the laser does not determine its motion well take no part. Wheels that slip turn more than the
-    robot moves; a log whose odometry as often tells too little has another trouble than slip.
+    robot moves; a log whose odometry is as often too small has another fault than slip.
     """
     parts, residuals = calibration.intervals, calibration.residuals[:, [0, 2]]
     if not len(parts):

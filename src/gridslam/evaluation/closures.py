@@ -22,7 +22,7 @@ FALSE_CLOSURE_RAD = math.radians(5.0)
 
 
 OPEN_M = 1.0
-"""A direction in which the standard deviation is greater was left open: nothing is said of half a metre there."""
+"""A direction with a greater standard deviation is degenerate: errors of half a metre are not evaluated there."""
 
 
 def closure_errors(
@@ -39,8 +39,8 @@ def closure_errors(
     measurements : (M, 3) array_like
         The pose `to` seen from the pose `from`, as in a `PoseGraph`.
     information : (M, 3, 3) array_like, optional
-        As in a `PoseGraph`. Where it is given, an error in a direction that the measurement leaves open is none: along
-        a bare corridor a match says nothing.
+        As in a `PoseGraph`. If given, errors along degenerate directions are ignored: along a bare corridor a match has
+        no information.
 
     Returns
     -------

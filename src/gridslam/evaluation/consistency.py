@@ -1,4 +1,4 @@
-"""Whether an estimator's covariances tell the truth about its errors: the normalized estimation error squared."""
+"""Consistency of an estimator: the normalized estimation error squared (NEES)."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def pair_by_name(names: IntArray, true_names: IntArray) -> tuple[IntArray, IntAr
 def pair_by_place(
     positions: FloatArray, truth: FloatArray, true_from_map: FloatArray, reach_m: float = 0.5
 ) -> tuple[IntArray, IntArray]:
-    """Pair landmarks whose names tell nothing, by where they are: the nearest first, each once.
+    """Pair landmarks without comparable names by distance: the nearest first, each once.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ def compound_covariance(
 def increment_covariance(
     moved: FloatArray, covariance: FloatArray, increment: FloatArray, both: FloatArray
 ) -> FloatArray:
-    """Undo `compound_covariance`: the noise of the increment, of which nothing says that it is a covariance."""
+    """Undo `compound_covariance`: the noise of the increment, which need not be a valid covariance."""
     by_moved, by_increment = compose_jacobians(moved, increment)
     noise: FloatArray = by_increment.T @ (both - by_moved @ covariance @ by_moved.T) @ by_increment  # a rotation
     return 0.5 * (noise + noise.T)

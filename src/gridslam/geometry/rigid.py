@@ -24,7 +24,7 @@ Rigid: TypeAlias = tuple[float, float, float, float, float, float, float]
 
 _ROTATION_TOLERANCE = 1e-6
 _NORM_TOLERANCE = 0.01  # of the squared norm; what ROS's tf2 takes, and so what stands in logs
-_FARTHEST_M = 1e9  # no frame on Earth is farther from another: such a number was never meant
+_FARTHEST_M = 1e9  # no frame on Earth is farther from another: such a number is an error
 
 
 def from_quaternion(translation: Sequence[float], xyzw: Sequence[float]) -> Rigid:

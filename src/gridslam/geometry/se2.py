@@ -76,8 +76,8 @@ def inverse(a: ArrayLike) -> FloatArray:
 def exp(xi: ArrayLike) -> FloatArray:
     """Pose (..., 3) reached by moving with the constant twist `xi` for one unit of time.
 
-    The robot drives an arc; its chord is the arc's length times sinc(omega / 2) and points half the turn aside, which
-    is exact for every omega and needs no series near 0.
+    The robot drives an arc; its chord is the arc's length times sinc(omega / 2) and points half the turn to the side,
+    which is exact for every omega and needs no series near 0.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a beam tells of a cell, in steps of log-odds."""
+"""Evidence of a beam for a cell, in fixed-point log-odds."""
 
 from __future__ import annotations
 

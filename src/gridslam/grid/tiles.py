@@ -153,7 +153,7 @@ class TileMaps:
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
-        Capped at `reach_m`; `rows` (K,) says which map belongs to each pose.
+        Capped at `reach_m`; `rows` (K,): index of the map of each pose.
         """
         rows = np.ascontiguousarray(rows, np.int32)
         found: NDArray[np.float32] = backend.distances(
@@ -166,7 +166,7 @@ class TileMaps:
     ) -> NDArray[np.float32]:
         """Range in m (K, B) to the first occupied cell, from origin (2,) along directions (B, 2) of the base frame.
 
-        `max_m` where there is none; directions have length 1; `rows` (K,) says which map belongs to each pose (K, 3).
+        `max_m` where there is none; directions have length 1; `rows` (K,): index of the map of each pose (K, 3).
         """
         rows = np.ascontiguousarray(rows, np.int32)
         found: NDArray[np.float32] = backend.cast_rays(
@@ -175,7 +175,7 @@ class TileMaps:
         return found
 
     def known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
-        """Whether any beam has told anything about the cells of points (B, 2) of the world, in one map."""
+        """Whether the cells of points (B, 2) of the world were observed, in one map."""
         y, x = np.ascontiguousarray(cells_of(points, self.resolution_m).T)
         page_y, page_x = (y >> _PAGE_BITS) - self._first[0], (x >> _PAGE_BITS) - self._first[1]
         (_, rows, columns) = self._roots.shape

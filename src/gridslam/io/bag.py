@@ -22,7 +22,7 @@ from gridslam.io.text_source import open_for_reading
 __all__ = ["BagLog"]
 
 _ALL = LogOptions()
-_LATE_S = 1.0  # transforms on /tf are told at least so often
+_LATE_S = 1.0  # transforms on /tf are published at least this often
 
 
 @final
@@ -33,9 +33,9 @@ class BagLog:
     those of the messages' headers (of a topic that leaves them 0, the times of recording). A scan's odometry is
     interpolated at its own stamp: scans wait for the reading after it, up to 1 s of the log. Where none comes, or none
     was before, the measurement is without odometry, which `statistics.missing_transforms` counts with the reason.
-    Each iteration reads the bag anew and starts `statistics` anew; memory does not grow with the length of the log.
+    Each iteration rereads the bag and restarts `statistics`; memory does not grow with the length of the log.
 
-    Which topics and frames are read, and what the user must say, is told by `bag_choice.choose`.
+    The choice of topics and frames, and when the user must choose, is described at `bag_choice.choose`.
 
     Parameters
     ----------
@@ -106,5 +106,6 @@ def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
             told = seen.links[link]
             late_s = 0.0 if told.static else (told.stamp_ns - scans.first_stamp_ns) / 1e9
             if late_s > _LATE_S:
-                found[f"{link[0]} -> {link[1]} is told {late_s:.1f} s after the first scan: taken to hold before"] += 1
+                late = f"is first published {late_s:.1f} s after the first scan: assumed to hold before"
+                found[f"{link[0]} -> {link[1]} {late}"] += 1
     return found

@@ -1,4 +1,4 @@
-"""Which topics and frames of a bag make the log, where the user has not said it."""
+"""Default choice of topics and frames of a bag."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Choice:
     odometry_frame : str
         Frame in which the odometry is; empty where there is none.
     odometry_child : str
-        Frame whose pose the odometry's topic tells.
+        Child frame of the odometry topic.
     base_frame : str
         Frame whose poses the log has.
     remarks : tuple of str
@@ -86,7 +86,7 @@ def choose(source: BagSource, seen: Survey, options: LogOptions) -> Choice:
 
 
 def _child(seen: Survey, odometry: str, above: list[list[str]], remarks: list[str]) -> str:
-    """Frame whose pose the odometry tells; where it does not say, or names one that no transform knows, the base."""
+    """Child frame of the odometry; if it is empty or unknown to the transforms, the base."""
     topic = seen.odometry[odometry]
     base = next((base for frames in above if (base := _base_above(seen, frames[0]))), "")
     child = "" if topic.child_frame == topic.frame else topic.child_frame
@@ -95,7 +95,7 @@ def _child(seen: Survey, odometry: str, above: list[list[str]], remarks: list[st
     found = base or "base_link"
     if seen.links:
         named = f"{child}, which no transform names" if child else "no frame"
-        remarks.append(f"{odometry} tells the pose of {named}: it is taken for that of {found} (--base-frame)")
+        remarks.append(f"{odometry} has the child frame {named}: used as {found} (--base-frame)")
     return found
 
 
@@ -148,7 +148,7 @@ def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
         return "there are lasers in several namespaces, maybe of several robots"
     if "" in told:
         missing = next(name for name, base in bases.items() if not base)
-        return f"there are several lasers, and no transform tells where that of {missing} ({frames[missing]}) is"
+        return f"there are several lasers, and the mounting of {missing} ({frames[missing]}) is unknown (no transform)"
     if len(set(frames.values())) < len(names):
         return f"several topics have scans of one laser ({', '.join(sorted(set(frames.values())))})"
     return ""
@@ -180,7 +180,7 @@ def _odometry_topic(
 
 
 def _agrees(seen: Survey, name: str) -> bool:
-    """Whether the transforms tell the same poses as this topic."""
+    """Whether the transforms agree with the poses of this topic."""
     topic = seen.odometry[name]
     link = seen.links.get((topic.frame, topic.child_frame))
     if link is None:
@@ -199,7 +199,7 @@ def _agrees(seen: Survey, name: str) -> bool:
 
 
 def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:
-    """Name of the frame in which the transforms tell odometry: above the lasers, or else the only one there is."""
+    """Parent frame of the odometry in the transforms: above the lasers, or else the only one there is."""
     for frames in above:
         for frame in frames[1:]:
             if _ODOMETRY_FRAME.search(_last(frame)):
@@ -209,7 +209,7 @@ def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:
 
 
 def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
-    """The base: what the odometry frame is the parent of, on the way to a laser if there is one."""
+    """The base: what the odometry frame is the parent of, between it and a laser if there is one."""
     if not odometry_frame:
         return ""
     for frames in above:
@@ -221,7 +221,7 @@ def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
 
 
 def _base_above(seen: Survey, frame: str) -> str:
-    """The base that a laser is mounted on, as far as the transforms tell; empty where they do not."""
+    """The base that a laser is mounted on, by the transforms; empty if unknown."""
     frames = seen.ancestors(frame)
     if len(frames) == 1:
         return ""

@@ -50,7 +50,7 @@ class _Sensor(NamedTuple):
 
 @final
 class BagMessages:
-    """Turns measurements into messages, one after another; see `write_bag` for what they say.
+    """Converts measurements to messages, one after another; see `write_bag`.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class BagMessages:
     def _header(self, topic: str, stamp_ns: int, frame: str) -> Message:
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
         if not 0 <= seconds < 2**31:
-            raise ArgumentError("stamp_ns", "a stamp that ROS can say, from 0 on and below 2^31 s", stamp_ns)
+            raise ArgumentError("stamp_ns", "a stamp that ROS can represent, from 0 on and below 2^31 s", stamp_ns)
         stamp = self._make("builtin_interfaces/msg/Time", seconds, nanoseconds)
         if not self._numbered:
             return self._make("std_msgs/msg/Header", stamp, frame)
@@ -197,7 +197,7 @@ def _in_space(pose: FloatArray) -> tuple[list[float], list[float]]:
 
 
 def _twist(before: Odometry | None, now: Odometry) -> list[float]:
-    """Mean velocity since the odometry before, in the base frame; 0 where the log does not tell it."""
+    """Mean velocity since the last odometry, in the base frame; 0 if unknown."""
     if before is None or now.stamp_ns <= before.stamp_ns:
         return [0.0, 0.0, 0.0]
     seconds = (now.stamp_ns - before.stamp_ns) / 1e9
@@ -211,7 +211,7 @@ def _even(name: str, values: FloatArray, tolerance: float) -> tuple[float, float
         return float(values.sum()), 0.0
     step = float(values[-1] - values[0]) / (len(values) - 1)
     if not (np.abs(values - values[0] - step * np.arange(len(values))) <= tolerance).all():
-        raise ArgumentError(name, "evenly spread beams, which is all that a message can say", values)
+        raise ArgumentError(name, "evenly spread beams, which is all that a message can represent", values)
     return float(values[0]), step
 
 

@@ -30,7 +30,7 @@ from gridslam.types import Odometry
 __all__ = ["BagReading"]
 
 _PATIENCE_NS = 1_000_000_000
-_MOST_WAITING = 1000  # scans, whatever the times of recording say
+_MOST_WAITING = 1000  # scans, whatever the times of recording
 _WHY = {
     Coverage.NOT_YET: "odometry: no reading at or after the scan's stamp comes within 1 s of the log",
     Coverage.TOO_EARLY: "odometry: no reading at or before the scan's stamp",
@@ -77,7 +77,7 @@ class BagReading:
                 yield measurement
 
     def _take(self, name: str, kind: str, data: bytes, time_ns: int) -> bool:
-        """Take in a message, and tell whether a scan may be ready for it."""
+        """Process a message; return whether a scan may be ready now."""
         wire = wire_of_ros1(data) if self._source.is_ros1 else wire_of_cdr(data)
         if kind == "scan":
             self._await(name, decode_scan(data, wire), time_ns)

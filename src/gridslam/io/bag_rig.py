@@ -24,7 +24,7 @@ from gridslam.types import Odometry
 __all__ = ["MountedLaser", "Rig"]
 
 _KEEP_S = 5.0  # of odometry: no wider gap is interpolated, and a scan may be this much behind the latest reading
-_ODOMETRY = "(odometry)"  # the parent frame of what an odometry topic tells, apart from the same link on /tf
+_ODOMETRY = "(odometry)"  # parent frame for an odometry topic, distinct from the same link on /tf
 _UNKNOWN = np.zeros(3)
 _IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -36,7 +36,7 @@ class MountedLaser:
     Parameters
     ----------
     way : sequence of Step or None
-        Links from the base to the laser; None where no transforms tell.
+        Links from the base to the laser; None without transforms.
     poses : dict
         Pose of each link, kept up to date by `Rig`.
     source : str
@@ -67,7 +67,7 @@ class MountedLaser:
 
     @property
     def is_near(self) -> bool:
-        """Whether a laser can be where this one is told to be."""
+        """Whether the reported mounting is plausible."""
         return _is_near(self._last)
 
     @property
@@ -98,10 +98,10 @@ def _is_near(pose: Rigid) -> bool:
 
 @final
 class Rig:
-    """Takes in odometry and transforms in the order of a log; tells the odometry at a stamp and the lasers' mountings.
+    """Processes odometry and transforms in the order of a log; gives the odometry at a stamp and the mountings.
 
-    Links that the survey saw at rest hold for the whole log until another pose of them comes: a static transform is
-    often told late, and in old logs again and again at later stamps.
+    Links that were static in the survey hold for the whole log until their pose changes: a static transform is often
+    published late, and in old logs repeatedly with later stamps.
 
     Attributes
     ----------
@@ -148,7 +148,7 @@ class Rig:
             self._covariances.add(message.stamp_ns, seen, message.covariance)
 
     def add_transform(self, transform: StampedTransform) -> bool:
-        """Take in a transform and tell whether it may be odometry; raises ArgumentError where it is no pose."""
+        """Add a transform; return whether it may be odometry; raises ArgumentError if it is not a pose."""
         link = transform.parent, transform.child
         if link in self._moving:
             pose = transform.pose
@@ -169,7 +169,7 @@ class Rig:
         return False
 
     def odometry(self, stamp_ns: int) -> tuple[Coverage, Odometry | None]:
-        """Pose of the base in the odometry frame, with the covariance since the last told; or why it is not known."""
+        """Pose of the base in the odometry frame, with the covariance since the last call; or why it is unknown."""
         try:
             pose = self._buffer.planar(self._frame, self._base, stamp_ns)
         except MissingTransform as missing:

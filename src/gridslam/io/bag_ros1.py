@@ -95,7 +95,7 @@ class Ros1Bag:
         return found
 
     def _cut(self, problem: str) -> None:
-        """Take note that a part is missing, unless that is refused."""
+        """Record that a part is missing, or raise if that is not accepted."""
         self.cut_off = True
         if not self._keep_truncated:
             raise refuse_cut_off(self.path, problem)
@@ -191,7 +191,7 @@ class Ros1Bag:
         return data
 
     def _connect(self, record: Record, data: bytes) -> None:
-        """Take note of a connection."""
+        """Add a connection."""
         described = Record(fields_of(data), 0, 0)
         topic = "/".join(part for part in record.text(b"topic").split("/") if part)
         self._connections[record.u32(b"conn")] = _Connection(f"/{topic}", described.text(b"type"))

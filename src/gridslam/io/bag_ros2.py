@@ -77,7 +77,7 @@ class Ros2Bag:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files of a bag; its metadata.yaml, which a recorder that was killed never writes, tells nothing more."""
+    """Files of a bag; its metadata.yaml, which a killed recorder never writes, has no further information."""
     found = sorted({path for name in _NAMES for path in folder.glob(name)})
     if not found:
         raise InputError(folder, "expected the folder of a ROS 2 bag, got one without .db3 or .mcap files")
@@ -95,7 +95,7 @@ def _joined(storages: list[_Storage]) -> dict[str, Topic]:
 
 @final
 class _Storage:
-    """One file, opened for as long as this object lives: to open it anew, rosbags would count all its messages."""
+    """One file, opened for as long as this object lives: to reopen it, rosbags would count all its messages."""
 
     def __init__(self, path: Path, keep_truncated: bool) -> None:
         self.cut_off = False
@@ -183,7 +183,7 @@ class _Storage:
             self._cut(f"{log.name} beside it holds messages that SQLite has not merged: the recording was not ended")
 
     def _cut(self, problem: str) -> None:
-        """Take note that a part is missing, unless that is refused."""
+        """Record that a part is missing, or raise if that is not accepted."""
         self.cut_off = True
         if not self._keep_truncated:
             raise refuse_cut_off(self._path, problem)

@@ -133,7 +133,7 @@ class SalvagedMcap:
         return start_ns, found
 
     def _message(self, op: int, content: bytes) -> _Numbered | None:
-        """The message in a record, or None where it tells of something else, which is taken note of."""
+        """The message in a record; other records are processed, and None is returned."""
         if op == _MESSAGE:
             number, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(content)
             return time_ns, number, content[_MESSAGE_HEAD.size :]

@@ -21,7 +21,7 @@ _when = itemgetter(0)
 
 @final
 class DamageError(Exception):
-    """Something in a bag is not as its format wants it; told to the user as an `InputError`."""
+    """A bag violates its format; reported to the user as an `InputError`."""
 
 
 class BagSource(Protocol):
@@ -82,6 +82,6 @@ def in_order(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Messag
 
 
 def refuse_cut_off(path: Path, problem: str) -> InputError:
-    """Say that a bag is damaged or cut off, and how it is read as far as it goes."""
+    """Raise that a bag is damaged or cut off, and how to read it up to there."""
     one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file among them
     return InputError(path, f"{one_line}; --keep-truncated reads what is there")

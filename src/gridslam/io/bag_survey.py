@@ -42,7 +42,7 @@ class Step(NamedTuple):
 @final
 @dataclass(slots=True)
 class TopicSeen:
-    """A topic of scans or odometry: what its first messages say of frames, and whether they are stamped."""
+    """A topic of scans or odometry: frames of its first messages, and whether they are stamped."""
 
     frame: str
     child_frame: str
@@ -59,13 +59,13 @@ class LinkSeen:
     Attributes
     ----------
     topic : str
-        Where it was told.
+        Topic of the transform.
     pose : Rigid
         The first one of the child in the parent.
     stamp_ns : int
         Its stamp.
     static : bool
-        Whether it was told as static.
+        Whether it was published as static.
     moves : bool
         Whether a later one is another by more than 5 mm or 0.01 rad.
     samples : list of (int, Rigid)
@@ -113,7 +113,7 @@ class Survey:
         return steps + [Step((parent, child), True) for parent, child in pairwise(reversed(below))]
 
     def add(self, topic: str, transform: StampedTransform, static: bool) -> None:
-        """Take note of a transform."""
+        """Add a transform."""
         pose = self.pose(transform.pose, f"{topic}: {transform.parent} -> {transform.child}")
         if pose is None or transform.parent == transform.child:
             return
@@ -128,7 +128,7 @@ class Survey:
             link.samples.append((transform.stamp_ns, pose))
 
     def pose(self, values: Rigid, what: str) -> Rigid | None:
-        """The pose that a message tells, or None, counted, where it is none."""
+        """The pose of a message, or None, counted, if it is invalid."""
         try:
             return rigid.from_quaternion(values[:3], values[3:])
         except ArgumentError:
@@ -143,7 +143,7 @@ def moved(a: Rigid, b: Rigid) -> bool:
 
 
 def unreadable(source: BagSource, topic: str, time_ns: int, error: MessageError) -> InputError:
-    """Say which message cannot be decoded."""
+    """Name the message that cannot be decoded."""
     type_ = source.topics[topic].type
     return InputError(source.path, f"a message of {topic} recorded at {time_ns / 1e9:.3f} s is no {type_}: {error}")
 
@@ -151,7 +151,7 @@ def unreadable(source: BagSource, topic: str, time_ns: int, error: MessageError)
 def survey(source: BagSource) -> Survey:
     """Look into the first 10 s of a bag, and as far on as is needed to see every topic and the mounting of each laser.
 
-    Raises InputError where the bag is damaged or a message is not what its topic says.
+    Raises InputError if the bag is damaged or a message does not match the type of its topic.
     """
     kinds = {name: kind_of(topic.type) for name, topic in source.topics.items() if topic.messages}
     found = Survey()
@@ -195,7 +195,7 @@ def _look(source: BagSource, kinds: Mapping[str, str], found: Survey, first: boo
 
 
 def _note(found: Survey, name: str, kind: str, data: bytes, wire: Wire) -> bool:
-    """Take note of a message, and tell whether it may have told something new."""
+    """Process a message; return whether it may have added information."""
     if kind == "transforms":
         links = len(found.links)
         for transform in decode_transforms(data, wire):

@@ -50,8 +50,8 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
     Raises
     ------
     ArgumentError
-        For what messages cannot say: beams that are not evenly spread in angle or in time, a mounting that changes,
-        hits outside the range limits, stamps before 0 or from 2^31 s on; and for a log without any scan.
+        For data that messages cannot represent: beams that are not evenly spread in angle or in time, a mounting that
+        changes, hits outside the range limits, stamps before 0 or from 2^31 s on; and for a log without any scan.
     OutputError
         Where the bag cannot be written, or a folder is in its place.
     """

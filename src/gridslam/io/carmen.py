@@ -20,11 +20,11 @@ _ODOM_WORDS = 10  # ODOM x y theta tv rv accel ipc_timestamp ipc_hostname logger
 
 @final
 class CarmenLog:
-    """A CARMEN log (plain, gzip or bzip2, told by its content); iterating yields a `Measurement` for each scan.
+    """A CARMEN log (plain, gzip or bzip2, detected from its content); iterating yields a `Measurement` for each scan.
 
     Scans come in file order, which is the order of the measurements although stamps jitter: backward stamps are
     counted, never sorted. A scan's odometry is the robot's pose in its own line, at the scan's stamp; for lines without
-    one it is the last ODOM line before. Each iteration reads the file anew, in blocks, and starts `statistics` anew.
+    one it is the last ODOM line before. Each iteration rereads the file, in blocks, and restarts `statistics`.
 
     Parameters
     ----------

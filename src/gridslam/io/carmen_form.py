@@ -1,4 +1,4 @@
-"""Measurements of any robot as CARMEN can say them, and what gets lost on the way."""
+"""Conversion of measurements to CARMEN, and the data that CARMEN cannot represent."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ SICK_NO_RETURN_M = 81.83
 
 _SAME_PLACE = (1e-2, 1e-2, 1e-2)  # m, m, rad: how constant an offset must be to be a mounting
 _FARTHEST_M = 1.0  # a laser farther from the robot's centre is not plausible on these robots
-_ENOUGH_MOTION = (1.0, 0.5)  # m and rad driven: tells a mounting from a correction of the pose
+_ENOUGH_MOTION = (1.0, 0.5)  # m and rad driven: distinguishes a mounting from a correction of the pose
 _MOST_SCANS = 2000
 LASER_PARAMETERS = {
     "front": {
@@ -50,7 +50,7 @@ class CarmenLasers:
         self._geometries: dict[tuple[str, int, BeamLayout | None], ScanGeometry] = {}
 
     def uses(self, name: str) -> bool:
-        """Tell whether a parameter says something of a laser."""
+        """Whether a parameter describes a laser."""
         return any(name in names.values() for names in LASER_PARAMETERS.values())
 
     def set_parameter(self, name: str, value: str, line: int) -> None:
@@ -72,10 +72,10 @@ class CarmenLasers:
         return self._geometries[key]
 
     def range_max_m(self, sensor: str, layout: BeamLayout | None) -> float:
-        """Range from which a reading says that nothing was hit, m.
+        """Range from which on a reading means no return, m.
 
         A ROBOTLASER1 line states it. For the older lines it is `SICK_NO_RETURN_M`, or what the log's parameters state
-        where that is less: their configurations often say 81.9 or 89 while the readings stop at 81.83.
+        where that is less: their configurations often have 81.9 or 89 while the readings stop at 81.83.
         """
         if layout is not None:
             return layout.max_m if 0 < layout.max_m < np.inf else SICK_NO_RETURN_M
@@ -135,7 +135,7 @@ class CarmenLasers:
         """Pose (3,) of the laser seen from the robot, where the log's lines agree on one.
 
         The laser's pose in a line is either the robot's composed with the mounting, or a pose that some SLAM corrected.
-        Only the former keeps its distance while the robot drives and turns. Equal poses say nothing.
+        Only the former keeps its distance while the robot drives and turns. Equal poses are not informative.
         """
         if rows.laser_poses is None or rows.robot_poses is None:
             return None
@@ -164,7 +164,7 @@ class CarmenLasers:
             try:
                 laser, robot = parse_pose(words[:3]), parse_pose(words[3:])
             except LineError:
-                return  # the reader itself tells what is wrong with this line
+                return  # the reader reports the fault of this line
             yield np.stack([laser, robot])
             if last is not None:
                 motion = se2.between(last, robot)

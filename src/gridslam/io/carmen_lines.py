@@ -25,10 +25,10 @@ _ROBOTLASER_TAIL = 11  # laser pose, robot pose, tv, rv, forward and side safety
 
 
 class LineError(ValueError):
-    """A line has not the form its tag promises; `row` tells which of those given."""
+    """A line does not have the form of its tag; `row` is the index of the line."""
 
     def __init__(self, problem: str, row: int = 0) -> None:
-        """Say what was expected and what came."""
+        """State what was expected and what was found."""
         super().__init__(problem)
         self.row = row
 
@@ -36,7 +36,7 @@ class LineError(ValueError):
 @final
 @dataclass(frozen=True, slots=True)
 class BeamLayout:
-    """What a line itself says of the laser's beams (rad, m)."""
+    """Beam layout stated by a line (rad, m)."""
 
     start_rad: float
     step_rad: float
@@ -57,7 +57,7 @@ class ScanRows:
     laser_poses, robot_poses : (K, 3) float64 or None
         Poses in the line; None where this form has none.
     layout : BeamLayout or None
-        None where the line does not tell.
+        None if the line does not state it.
     """
 
     first: int

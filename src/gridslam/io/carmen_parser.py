@@ -26,7 +26,8 @@ __all__ = ["CarmenParser"]
 class _Batch:
     """Lines of scans that wait for their numbers to be converted together.
 
-    `texts` and `places` go by form, the pair of tag and number of blanks; a place is an index into the other lists.
+    `texts` and `places` are grouped by form, the pair of tag and number of blanks; a place is an index into the other
+    lists.
     """
 
     texts: dict[tuple[str, int], list[str]] = field(default_factory=dict)
@@ -38,7 +39,7 @@ class _Batch:
 
 @final
 class CarmenParser:
-    """One pass over a log: what earlier lines told (parameters, odometry, mountings) holds for later ones."""
+    """One pass over a log: parameters, odometry and mountings of earlier lines hold for later ones."""
 
     def __init__(self, path: Path) -> None:
         """Start before the first line of the log at `path`."""

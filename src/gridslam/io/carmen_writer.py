@@ -48,8 +48,9 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
     Raises
     ------
     ArgumentError
-        For what the format cannot say: odometry that is not at the scan's stamp or ends (but see above), beams not
-        evenly spread about the laser's axis, a laser not mounted level, hits at or above the maximum range or 81.83 m.
+        For data that the format cannot represent: odometry that is not at the scan's stamp or ends (but see above),
+        beams not evenly spread about the laser's axis, a laser not mounted level, hits at or above the maximum range or
+        81.83 m.
     OutputError
         Where the file cannot be written.
     """

@@ -33,7 +33,7 @@ _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.f
 
 
 class _CellError(ValueError):
-    """A cell cannot be read: says its column, what was expected and what came."""
+    """A cell cannot be read: names its column, what was expected and what was found."""
 
     def __init__(self, column: str, expected: str, got: str) -> None:
         super().__init__(f"column {column}: expected {expected}, got {got}")
@@ -42,7 +42,7 @@ class _CellError(ValueError):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Laser:
-    """What scans share whose rows say the same of the laser."""
+    """Properties of the laser that scans with equal cells share."""
 
     sensor: str
     frame: str
@@ -80,7 +80,7 @@ class CsvLog:
     Notes
     -----
     `inf` and ranges at or above `range_max_m` are NO_RETURN; NaN, 0, negative ranges and those below `range_min_m` are
-    INVALID. A last line without a line end counts as cut off: it cannot be told whether its last range is whole.
+    INVALID. A last line without a line end counts as cut off: its last range may be incomplete.
     """
 
     def __init__(self, path: str | Path, *, keep_truncated: bool = False) -> None:
@@ -254,7 +254,7 @@ def _utf8(column: str, text: str) -> str:
 
 
 def _laser(cells: dict[str, str], beams: int) -> _Laser:
-    """What a row says of its laser."""
+    """Laser properties of a row."""
     texts = {name: _utf8(name, text.strip()) or _DEFAULTS.get(name, "") for name, text in cells.items()}
     start, step = (_number(name, texts[name]) for name in ("angle_min_rad", "angle_increment_rad"))
     if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):

@@ -35,8 +35,8 @@ def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None
     Raises
     ------
     ArgumentError
-        For what the columns cannot say: beams that are not evenly spread in angle or in time, hits outside the range
-        limits.
+        For data that the columns cannot represent: beams that are not evenly spread in angle or in time, hits outside
+        the range limits.
     OutputError
         Where the file cannot be written.
     """

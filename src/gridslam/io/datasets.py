@@ -89,9 +89,9 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     name : str
         One of those in `DATASETS`.
     folder : str or Path
-        Where its file is to lie; made if need be.
+        Output folder; created if missing.
     url : str, optional
-        Where the files lie; if not given what the variable `MIRROR` of the environment says, or else `PUBLIC`.
+        Base URL of the files; if not given, the environment variable `MIRROR`, or else `PUBLIC`.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def _retrieve(source: str, dataset: Dataset, file: Path) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """The first cause: what requests says of it is a paragraph."""
+    """The first cause: the message of requests is a paragraph."""
     response = getattr(error, "response", None)
     if response is not None:
         return f"{response.status_code} {response.reason}"

@@ -96,7 +96,7 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
     Parameters
     ----------
     path : str or Path
-        The file, plain text; written aside and then renamed.
+        The file, plain text; written atomically.
     graph : PoseGraph
         The poses and what was measured. Which edges are trusted has no place in the file: see `read_g2o`.
     ids : (N,) int, optional

@@ -42,7 +42,7 @@ class _Found(NamedTuple):
 
 
 def read_rows(path: str | Path, skip_unknown: bool) -> tuple[dict[str, Rows], dict[str, int]]:
-    """Read the lines of each known tag, and count those of each unknown one; raises InputError as `read_g2o` says."""
+    """Read the lines of each known tag, and count those of each unknown one; raises InputError as `read_g2o`."""
     found = {tag: _Found([], [], []) for tag in _FIELDS}
     skipped = Counter[str]()
     for number, line in _numbered(path):

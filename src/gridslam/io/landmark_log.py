@@ -31,11 +31,11 @@ class LandmarkLogStatistics:
     steps : int
         Steps given.
     sightings : int
-        Sightings of landmarks given.
+        Number of landmark observations.
     robots : int
-        Sightings of other robots, which are no landmarks; left out.
+        Observations of other robots, which are no landmarks; left out.
     unknown : int
-        Sightings whose barcode belongs to nobody (misread); left out.
+        Observations with an unknown barcode (misread); left out.
     first_ns, last_ns : int
         Stamps of the first and the last step.
     """
@@ -85,7 +85,7 @@ class LandmarkTruth:
 
 @runtime_checkable
 class LandmarkLog(Protocol):
-    """A log of landmarks; each iteration reads it anew, a piece at a time."""
+    """A log of landmarks; each iteration rereads it incrementally."""
 
     path: Path
     kind: SightingKind
@@ -99,7 +99,7 @@ class LandmarkLog(Protocol):
 
 
 def open_landmark_log(path: str | Path) -> LandmarkLog:
-    """Open a log of landmarks (plain, .gz or .bz2), in the form that its name and content tell.
+    """Open a log of landmarks (plain, .gz or .bz2); the format is detected from name and content.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A localization between two scans as one file, so that it can be resumed to the same bytes."""
+"""A localization between two scans as one file, so that it can be resumed with identical results."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_localization(path: str | Path, saved: SavedLocalization) -> None:
 
 
 def read_localization(path: str | Path) -> SavedLocalization:
-    """Read what `write_localization` wrote; going on with it, in the same map, gives the same bytes.
+    """Read what `write_localization` wrote; resuming from it, in the same map, gives identical results.
 
     Raises
     ------

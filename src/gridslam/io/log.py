@@ -39,7 +39,7 @@ class LogOptions:
     Attributes
     ----------
     scan_topics : tuple of str
-        Topics (bags) or sensors (other logs) whose scans are read; all that there is no doubt about where empty.
+        Topics (bags) or sensors (other logs) whose scans are read; empty: all that are unambiguous.
     odometry_topic : str or None
         Topic of the odometry of a bag; found by its type if not given.
     odometry_frame, base_frame : str or None
@@ -49,11 +49,11 @@ class LogOptions:
     keep_truncated : bool
         Read a log that is cut off as far as it goes instead of refusing it.
     start_s : float, >= 0
-        Leave out the scans less than so many seconds after the first.
+        Skip the scans less than this many seconds after the first.
     duration_s : float or None, > 0
-        Leave out the scans that come so many seconds or more after the start.
+        Skip the scans this many seconds or more after the start.
     every : int, >= 1
-        Of the scans that are left of a sensor take every so many-th, from the first on.
+        Use only every n-th of the remaining scans of each sensor, from the first on.
 
     Raises
     ------
@@ -88,7 +88,7 @@ _ALL = LogOptions()
 
 
 def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
-    """Open a log of any format that can be read, told by its content: CARMEN, ROS 1 and ROS 2 bags, CSV.
+    """Open a log of any format that can be read, detected from its content: CARMEN, ROS 1 and ROS 2 bags, CSV.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     Raises
     ------
     InputError
-        There is no such file, or it is no log: says what it looks like; or an option does not fit its format.
+        There is no such file, or it is no log: names what it looks like; or an option does not fit its format.
     """
     from gridslam.io.log_format import LogFormat, log_format_of
     from gridslam.io.selection import select

@@ -43,12 +43,12 @@ class LogFormat(Enum):
 
 
 def log_format_of(path: str | Path) -> LogFormat:
-    """Tell the format of a log by its content, whatever its name is.
+    """Detect the format of a log from its content, not from its name.
 
     Raises
     ------
     InputError
-        There is no such file, it is empty, or it is nothing that can be read: says what it looks like.
+        There is no such file, it is empty, or it cannot be read: names what it looks like.
     """
     where = Path(path)
     if where.is_dir():
@@ -61,7 +61,7 @@ def log_format_of(path: str | Path) -> LogFormat:
             if file.read(len(head)).startswith(_BAG_MAGIC):
                 return LogFormat.BAG
         raise InputError(path, "expected a bag that is not compressed as a whole, got a compressed one (unpack it)")
-    if not head or _has_carmen_tag(head):  # nothing: cut off or damaged from the first block on, which the reader tells
+    if not head or _has_carmen_tag(head):  # empty: cut off or damaged in the first block; reported by the reader
         return LogFormat.CARMEN
     first = _first_line(head)
     if _is_scan_csv(first):
@@ -74,7 +74,7 @@ def _has_carmen_tag(head: bytes) -> bool:
 
 
 def _first_line(head: bytes) -> str:
-    """The first line that says something."""
+    """The first line that is not blank."""
     lines = (line.strip() for line in head.decode("utf-8-sig", "replace").split("\n"))
     return next((line for line in lines if line and not line.startswith("#")), "")
 
@@ -85,7 +85,7 @@ def _is_scan_csv(line: str) -> bool:
 
 
 def _looks_like(head: bytes, line: str) -> str:
-    """What a file that is no log is, as far as its first bytes tell."""
+    """Describe a file that is no log by its first bytes."""
     for magic, what in _OTHER_MAGIC.items():
         if head.startswith(magic):
             return what
@@ -99,7 +99,7 @@ def _looks_like(head: bytes, line: str) -> str:
         return "a pose graph (gridslam graph solves it)"
     if line.startswith(("<!", "<html", "<?xml")):
         return "a web page or XML"
-    return f"text that begins with {line[:40]!r}" if line else "text without a line that says anything"
+    return f"text that begins with {line[:40]!r}" if line else "text with blank lines only"
 
 
 def _is_tum(line: str) -> bool:

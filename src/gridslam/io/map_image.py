@@ -1,4 +1,4 @@
-"""The image of a map_server map, and what its pixels say of the cells."""
+"""The image of a map_server map, and the occupancy that its pixels represent."""
 
 from __future__ import annotations
 
@@ -81,9 +81,9 @@ def occupancy_percent(
     The first row is the lowest one. The rules are those of map_server and nav2:
 
     - trinary: occupied (100) where a pixel is darker than occupied_thresh, free (0) where it is less dark than
-      free_thresh, else unknown. The pixel 205 is unknown whatever free_thresh says, unless `strict_thresholds`.
+      free_thresh, else unknown. The pixel 205 is unknown for any free_thresh, unless `strict_thresholds`.
     - scale: between the thresholds the percentage rises linearly, and nothing opaque is unknown.
-    - raw: the pixel is the percentage, unknown above 100, whatever negate and the thresholds say.
+    - raw: the pixel is the percentage, unknown above 100, for any negate and thresholds.
 
     A transparent pixel is unknown, but for raw.
     """

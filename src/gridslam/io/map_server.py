@@ -17,7 +17,7 @@ from gridslam.types import GridRows, OccupancyGrid
 __all__ = ["read_map", "write_map"]
 
 _BAND = 64  # rows turned to pixels at a time
-_SURE = 0.98  # what an image says spans probabilities 0.01 to 0.99, so that log-odds stay finite
+_SURE = 0.98  # an image represents probabilities 0.01 to 0.99, so that log-odds stay finite
 
 
 def write_map(yaml_path: str | Path, grid: GridRows) -> None:
@@ -65,9 +65,9 @@ def read_map(
     yaml_path : str or Path
         The YAML file; its image is named relative to it.
     strict_thresholds : bool
-        Read the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown, whatever
-        free_thresh says: it is what every map saver writes for unknown, and a free_thresh of 0.25, as nav2's saver
-        writes it, would turn all that was never seen into free space. Where it would, a remark says so.
+        Apply the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown for any
+        free_thresh: every map saver writes it for unknown, and a free_thresh of 0.25, as nav2's saver writes it, would
+        turn all unobserved cells into free space. If it would, a remark is issued.
     tell : callable
         Gets what is odd about the file, and what was made of it: a remark of one sentence each.
 

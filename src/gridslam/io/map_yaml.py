@@ -24,7 +24,7 @@ _Entries = dict[str, tuple[str, int]]
 @final
 @dataclass(frozen=True, slots=True)
 class MapDescription:
-    """What map.yaml says.
+    """Content of map.yaml.
 
     Attributes
     ----------

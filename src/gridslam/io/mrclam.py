@@ -45,10 +45,10 @@ class MrclamLog:
         `[SET]RobotN_Odometry.dat` (or its `_Measurement.dat`), plain or compressed. Beside it must be the other of the
         two, `[SET]Barcodes.dat` and `[SET]Landmark_Groundtruth.dat`; `[SET]RobotN_Groundtruth.dat` may be there.
     longest_ns : int, > 0
-        Longest step without a sighting, where the odometry is as dense.
+        Longest step without an observation, if the odometry is as dense.
     delay_ns : int
-        How much later than it is stamped a command takes effect. The files tell what was commanded, and wheels take
-        time; 0.2 s make what the robots see fit best.
+        Latency of a command relative to its stamp. The files contain commands, and wheels take
+        time; 0.2 s fits the observations of the robots best.
     depth_scale : float, > 0
         By which factor the cameras take depths for greater than they are: 1.03 for both robots of set 6. It cannot be
         found without the truth, for it scales the map, and makes 0.09 m of error in a room of 8 m.

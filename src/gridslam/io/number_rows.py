@@ -24,7 +24,7 @@ class NumberRow(NamedTuple):
 
 
 def numbered_lines(path: str | Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines that say something, with their numbers; blank ones and those that begin with # do not.
+    """Yield the data lines with their numbers; blank ones and those that begin with # do not.
 
     Raises InputError where the file cannot be read, or ends in the middle.
     """

@@ -1,4 +1,4 @@
-"""From the covariances of poses, as ROS tells them, to those of the motion from scan to scan."""
+"""Conversion of pose covariances in ROS messages to covariances of the motion between scans."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _KEEP_NS = 5_000_000_000
 _STILL = 1e-3  # m and rad: noise of no more motion is not seen
 _FLOOR = 1e-8 * np.eye(3)  # of a robot that stands: a tenth of a millimetre and of a milliradian
 _MOST = 1.0  # m^2 and rad^2, from one reading to the next: no odometry is so bad
-_PROOF = 3  # readings in a row that must have grown before one is believed: drivers switch between two constants, too
-_HUGE = 1e12  # of a pose: what is not known is often told by such a number, or by infinity
+_PROOF = 3  # readings in a row that must have grown before one is used: drivers switch between two constants, too
+_HUGE = 1e12  # of a pose: such a number, or infinity, often means unknown
 
 
 @final
 class PoseCovariances:
-    """Takes poses with covariances in the order in which they come, and tells the covariance of what moved between.
+    """Processes poses with covariances in order, and returns the covariance of the motion between them.
 
     In nav_msgs/Odometry the covariance is that of the pose since the odometry began, so it grows from reading to
     reading by the noise of the motion. Many drivers send zeros, a constant, or huge numbers for what they do not know,
-    and a filter that is told the heading by something else does not grow either: what does not grow by a covariance
-    while the robot moves tells nothing of the motion, and is left out.
+    and a filter with an absolute heading does not grow either: a covariance that does not grow by a covariance
+    while the robot moves has no information on the motion, and is left out.
     """
 
     def __init__(self) -> None:
@@ -41,7 +41,7 @@ class PoseCovariances:
         self._grown = 0
 
     def add(self, stamp_ns: int, pose: FloatArray, covariance: Triangle | None) -> None:
-        """Take a reading: pose (3,) in the odometry frame and its covariance; None where none is told."""
+        """Add a reading: pose (3,) in the odometry frame and its covariance; None if unknown."""
         if covariance is not None and not all(abs(value) < _HUGE for value in covariance):
             covariance = None
         last, self._last = self._last, covariance
@@ -81,7 +81,7 @@ class PoseCovariances:
     def _noise(
         self, before: FloatArray, known: FloatArray, pose: FloatArray, covariance: FloatArray, same: bool
     ) -> FloatArray | None:
-        """Noise of the motion between two readings, where the covariances of their poses tell it."""
+        """Noise of the motion between two readings, if the covariances of their poses determine it."""
         increment = between(before, pose)
         if np.abs(increment).max() <= _STILL and (same or np.abs(covariance - known).max() <= _FLOOR[0, 0]):
             return _FLOOR if self._grown >= _PROOF else None
@@ -116,7 +116,7 @@ class CovarianceSum:
         return odometry if told else Odometry(odometry.stamp_ns, odometry.pose, covariance)
 
     def given(self) -> None:
-        """Begin anew: the reading that was taken last is given on."""
+        """Restart: the last reading was passed on."""
         self._begin = self._last
 
 

@@ -1,4 +1,4 @@
-"""Results are written aside and then renamed, so that a run leaves all of its files or none."""
+"""Results are written to a temporary folder and then renamed, so that a run leaves all of its files or none."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def opened_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
     """Open a file whose bytes are compressed where `suffix` is .gz or .bz2."""
     with path.open("wb") as raw:
         if suffix == ".gz":
-            # Neither name nor time goes into the file: the same log gives the same bytes.
+            # Neither name nor time is stored in the file, so that the same log gives an identical file.
             with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as file:
                 yield cast(IO[bytes], file)
         elif suffix == ".bz2":
@@ -72,7 +72,7 @@ class OutputFolder:
         self._aside = Path()
 
     def __enter__(self) -> OutputFolder:
-        """Check that OUT can be written and make the folder aside."""
+        """Check that OUT can be written and create the temporary folder."""
         above = self.path
         while not above.exists() and above != above.parent:
             above = above.parent
@@ -105,7 +105,7 @@ class OutputFolder:
         return self._aside / name
 
     def write_json(self, name: str, document: Mapping[str, Any]) -> None:
-        """Write a JSON file; `document` says what it is in ``schema``. NaN and infinity have no place in JSON.
+        """Write a JSON file; ``schema`` names its type. NaN and infinity have no place in JSON.
 
         Raises ArgumentError where there is no schema or a value cannot be written.
         """
@@ -138,7 +138,7 @@ class OutputFolder:
             raise
 
     def _restore(self, staged: list[str], replaced: Path) -> None:
-        """Undo the moves; what lies where tells which of them had happened."""
+        """Undo the moves; the location of the files shows which of them had happened."""
         for name in staged:
             if (replaced / name).exists():
                 os.replace(replaced / name, self.path / name)

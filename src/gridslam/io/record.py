@@ -20,7 +20,7 @@ _SCHEMA = "gridslam.record/1"
 
 
 class RecordFlag(IntFlag):
-    """What is to be said of one key scan."""
+    """Flags of one key scan."""
 
     LOST = 1
     RESAMPLED = 2

@@ -39,7 +39,7 @@ class Record(NamedTuple):
 
     @property
     def op(self) -> int:
-        """Kind of the record; 0 where it does not say."""
+        """Kind of the record; 0 if it is not given."""
         return (self.fields.get(b"op") or b"\0")[0]
 
     def u32(self, name: bytes) -> int:

@@ -1,6 +1,6 @@
 """The three kinds of ROS messages that a log of a planar lidar consists of, decoded from their bytes.
 
-ROS 1 packs the fields one after another, little-endian; ROS 2 writes CDR: two bytes that tell the byte order, two of
+ROS 1 packs the fields one after another, little-endian; ROS 2 writes CDR: two bytes for the byte order, two of
 options, then the fields, each aligned to its size (strings end with a zero, which their length counts). Both begin a
 header with four bytes that do not matter here, seconds, nanoseconds and the frame's name. Frames are given without
 leading "/": "/laser" and "laser" are one frame.
@@ -105,7 +105,7 @@ class Wire:
             object.__setattr__(self, name, struct.Struct(self.order + layout))
 
     def string(self, data: bytes, begin: int) -> tuple[str, int]:
-        """Read the string at `begin`, where its length stands, and tell where it ends."""
+        """Read the string at `begin`, where its length is stored; return it and its end."""
         if self.aligned:
             begin = (begin + 3) & ~3
         start = begin + 4
@@ -119,12 +119,12 @@ _ROS1, _CDR_LITTLE, _CDR_BIG = Wire("<", False), Wire("<", True), Wire(">", True
 
 
 def wire_of_ros1(data: bytes) -> Wire:
-    """Tell how a ROS 1 message is written: always in the same way."""
+    """Return the encoding of a ROS 1 message, which is always the same."""
     return _ROS1
 
 
 def wire_of_cdr(data: bytes) -> Wire:
-    """Tell from its first bytes how a ROS 2 message is written; raises MessageError for what is no plain CDR."""
+    """Detect the encoding of a ROS 2 message from its first bytes; raises MessageError for what is no plain CDR."""
     if data[:2] == b"\x00\x01":
         return _CDR_LITTLE
     if data[:2] == b"\x00\x00":
@@ -133,7 +133,7 @@ def wire_of_cdr(data: bytes) -> Wire:
 
 
 def kind_of(message_type: str) -> str:
-    """Tell "scan", "odometry" or "transforms" of a type as ROS 1 or ROS 2 names it; "" for all others."""
+    """Return "scan", "odometry" or "transforms" for a type as ROS 1 or ROS 2 names it; "" for all others."""
     return _KINDS.get(message_type.replace("/msg/", "/"), "")
 
 

@@ -1,4 +1,4 @@
-"""A part of a log: a span of its time, some of its sensors, every so many-th scan, with or without odometry."""
+"""A part of a log: a time span, some of its sensors, every n-th scan, with or without odometry."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class SelectedLog:
 
     The part is what stands together in the log: it begins with the first scan that comes `start_s` after the log's
     first stamp, and ends ahead of the first one that comes `duration_s` later still, whatever stamps go back in
-    between. A single stamp that is astray decides nothing: the time of a scan is the median of its stamp and its
-    neighbours'. Of what is left every so many-th scan of each sensor is given.
+    between. A single wrong stamp has no effect: the time of a scan is the median of its stamp and its
+    neighbours'. Of the remaining scans every n-th of each sensor is used.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A run between two scans as one file, so that it can be resumed to the same bytes."""
+"""A run between two scans as one file, so that it can be resumed with identical results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SavedRun:
     rng : numpy.random.Generator
         Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
     trajectory : TrajectoryRecorder
-        The scans so far; their number tells how many of the log are done.
+        The scans so far; their number is that of the processed measurements of the log.
     statistics : StatisticsRecorder
         Counts and latencies so far.
     """
@@ -72,7 +72,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
 
 
 def read_state(path: str | Path, threads: int = 1) -> SavedRun:
-    """Read a run; going on with it gives the same bytes as if it had not been interrupted.
+    """Read a run; resuming from it gives the same results as without interruption.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Lines of a possibly compressed text file, a block at a time; cut-off and damaged files are told apart."""
+"""Lines of a possibly compressed text file, a block at a time; distinguishes truncated from damaged files."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def head_of(path: str | Path, size: int) -> bytes:
             while len(head) < size and (chunk := stream.read1(size - len(head))):  # type: ignore[attr-defined]
                 head += chunk
         except (EOFError, OSError, zlib.error):
-            pass  # whoever reads it all tells
+            pass  # the reader reports it
     return head
 
 
@@ -70,7 +70,7 @@ def sha256_of(path: str | Path) -> str:
 
 
 def _decompressed(file: IO[bytes]) -> IO[bytes]:
-    """Undo the compression that the first bytes tell of, whatever the file's name says."""
+    """Undo the compression detected from the first bytes, whatever the name of the file."""
     magic = file.read(3)
     file.seek(0)
     if magic == b"BZh":

@@ -16,7 +16,7 @@ _BLOCK_BYTES = 1 << 20
 
 
 def is_compressed(data: bytes) -> bool:
-    """Tell by its first bytes."""
+    """Detect it by the first bytes."""
     return data.startswith(_MAGIC)
 
 

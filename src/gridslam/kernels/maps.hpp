@@ -14,7 +14,7 @@
 #include <vector>
 
 // One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run. Both
-// give the same bytes, as nothing is contracted or reassociated.
+// give identical results, as nothing is contracted or reassociated.
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
 #define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3")))
 #define GRIDSLAM_INLINE inline __attribute__((always_inline))  // else the default version is called from the fast one
@@ -104,7 +104,7 @@ void parallel_for(int n, int threads, const Body& body) {
 // Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies i cells along the major axis,
 // and on the minor one at start + floor((2 i d + n) / (2 n)). That is kept as a 32.32 fixed point number, so that no cell
 // waits for the one before it; its start is biased by more than the slope's rounding adds up to, and by far less than what
-// tells two cells apart: ties go up for d >= 0 and down for d < 0.
+// separates two cells: ties go up for d >= 0 and down for d < 0.
 struct Line {
   int x0, y0, n;
   bool along_x;
@@ -147,7 +147,7 @@ struct MatchSettings {
   int max_passes;
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
   double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as determined
-  double sparse_cells;     // ends on a straight wall farther apart than this say nothing along it
+  double sparse_cells;     // ends on a straight wall farther apart than this are ignored along it
 };
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score);

@@ -14,7 +14,7 @@ enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 // clang-format on
 
 // Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and `along`, 0 for those that
-// lie so sparsely that they say nothing along the wall: its far ends are mapped as dots, and dots would match dots.
+// are so sparse that they are ignored along the wall: its far ends are mapped as dots, and dots would match dots.
 struct Walls {
   std::vector<float> x, y, along;
   Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
@@ -55,7 +55,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
   constexpr float kBeyond = 3.0f;  // the gradient leans 55 degrees from the wall's normal
-  float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: the same bytes whatever the instruction set
+  float sums[kSums][kLanes] = {};  // lane by lane in a fixed order: identical results for any instruction set
   float ju[kLanes], jv[kLanes], beyond[kLanes];
   Block f;
   for (int block = 0; block < ends.blocks; ++block) {
@@ -68,7 +68,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
       beyond[l] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
       ju[l] = across * nx + walls.along[j] * beside, jv[l] = across * ny + walls.along[j] * aside;
     }
-    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest there, tells nothing
+    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest there, is not informative
       if (beyond[l] > 0 && m.is_unknown(root, f.y[l], f.x[l])) ju[l] = jv[l] = 0.0f;
     const int filled = ends.n - block * kLanes;
     for (int l = 0; l < kLanes; ++l) {
@@ -88,7 +88,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12], total[kH22], total[kG0], total[kG1], total[kG2], total[kScore]};
 }
 
-// Holds the guess along the direction in which the scan says too little about the position (a corridor's axis).
+// Pins the position along a degenerate direction (a corridor's axis) to the guess.
 void hold_undetermined(const Normal& n, const MatchSettings& s, double h[6]) {
   const double t = n.h22 > 0 ? 1.0 / n.h22 : 0.0;
   const double a = n.h00 - n.h02 * n.h02 * t, b = n.h01 - n.h02 * n.h12 * t, c = n.h11 - n.h12 * n.h12 * t;

@@ -1,5 +1,5 @@
-// Copy on write, the serial phase between finding the tiles that a step touches and writing to them. Stops where the free ids
-// are used up: the caller makes more, and goes on from there.
+// Copy on write, the serial phase between finding the tiles that a step touches and writing to them. Stops when no free
+// ids are left; the caller allocates more and continues.
 #include <cstring>
 
 #include "maps.hpp"

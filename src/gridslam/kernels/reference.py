@@ -15,8 +15,8 @@ field : (T, 32, 32) uint8
     255 at an occupied cell, falling with the distance to 0 at the field's reach; tile 0 is 0 all over.
 
 A cell is [row y, column x] with cell (0, 0) at the world's origin, indices signed; what lies outside a table is empty.
-Poses are ``[x m, y m, theta rad]``; `ends` and `origin` are points of the robot's base frame in m; `rows` says which
-map belongs to each pose, each map at most once where the kernel writes. `threads` is for the compiled kernels alone.
+Poses are ``[x m, y m, theta rad]``; `ends` and `origin` are points of the robot's base frame in m; `rows` is the index
+of the map of each pose, each map at most once where the kernel writes. `threads` is for the compiled kernels alone.
 """
 
 from __future__ import annotations

@@ -112,8 +112,8 @@ def match(
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
     less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells`
-    or more apart say nothing along it, and those in unknown cells whose nearest obstacle lies along their wall rather
-    than across say nothing at all (0: all say what the field says).
+    or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies along their wall rather
+    than across are ignored entirely (0: all are used).
 
     Returns
     -------
@@ -177,7 +177,7 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
     """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells, 0 on none; 0 in (B,) for sparse ones.
 
     An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
-    where three ends that are equally many beams apart, so many that `_BASE` cells would lie between them were all as
+    where three ends that are equally many beams apart, such that `_BASE` cells would lie between them were all as
     sparse as here, follow one another along a line to a cell. The end is the middle one of the three; else, at the end
     of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
     """

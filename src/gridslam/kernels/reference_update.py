@@ -209,7 +209,7 @@ def update_field(
     """Let the distance field follow changed `cells` (M, 4) = [row, y, x, occupied], grouped by row, in place.
 
     The field is the grey dilation of the occupied cells, those at 255, by the `cone` (2 r + 1, 2 r + 1). Around a cell
-    that became free it is computed anew; then each new obstacle lifts its surroundings to its cone.
+    that became free it is recomputed; then each new obstacle lifts its surroundings to its cone.
     """
     values, reach, side = field.reshape(-1), len(cone) // 2, len(cone)
 

@@ -95,7 +95,7 @@ class Passes {
     for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
   }
 
-  // Frees the cells that were passed; those that stop being occupied, as their field still says they are, go to `changed`.
+  // Frees the cells that were passed; those that stop being occupied, while their field is still that of occupied cells, go to `changed`.
   void apply(const Maps& m, const int32_t* root, const Evidence& e, int row, std::vector<Cell>& changed) {
     int64_t tile = 0;
     int y = 0, x = 0;
@@ -156,7 +156,7 @@ class Cone {
   }
   // Over cells x, x + 1, ... of row y, as seen from the obstacle.
   const uint8_t* over(int y, int x) const { return rows_.data() + (y + reach) * width_ + x + reach + kTile; }
-  // At so many squared cells from the obstacle.
+  // At this squared distance in cells from the obstacle.
   uint8_t at(int squared) const { return squared <= 2 * reach * reach ? by_square_[squared] : uint8_t{0}; }
 
  private:
@@ -214,7 +214,7 @@ struct Obstacles {
   }
 };
 
-// Mends cells of a tile's row, which have bits `left`: column is that of the row's first cell among those of `rows`.
+// Recomputes cells of a tile's row, which have bits `left`: column is that of the row's first cell among those of `rows`.
 GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row* rows, int n, const Cone& cone) {
   for (; left != 0; left &= left - 1) {
     const int i = std::countr_zero(left), at = column + i;
@@ -227,7 +227,7 @@ GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row
   }
 }
 
-// Mends the field around a cell that is no longer occupied: only where that cell was the nearest obstacle.
+// Recomputes the field around a freed cell, where that cell was the nearest obstacle.
 void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
   const int r = cone.reach;
   const Obstacles near(m, root, cy, cx, r);

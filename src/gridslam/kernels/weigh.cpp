@@ -9,7 +9,7 @@ namespace {
 // cell. Each cell holds its own value and those of its neighbours, so that a look-up is one load.
 GRIDSLAM_VERSIONS double sum_at(const uint32_t* patches, int rows, int cols, float x, float y, float c, float s, const Ends& ends) {
   const float last_x = std::nextafter(static_cast<float>(cols), 0.0f), last_y = std::nextafter(static_cast<float>(rows), 0.0f);
-  float sums[kLanes] = {};  // lane by lane in a fixed order: the same bytes whatever the instruction set
+  float sums[kLanes] = {};  // lane by lane in a fixed order: identical results for any instruction set
   for (int block = 0; block < ends.blocks; ++block) {
     const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
     int at[kLanes];

@@ -33,7 +33,7 @@ PERIOD_S = 0.1
 BYTES_PER_S = 1e6
 """What a viewer is sent at most, but for single messages; a larger one is followed by a longer pause."""
 
-_HEARTBEAT_S = 3.0  # a viewer hears something at least as often, lest it take the line for dead
+_HEARTBEAT_S = 3.0  # maximum time between messages to a viewer, so that it does not time out
 _UNDERWAY = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
 _BAD_TOKEN, _BAD_COMMAND = 4401, 4400  # close codes of the socket
 _HERE = Path(__file__).parent / "static"
@@ -159,7 +159,7 @@ async def _send_all(websocket: WebSocket, viewer: Viewer, news: asyncio.Event, w
 
 
 async def _next_message(viewer: Viewer, news: asyncio.Event) -> bytes:
-    """What the viewer lacks, as soon as it lacks anything, or nothing in time for it to hear something."""
+    """The data that the viewer lacks, or an empty heartbeat."""
     clock = asyncio.get_running_loop().time
     due = clock() + _HEARTBEAT_S
     news.clear()

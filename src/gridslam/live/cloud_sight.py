@@ -40,7 +40,7 @@ class CloudSight:
         self._way = Rows(2)
 
     def note(self, report: LocalizationReport, scan: LaserScan | None) -> int:
-        """Take note of a scan: of where the robot was, unless that is a guess."""
+        """Record the pose of a scan, unless it is a guess."""
         if report.skipped is None:
             self._way.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
         return 0

@@ -1,4 +1,4 @@
-"""Pause, step and speed: a log is held back between two scans, and the filter never knows."""
+"""Pause, step and speed: delays the log between two scans, transparently to the filter."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Control:
         self._change(paused=True)
 
     def set_speed(self, speed: float | None) -> None:
-        """Go so many times as fast as the robot drove; None for as fast as can be."""
+        """Set the speed as a multiple of real time; None for maximum speed."""
         with self._changed:
             self._speed, self._since = speed, None
             self._changed.notify_all()
@@ -91,7 +91,7 @@ class Control:
         self._to_key_scan = False
 
     def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
-        """Return when the scan of this stamp may go, and whether that took a wait; meanwhile call `meanwhile`."""
+        """Wait until the scan of this stamp may be processed, calling `meanwhile`; return whether that took a wait."""
         waited = False
         while True:
             with self._changed:
@@ -140,7 +140,7 @@ class RobotControl:
     Parameters
     ----------
     is_paused : callable
-        Tells whether scans are left out.
+        Returns whether scans are left out.
     pause : callable
         Has them left out, or not.
     """

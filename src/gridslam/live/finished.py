@@ -31,7 +31,7 @@ class Finished(NamedTuple):
     ----------
     results : Results
     hello : dict
-        What a viewer is told of it first (see `gridslam.live.run.greeting`).
+        First message to a viewer (see `gridslam.live.run.greeting`).
     lacks : str
         What is no more there, in words; empty where nothing is missing.
     """
@@ -139,7 +139,7 @@ def _map_of(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
 
 
 def _belief(path: Path) -> FloatArray:
-    """Rows of belief.csv as (T, 5): lost, doubt, agreement, particles and effective sample size (NaN where empty)."""
+    """Rows of belief.csv as (T, 5): lost flag, lost probability, agreement, particles, N_eff (NaN if empty)."""
     header, *lines = read_text(path).splitlines() or [""]
     if header != _BELIEF:
         raise InputError(path, f"expected the columns {_BELIEF}, got {header!r:.200}", 1)

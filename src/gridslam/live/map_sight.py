@@ -47,7 +47,7 @@ class MapSight:
         self._lines: dict[int, IntArray] = {}  # of each channel the particles that continue the chosen one
 
     def note(self, report: StepReport, scan: LaserScan | None) -> int:
-        """Take note of a scan; `CORRECTED` where the past was."""
+        """Record a scan; return `CORRECTED` if the trajectory was corrected."""
         self._closures += report.closures
         if report.skipped is not None:
             return 0

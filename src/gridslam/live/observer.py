@@ -78,7 +78,7 @@ class LiveObserver:
     period_s : float, s
         Least time between two snapshots; set by whoever knows whether somebody looks.
     share : callable
-        Tells how much of the source is read, in [0, 1]; NaN where that is unknown.
+        Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class LiveObserver:
             yield measurement
 
     def __call__(self, report: Report, state: Any, seconds: float) -> None:  # noqa: ANN401
-        """Take note of one scan, and a snapshot if it is time."""
+        """Record one scan, and take a snapshot if it is due."""
         self._scans += 1
         self._latest, self._fresh = (report, state), True
         flags = LOST * report.lost | self._sight.note(report, self._scan)
@@ -143,7 +143,7 @@ class LiveObserver:
     def watch(self, channel: int, particle: int, keys: int) -> None:
         """Show the map of a particle, and of who continues it, as `channel`; called by any thread.
 
-        `particle` is its index after so many key scans; -1 ends the channel.
+        `particle` is its index after `step` key scans; -1 ends the channel.
         """
         self._requests.append((channel, particle, keys))
         self._control.wake()

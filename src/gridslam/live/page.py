@@ -92,7 +92,7 @@ class LivePage:
         return self._run.viewers
 
     def tell_progress(self, share: Callable[[], float]) -> None:
-        """Let the page tell how much of the source is read: what `share` returns, in [0, 1]."""
+        """Show progress on the page: `share` returns the fraction of the source that was read, in [0, 1]."""
         self.observer.share = share
 
     def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
@@ -112,7 +112,7 @@ class LivePage:
         self._server.call(self._run.say, words)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
-        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
 
     def wait_for_viewer(self, at_most_s: float) -> bool:
@@ -123,7 +123,7 @@ class LivePage:
         return bool(self.viewers)
 
     def linger(self) -> None:
-        """Say that all is done and written, and stay as long as someone looks.
+        """Show that all is done and written, and keep serving as long as a viewer is connected.
 
         A lost connection has some seconds to come back.
         """

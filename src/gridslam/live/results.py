@@ -66,7 +66,7 @@ class Results(Protocol):
         """What is seen at a step."""
 
     def facts(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a time at or after step `at`, as JSON values."""
+        """Values at a time at or after step `at`, as JSON values."""
 
     def relative(self, particle: int, before: int, after: int) -> int:
         """Who at step `after` descends from, or is the past of, a particle at `before`; -1 where nobody is."""
@@ -81,9 +81,9 @@ class MappedRun:
     record : Record
         What the particles did; at least one key scan.
     trajectory : Trajectory
-        A pose for each scan, told from the end.
+        The full SLAM trajectory: a pose for each scan.
     key_poses : (T, 3) float64
-        The key scans', told from the end.
+        The poses of the key scans in it.
     grid : OccupancyGrid
         The map.
     closures : (C, 2) int64
@@ -95,7 +95,7 @@ class MappedRun:
     def __init__(
         self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, closures: IntArray
     ) -> None:
-        """Lay out what is told at every time."""
+        """Prepare the data of all times."""
         self.grid, self.particles = grid, record.poses.shape[1]
         self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
         self.way: Float32Array = key_poses[:, :2].astype(np.float32)
@@ -117,7 +117,7 @@ class MappedRun:
         )
 
     def facts(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a time at or after a key scan."""
+        """Values at a time at or after a key scan."""
         record = self._record
         scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
         return {
@@ -150,7 +150,7 @@ class FoundWay:
     landmarks : (L, 5) float32
         As of a scene.
     belief : (T, 5) float64, optional
-        At each pose whether the robot was lost, the doubt, the share of beams that agree, the number of particles, and
+        For each pose the lost flag, the lost probability, the inlier ratio, the number of particles, and
         the effective sample size, NaN where nothing was weighed.
     """
 
@@ -164,7 +164,7 @@ class FoundWay:
         landmarks: Float32Array = NO_LANDMARKS,
         belief: FloatArray | None = None,
     ) -> None:
-        """Lay out what is told at every time."""
+        """Prepare the data of all times."""
         self.grid, self.landmarks = grid, landmarks
         self.times_s = _elapsed(trajectory.stamps_ns, trajectory.stamps_ns[0])
         self.way: Float32Array = trajectory.poses[:, :2].astype(np.float32)
@@ -184,7 +184,7 @@ class FoundWay:
         return Moment(self.way[: at + 1])
 
     def facts(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a pose."""
+        """Values at a pose."""
         told = {"pose": self._poses[at].tolist(), "covariance": self._covariances[at].tolist()}
         if self._belief is None:
             return {**told, "keys": at + 1, "landmarks": len(self.landmarks)}

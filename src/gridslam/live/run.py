@@ -32,10 +32,10 @@ _RATE_OVER = 12  # snapshots
 def greeting(
     title: str, mode: str, shows: tuple[str, ...], step: str = "key scan", grid: OccupancyGrid | None = None
 ) -> dict[str, Any]:
-    """What a viewer is told first.
+    """Build the first message to a viewer.
 
-    `session` tells one start of a server from another, `shows` names the layers and figures that there are, and `step`
-    says what a row of the series is. The cells of a known `grid` lie off the tiles' by `offset_m`.
+    `session` identifies a start of the server, `shows` names the layers and figures that there are, and `step`
+    is the meaning of a row of the series. The cells of a known `grid` lie off the tiles' by `offset_m`.
     """
     return {
         "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "shows": shows,
@@ -45,7 +45,7 @@ def greeting(
 
 
 def finite(value: float) -> float | None:
-    """As JSON can say it."""
+    """The value, or None if JSON cannot represent it."""
     return value if math.isfinite(value) else None
 
 
@@ -124,7 +124,7 @@ class LiveRun:
         self._tell(snapshot)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
-        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         for mirror in self._mirrors.values():
             mirror.replace(tiles_of(grid))
         self._path = self._path.followed_by(poses[:, :2].astype(np.float32))
@@ -134,12 +134,12 @@ class LiveRun:
         self.enter("writing")
 
     def enter(self, stage: str) -> None:
-        """Go over to another stage: "running", "last word", "writing" (what came of it) or "done"."""
+        """Go over to another stage: "running", "last word", "writing" or "done"."""
         self._stage = stage
         self.tell_all()
 
     def say(self, words: str) -> None:
-        """Have viewers read this until something else is said; nothing if empty."""
+        """Show this message to viewers until it is replaced; none if empty."""
         self._says = words
         self.tell_all()
 

@@ -161,7 +161,7 @@ class Scene:
         For each key scan its time since the first, s, effective sample size, latency, ms, flags (`gridslam.live.sight`)
         and number of particles; NaN where that is not known.
     plan : (P, 2) float32, m
-        Where the robot will go; empty where nobody knows.
+        The future path of the robot; empty if unknown.
     landmarks : (L, 5) float32
         Their x m, y m, and covariance xx, xy, yy, m^2.
     """

@@ -1,6 +1,6 @@
-"""What filters let the page see: looked at by the filter's thread, worked out by the server's.
+"""Interface between filters and the page: sampled in the filter's thread, rendered in the server's.
 
-SLAM and localization tell the page the same things; what one of them does not have (pasts, closures, maps of its own)
+SLAM and localization send the same data to the page; what one of them does not have (pasts, closures, maps of its own)
 is empty there.
 """
 
@@ -25,7 +25,7 @@ S = TypeVar("S", contravariant=True)
 
 
 class Report(Protocol):
-    """What the reports of all filters tell of one scan; attributes as of `gridslam.types.StepReport`."""
+    """Common attributes of the reports of all filters, as in `gridslam.types.StepReport`."""
 
     @property
     def stamp_ns(self) -> int:
@@ -81,7 +81,7 @@ class View(Protocol):
         """The two places x, y that each loop closure joins, (C, 4), m."""
 
     def facts(self) -> dict[str, Any]:
-        """What else the page tells, as JSON values; ``particles``, how many there are, among it."""
+        """Further values for the page, as JSON values; including ``particles``, their number."""
 
 
 class Sight(Protocol[R, S]):
@@ -91,7 +91,7 @@ class Sight(Protocol[R, S]):
         """Begin before the first scan."""
 
     def note(self, report: R, scan: LaserScan | None) -> int:
-        """Take note of a scan; gives flags beside `LOST`."""
+        """Record a scan; returns flags such as `LOST`."""
 
     def watch(self, channel: int, particle: int, keys: int) -> None:
         """Show the map of a particle and of who continues it (see `LiveObserver.watch`)."""

@@ -76,7 +76,7 @@ class TileWatch:
     def look(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
         """Copy what may have changed in map `row`.
 
-        `written` tells where any map was written to since the last look; None where that is unknown, or where these are
+        `written` marks the tiles written since the last look; None where that is unknown, or where these are
         other maps than those looked at before.
         """
         ids, corner = maps.tile_ids(row)

@@ -1,4 +1,4 @@
-"""What a cloud of particles says: a pose, how certain it is, and how probable it is that the robot is elsewhere."""
+"""Pose estimate from particles: mean and covariance of the densest cluster and its probability mass."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["NEAR_M", "NEAR_RAD", "Estimate", "bins", "estimate", "is_near", "moved_covariance"]
 
 NEAR_M, NEAR_RAD = 1.0, 0.5
-"""Who is as near as that to the pose that is told is where it says; farther off, the robot is lost."""
+"""Poses within this distance of the estimate belong to its cluster."""
 
 _FEW = 10.0  # effective particles, below which their spread is that of chance
 _SHIFTS = 3  # towards the mean of what is near; the first centre is off by less than half a bin
 
 
 class Estimate(NamedTuple):
-    """What the particles say.
+    """Pose estimate from the particles.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ def _second_moment(away: FloatArray, weights: FloatArray) -> FloatArray:
     """Mean of away away' over (3, N), widened so that its inverse, which judges errors, has no bias of few particles.
 
     The inverse of the covariance of n samples of a Gaussian in three dimensions is n / (n - 5) times too large on
-    average. Too few effective particles tell nothing of the spread: then all count alike.
+    average. Too few effective particles do not determine the spread: then all have equal weights.
 
     Source: K. Mardia, J. Kent and J. Bibby, Multivariate Analysis (1979), Section 3.4 (the inverse Wishart's mean).
     """

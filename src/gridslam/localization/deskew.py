@@ -1,4 +1,4 @@
-"""Scans that a moving robot takes its time for, straightened: and whether the times of their beams are true."""
+"""Deskewing for localization, and detection of wrong beam times."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ __all__ = ["Deskew"]
 class Deskew:
     """Deskews a scan by the times of its beams, in the order by which it fits the map.
 
-    Drivers exist that tell these times in the wrong order, as their lidar turns the other way, or tell times that mean
-    nothing. A known map refutes them, scan by scan.
+    Some drivers report these times in reverse order or without meaning. A known map detects this, scan by scan.
 
     Parameters
     ----------
     turn_rad : float, rad, >= 0
-        A scan tells the order of its beams if the robot turns more than this while it is taken.
+        A scan contributes to the estimate of the beam order if the robot turns by more than this during the scan.
     margin : float, [0, 1]
-        Share of the beams that must agree more in another order than in the one that is told; by less, shares differ
-        where a map is rounded to cells.
+        Gain of the inlier ratio required to use an order other than the reported one; smaller gains occur by the
+        rounding of the map to cells.
     """
 
     turn_rad: float = Field(default=0.02, ge=0)
@@ -44,7 +43,7 @@ class Deskew:
         twist : (3,) float64, m/s, m/s, rad/s
             Velocity of the base.
         share : callable
-            Share of the beams that agree with the map, once they are matched to it.
+            Inlier ratio after matching to the map.
         """
         told, times = beams.deskewed(twist), beams.scan.beam_times_s
         if times is None or abs(twist[2]) * (times.max() - times.min()) <= self.turn_rad:

@@ -26,7 +26,7 @@ __all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGa
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownLandmarks:
-    """A map of point landmarks, held for exact.
+    """A map of point landmarks, regarded as exact.
 
     Attributes
     ----------
@@ -67,17 +67,17 @@ class PoseGaussian:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class EkfLocalizationReport:
-    """What one step tells its observers.
+    """Report of one step.
 
     Attributes
     ----------
     pose, covariance : (3,), (3, 3) float64
         The belief after the step.
     landmarks : (K,) int64
-        Which landmark each sighting was taken for, by name. `NEW` where it is of none in the map, and `AMBIGUOUS` where
-        it cannot be told or believed: nothing is learned from these.
+        Name of the landmark associated with each observation. `NEW` if it is none of the map, and `AMBIGUOUS` if it is
+        ambiguous or an outlier: these are not used.
     log_likelihood : float, nats
-        log p(z_t | z_1:t-1, u_1:t, m) of the sightings that were believed; 0 where there is none.
+        log p(z_t | z_1:t-1, u_1:t, m) of the accepted observations; 0 if there are none.
     """
 
     pose: FloatArray
@@ -98,12 +98,12 @@ class EkfLocalization:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not. Both gate by the
-        Mahalanobis distance of a sighting from what is predicted.
+        `Told` if the observations contain the correspondences, `MaximumLikelihood` otherwise. Both gate by the
+        Mahalanobis distance of an observation from its prediction.
 
-    Source: Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is taken twice
-    at a time). Where the tables correct by one sighting after the other, all of one step correct at once here: the same
-    for a linear model, and else independent of their order.
+    Source: Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is associated
+    twice in one step). The tables correct by one observation after the other; here all observations of a step are used
+    at once: the same for a linear model, and otherwise independent of their order.
     """
 
     landmarks: KnownLandmarks
@@ -111,7 +111,7 @@ class EkfLocalization:
     association: Association = field(default_factory=Told)
 
     def init(self, pose: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
-        """Begin near a pose (3,), as near as a covariance (3, 3) tells.
+        """Begin near a pose (3,), with a covariance (3, 3).
 
         Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
         """
@@ -139,7 +139,7 @@ class EkfLocalization:
         Raises
         ------
         ArgumentError
-            The association goes by what the sightings tell, and they tell nothing.
+            The association needs correspondences that the observations do not contain.
         """
         belief = self._predicted(belief, motion)
         if not len(sightings):
@@ -159,7 +159,7 @@ class EkfLocalization:
         return PoseGaussian(pose, G @ belief.covariance @ G.T + motion_noise)
 
     def _correspondences(self, belief: PoseGaussian, sightings: Sightings, noise: FloatArray) -> IntArray:
-        """Table 7.3, lines 9 to 15: the place of each sighting's landmark in the map."""
+        """Table 7.3, lines 9 to 15: the index of each observation's landmark in the map."""
         predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions)
         residuals = self.sensor.residual(sightings.values[:, None], predicted)
         S = H @ belief.covariance @ H.swapaxes(1, 2) + noise[:, None]
@@ -169,7 +169,7 @@ class EkfLocalization:
     def _corrected(
         self, belief: PoseGaussian, places: IntArray, measured: FloatArray, noise: FloatArray
     ) -> tuple[PoseGaussian, float]:
-        """Table 7.2, lines 11 to 21, for K sightings at once: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
+        """Table 7.2, lines 11 to 21, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
         if not (count := len(places)):
             return belief, 0.0
         predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions[places])

@@ -54,7 +54,7 @@ class KldSampling:
         return self
 
     def bound(self, bins: IntArray) -> FloatArray:
-        """Particles needed (...) where these fall into so many `bins` (...); 0 where they fall into one."""
+        """Required number of particles (...) for numbers of occupied `bins` (...); 0 for a single bin."""
         freedom = np.maximum(np.asarray(bins, dtype=np.float64) - 1, 0)
         ninth = 2 / (9 * np.maximum(freedom, 1))
         return np.asarray(np.ceil(freedom / (2 * self.error) * np.maximum(1 - ninth + np.sqrt(ninth) * self.z, 0) ** 3))

@@ -69,7 +69,7 @@ class KnownMap:
         self._middle = (self._free_cells.mean(axis=0)[::-1] + 0.5) * grid.resolution_m + grid.origin
         self._spread = np.cov(self._free_cells[:, ::-1].T, bias=True) * grid.resolution_m**2
         reach = math.ceil(reach_m / grid.resolution_m)
-        rim = reach + 1  # the field goes on beyond the map, to where it says the same for good
+        rim = reach + 1  # the field is extended beyond the map, to where it is constant
         self._corner = np.array(grid.origin) - rim * grid.resolution_m
         cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
@@ -126,7 +126,8 @@ class KnownMap:
     def weigher(self, sensor: SensorModel, beams: Beams) -> PoseWeigher:
         """Condition a measurement model on this map and one scan.
 
-        What a likelihood field or an agreement says of an end depends on its distance alone, so it is tabulated for all
+        The likelihood of an end point under a likelihood field depends on its distance alone, so it is tabulated for
+        all
         cells once and each scan only adds it up; any other model looks at the map for itself.
         """
         if isinstance(sensor, LikelihoodField | CauchyAgreement):
@@ -174,7 +175,7 @@ class KnownMap:
         )  # fmt: skip
 
     def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> FieldTable:
-        """What the sensor says of an end in each cell."""
+        """Log likelihood of an end point in each cell."""
         if sensor not in self._tabulated:
             blurred = sensor
             if isinstance(sensor, LikelihoodField):

@@ -1,6 +1,6 @@
 """Monte Carlo localization: a particle filter over the robot's pose in a known map.
 
-bel(x_t) = eta p(z_t | x_t, m) integral p(x_t | u_t, x_t-1) bel(x_t-1) dx_t-1: particles move as the odometry says, are
+bel(x_t) = eta p(z_t | x_t, m) integral p(x_t | u_t, x_t-1) bel(x_t-1) dx_t-1: particles move by the odometry, are
 weighed by the scan, and survive by their weights. Augmented: where scans fit worse than they should, a share of the
 belief is that the robot is somewhere else, and is drawn from the whole map.
 """
@@ -80,7 +80,7 @@ class MonteCarloLocalization:
     def around(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
         """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
 
-        The first scan knows far more than whoever gave the pose, and few of the particles will be where it says.
+        The first scan is more informative than the initial pose, and few particles will be near that pose.
         Raises ArgumentError for anything that is no pose or covariance, and for a pose outside the map.
         """
         poses = spread(self.parts.kld.particles_max, pose, covariance, rng)
@@ -145,7 +145,7 @@ class MonteCarloLocalization:
         return None if len(beams) else LocalizationSkip.NO_VALID_BEAM
 
     def _fitted(self, report: LocalizationReport, beams: Beams) -> LocalizationReport:
-        """Move the pose that is told to where p(z_t | x_t, m) N(x_t; pose, covariance) is greatest.
+        """Move the reported pose to the maximum of p(z_t | x_t, m) N(x_t; pose, covariance).
 
         The mean of the particles lags: their weights count few of the beams, and between updates only odometry moves
         them. The particles stay as they are, so this scan is not counted twice.
@@ -165,7 +165,7 @@ class MonteCarloLocalization:
         return lambda poses: weigh(poses) + np.where(self.map.is_free(poses), 0.0, log_off_free)
 
     def _elsewhere(self, state: MonteCarloState, poses: FloatArray, beams: Beams) -> float:
-        """Share of the belief that the robot is somewhere else: all of it where nothing is known."""
+        """Probability that the robot is elsewhere, the weight of injected particles; 1 if the pose is unknown."""
         if not len(state.poses):
             return 1.0
         some = slice(None, None, max(1, len(state.poses) // _ASKED))  # who descends from one particle stands together
@@ -199,7 +199,7 @@ class MonteCarloLocalization:
         self, state: MonteCarloState, scan: LaserScan, moved: FloatArray, beams: Beams, share: float,
         rng: np.random.Generator,
     ) -> LocalizationReport:  # fmt: skip
-        """Report of an update, before resampling; keeps the estimate and its rivals in the state."""
+        """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
         weights, agree = np.exp(state.log_weights), self._agreement(beams)
         told = estimate(state.poses, weights)
         state.agreement = float(agree(told.pose[None])[0])
@@ -228,9 +228,9 @@ class MonteCarloLocalization:
     def _doubted(
         self, state: MonteCarloState, pose: FloatArray, covariance: FloatArray
     ) -> tuple[FloatArray, float, bool]:
-        """Covariance, how probable it is that the robot is not where it is said to be, and whether it is lost.
+        """Covariance, probability of being lost, and the lost flag.
 
-        A robot that is lost may be where its rivals are and, by what doubt is left, anywhere on the map.
+        A lost robot may be at any of its pose hypotheses and, with the remaining probability, anywhere on the map.
         """
         probability, rivals = self._lost_probability(state), state.rivals
         if probability <= self.parts.lost_above:
@@ -241,7 +241,7 @@ class MonteCarloLocalization:
         return (1 - probability) * covariance + elsewhere, probability, True
 
     def _lost_probability(self, state: MonteCarloState) -> float:
-        """The belief's own doubt, that of its rivals, of a place not followed yet, and of a scan that does not fit.
+        """Combine the cluster's mass, the other hypotheses, the distance since the fix, and the fit of the scan.
 
         What recovery draws from elsewhere is in the belief already: it has been weighed by the scan.
         """

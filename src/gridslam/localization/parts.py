@@ -1,4 +1,4 @@
-"""What Monte Carlo localization is put together from: all of its parameters in one tree."""
+"""Configuration of Monte Carlo localization."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["MonteCarloParts"]
 
 
 def _sensor() -> LikelihoodField:
-    """Of 120 beams few count: they share the map's errors, by which places that look alike would be told apart."""
+    """Of 120 beams few count: they share the map's errors, by which places that look alike would be distinguished."""
     return LikelihoodField(tempering=0.05)
 
 
@@ -52,12 +52,12 @@ class MonteCarloParts:
     proposal : MeasurementProposal
         Where it may be, then and at the start.
     rivals : RivalPlaces
-        Which places that look like the one that is told keep it in doubt.
+        Tracking of alternative pose hypotheses.
     matcher : GaussNewton
-        Moves the pose that is told from the mean of the particles to where the scan fits best; max_passes=0: not at
+        Moves the reported pose from the mean of the particles to where the scan fits best; max_passes=0: not at
         all, as AMCL.
     deskew : Deskew
-        How scans with beam times are straightened.
+        Deskewing of scans with beam times.
     kld : KldSampling
         How many particles survive.
     when_to_update : MovedAtLeast
@@ -65,9 +65,9 @@ class MonteCarloParts:
     when_to_resample : EffectiveSampleSizeBelow or Always
         When resampling is worth its loss of diversity.
     resample_interval : int, >= 1
-        Only at every so many-th update; 1: whenever it is worth it.
+        Resample at most every n-th update.
     max_beams : int, >= 1
-        Of a scan's usable beams so many are used at most, evenly chosen.
+        Maximum number of beams used per scan, evenly spaced.
     range_min_m, range_max_m : float, m
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
@@ -77,13 +77,14 @@ class MonteCarloParts:
         What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
         a robot may drive where its map ends.
     lost_below : float, (0, 1]
-        Where a smaller share of the beams agrees with the map it counts as lost; poses taken by chance have 0.2. The
-        doubt begins at one and a half times as many.
+        Inlier ratio with the map below which the robot is lost; random poses have 0.2. The lost probability starts to
+        grow below one and a half times this ratio.
     lost_above : float, (0, 1)
-        It counts as lost where it is more probable than this that it is somewhere else. One place of two that look
-        alike is far above, whatever little a scan tells of them.
+        Lost probability above which the robot is lost. With two places that look alike it is far above, whatever little
+        evidence a scan has.
     follow_m : float, m, > 0
-        A place just found is doubted by exp(-way / follow_m): places that look alike are told apart by driving on.
+        The lost probability of a new fix includes exp(-path / follow_m): driving on disambiguates places that look
+        alike.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a lost robot is noticed, and where it may be: augmented Monte Carlo localization."""
+"""Recovery from localization failure: augmented Monte Carlo localization."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["AugmentedRecovery", "Averages", "MeasurementProposal"]
 
 
 class Averages(NamedTuple):
-    """Share of the beams that agree with the map, averaged over the particles and, slowly and fast, over updates."""
+    """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""
 
     slow: float
     fast: float
@@ -28,7 +28,7 @@ class Averages(NamedTuple):
 @final
 @parameters(frozen=True, config=STRICT)
 class AugmentedRecovery:
-    """Tells how probable it is that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
+    """Probability that the robot is somewhere else: 1 - w_fast / w_slow, where that is positive.
 
     Parameters
     ----------
@@ -36,14 +36,14 @@ class AugmentedRecovery:
         What a new scan counts in the slow and in the fast average; both 0: no recovery. 0.001 and 0.1 are what AMCL's
         documentation suggests.
     expected : float, [0, 1]
-        Both averages begin with it: the share of the beams that agrees with a map that is right and some years old.
-        So a robot that was never where it was said to be is found, too.
+        Initial value of both averages: the inlier ratio with a correct map that is some years old.
+        This also recovers from a wrong initial pose.
 
     Notes
     -----
     The book averages the likelihood of whole scans. That of 60 beams varies by many orders of magnitude from one scan
-    to the next, and its average is the greatest one of all. The share of the beams that agree lies in [0, 1] and can be
-    compared between scans, robots and sensor models.
+    to the next, and its average is dominated by the greatest one. The inlier ratio lies in [0, 1] and can be compared
+    between scans, robots and sensor models.
 
     Source: Probabilistic Robotics, Table 8.3 (`Augmented_MCL`).
     """
@@ -88,7 +88,7 @@ class MeasurementProposal:
     scale_m : float, m, > 0
         Distance at which a beam agrees by half: as wide as the poses looked at are apart, not as beams are exact.
     concentration : float, >= 0
-        log q is so many times the share of the beams that agree.
+        log q is this multiple of the inlier ratio.
     jitter_m, jitter_rad : float, m and rad, >= 0
         Standard deviation of the move, half of what the poses looked at are apart.
 
@@ -107,7 +107,7 @@ class MeasurementProposal:
     def __call__(
         self, known_map: KnownMap, beams: Beams, weigh: PoseWeigher, share: float, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
-        """Draw a `share` in (0, 1] of all draws, looking at so many poses; poses (K, 3) and log weights (K,).
+        """Sample a `share` in (0, 1] of all samples from this many poses; poses (K, 3) and log weights (K,).
 
         The weights are such that their sum is the evidence: the mean of p(z | x) over the free space.
         """

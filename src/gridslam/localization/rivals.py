@@ -1,4 +1,4 @@
-"""Other places where the robot may be: what looked like the place that is told, and has not been refuted since."""
+"""Alternative pose hypotheses that the scans have not refuted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["NO_RIVALS", "RivalPlaces", "Rivals"]
 
 
 class Rivals(NamedTuple):
-    """Poses (K, 3) in the map, and the log-odds (K,) of each against the one that is told."""
+    """Poses (K, 3) in the map, and the log-odds (K,) of each relative to the reported one."""
 
     poses: FloatArray
     log_odds: FloatArray
@@ -38,30 +38,30 @@ class Rivals(NamedTuple):
 
 NO_RIVALS = Rivals(np.empty((0, 3)), np.empty(0))
 
-_REFUTED = 6.0  # nats against a rival; what speaks for it is believed up to half of that, as the map may be wrong
+_REFUTED = 6.0  # nats against a hypothesis; evidence for it is limited to half of that, as the map may be wrong
 
 
 @final
 @parameters(frozen=True, config=STRICT)
 class RivalPlaces:
-    """Follows the places that the particles have left, for as long as what is seen does not refute them.
+    """Tracks pose hypotheses that the particles no longer cover, until the scans refute them.
 
     In a building of equal rooms, or one that looks the same after half a turn, the particles end up in one of the
     places that look alike, by chance and by the small errors of the map, which are the same in scan after scan. So each
-    cluster that they were ever in is kept as one pose: moved by odometry, held where its surroundings fit best, and
-    compared with the place that is told. Only what a scan tells beyond the map's own errors speaks for or against it.
+    cluster of the particles is stored as one pose: moved by odometry, refined where its surroundings fit best, and
+    compared with the reported place. Only the evidence of a scan beyond the errors of the map counts for or against it.
 
     Parameters
     ----------
     most : int, >= 0
         So many are followed, those of the greatest weight; 0: none.
     least_mass : float, (0, 1]
-        A cluster of less weight is no rival.
+        A cluster of less weight is not a hypothesis.
     margin : float, [0, 1]
         By so much the shares of agreeing beams differ in places that are alike: the map is rounded to cells.
     nats : float, >= 0
-        What a scan tells where no beam agrees with one place and all do with the other: 120 beams, of whose evidence
-        `LikelihoodField` takes 0.05 for new.
+        Evidence of a scan if no beam agrees with one place and all do with the other: 120 beams, of whose evidence
+        `LikelihoodField` uses a fraction of 0.05.
     tries : int, >= 1
         Poses looked at about each.
     jitter_m, jitter_rad : float, m and rad, >= 0
@@ -83,14 +83,14 @@ class RivalPlaces:
         self, rivals: Rivals, moved: FloatArray, told: Estimate, poses: FloatArray, weights: FloatArray,
         agree: PoseWeigher, rng: np.random.Generator,
     ) -> Rivals:  # fmt: skip
-        """Follow rivals over a motion `moved` (3,) to the scan of which `agree` tells, and take up new ones.
+        """Propagate hypotheses by a motion `moved` (3,), update them with the scan of `agree`, and add new ones.
 
         Parameters
         ----------
         told : Estimate
-            The place that is told now.
+            The reported place.
         poses, weights : (N, 3), (N,) float64
-            The particles, among which new rivals are; weights sum to 1.
+            The particles, which may contain new hypotheses; weights sum to 1.
         """
         new = self._clusters(poses, weights) if told.mass < 1 - self.least_mass else np.empty((0, 3))
         places = np.concatenate([compose(rivals.poses, moved), new])
@@ -105,7 +105,7 @@ class RivalPlaces:
         return Rivals(places[1:][kept], odds[kept])
 
     def _merged(self, places: FloatArray, log_odds: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Keep one of those that are near one another, none that is near the place told, and not too many."""
+        """Merge nearby hypotheses, drop those near the estimate, and limit their number."""
         kept = list[int]()
         for k in range(len(places)):
             others = np.concatenate([told[None], places[kept]])
@@ -118,7 +118,7 @@ class RivalPlaces:
         names = bins(*poses.T.copy())
         mass = np.bincount(names, weights)
         heavy = np.flatnonzero(mass >= self.least_mass)
-        heavy = heavy[np.argsort(-mass[heavy], kind="stable")][: self.most + 1]  # one is that which is told
+        heavy = heavy[np.argsort(-mass[heavy], kind="stable")][: self.most + 1]  # one is the reported one
         return np.array([poses[(weights * (names == one)).argmax()] for one in heavy]).reshape(-1, 3)
 
     def _held(self, places: FloatArray, agree: PoseWeigher, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""What Monte Carlo localization knows between two scans, and what it tells after each."""
+"""State and report of Monte Carlo localization."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class LocalizationSkip(Enum):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalizationReport:
-    """What one step tells its observers.
+    """Report of one step.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class LocalizationReport:
     lost_probability : float, [0, 1]
         How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
     lost : bool
-        That is more probable than `MonteCarloParts.lost_above`.
+        Whether the lost probability exceeds `MonteCarloParts.lost_above`.
     agreement : float, [0, 1]
-        Share of the beams that agreed with the map at the last update, at the cluster's mean.
+        Inlier ratio with the map at the last update, at the cluster's mean.
     particles : int
         Number of particles after the step.
     n_eff : float
@@ -57,7 +57,7 @@ class LocalizationReport:
     skipped : LocalizationSkip or None
         Why the particles were not updated; None where they were.
     augmented : float, [0, 1]
-        Share of the belief that was drawn anew from all over the map; 1 where nothing was known.
+        Ratio of the belief that was sampled over the whole map; 1 if the pose is unknown.
     poses, log_weights : (N, 3), (N,) float64 or None
         The particles where they were updated, before resampling; log weights are normalized.
     parents : (M,) int64 or None
@@ -97,13 +97,13 @@ class MonteCarloState:
     averages : Averages
         How well scans fitted, lately and for long.
     estimate : Estimate
-        What the particles said at the last update.
+        Pose estimate from the particles at the last update.
     followed_m : float, m
-        How far the robot was driven since the place that is told was found; infinite where it was given.
+        Path length since the reported place was found; infinite if it was given.
     rivals : Rivals
         Places that the particles have left, and that nothing has refuted yet.
     agreement : float, [0, 1]
-        Share of the beams that agreed with the map there.
+        Inlier ratio with the map there.
     odometry : (3,) float64 or None
         Odometry's pose at the last update; None before the first one.
     last : Odometry or None
@@ -132,7 +132,7 @@ class MonteCarloState:
         return f"MonteCarloState({len(self.poses)} particles, {at}, {self.updates} updates)"
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays, of which `from_arrays` makes a state that goes on to the same bytes."""
+        """Plain arrays, from which `from_arrays` restores a state with identical results."""
         if self.consumed:
             raise ConsumedStateError
         numbers = {name: np.array(getattr(self, name)) for name in _NUMBERS}
@@ -148,7 +148,7 @@ class MonteCarloState:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
-        """Rebuild a state; ArgumentError where an array is missing or has another shape than the others tell."""
+        """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
 
         def take(name: str, *shape: int | None) -> FloatArray:
             if name not in arrays:
@@ -179,7 +179,7 @@ class MonteCarloState:
         self.updates += 1
 
     def follow(self, told: Estimate, moved: FloatArray) -> None:
-        """Take what the particles say after the robot has `moved` (3,): on from where it was, or somewhere else."""
+        """Update the estimate after the robot has `moved` (3,): the same place, or another one."""
         same = is_near(compose(self.estimate.pose, moved)[None], told.pose)[0]
         self.followed_m = self.followed_m + math.hypot(moved[0], moved[1]) if same else 0.0
         self.estimate = told
@@ -209,7 +209,7 @@ class LocalizationObserver(Protocol):
     """Sees every scan's report; recorders, live pages and publishers are observers."""
 
     def __call__(self, report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
-        """Take note of a step that took `seconds`; `state` may be read now, but belongs to the filter."""
+        """Record a step that took `seconds`; `state` may be read now, but belongs to the filter."""
 
 
 def checked_poses(particles: FloatArray) -> FloatArray:

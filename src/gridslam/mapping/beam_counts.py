@@ -1,4 +1,4 @@
-"""What beams say of each cell, counted: how often one ended there, and how often one passed through."""
+"""Beam counts per cell: number of beams that end in it, and that pass through it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ROW: Final = np.zeros(1, np.int32)
 
 @final
 class BeamCounts:
-    """Hits and misses of all cells that any beam has told of.
+    """Hits and misses of all observed cells.
 
     They are all that a map with known poses takes from the scans: sums, hence independent of the scans' order.
 
@@ -33,8 +33,8 @@ class BeamCounts:
     resolution_m : float, m
         Side of a cell.
     half_life_scans : float or None, > 0
-        What was counted in a cell counts half after so many more scans that see the cell; None for ever. A cell that
-        is not seen forgets nothing, however long that is.
+        Number of scans observing a cell after which the weight of its counts is halved; None for no decay. Counts of a
+        cell that is not observed do not decay.
     threads : int
         Threads of the kernels; never changes a result.
     """
@@ -78,7 +78,7 @@ class BeamCounts:
     def rectangle(self) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
         """Hits and misses (H, W) of all cells, and the (row, column) of their corner; one cell where nothing is known.
 
-        Both are 0 in a cell that no beam has told of.
+        Both are 0 in cells that were not observed.
         """
         if not self._slots.size:
             return np.zeros((1, 1)), np.zeros((1, 1)), (0, 0)

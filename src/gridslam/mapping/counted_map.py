@@ -35,7 +35,7 @@ def bayes_map(counts: BeamCounts, inverse_sensor: InverseSensorModel) -> Occupan
 
 
 def counting_map(counts: BeamCounts) -> OccupancyGrid:
-    """Give the share of the beams that came to a cell and ended there: hits / (hits + misses), per cell.
+    """Compute the reflection probability of each cell: hits / (hits + misses).
 
     It is the maximum-likelihood estimate of how often the cell reflects a beam. That is no probability of being
     occupied: a railing that every second beam passes has 0.5, however long it was looked at, while the Bayes filter

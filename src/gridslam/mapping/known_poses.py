@@ -78,7 +78,7 @@ class KnownPoses:
         return self._between(stamp_ns)
 
     def sharpened(self, beams: Beams) -> Beams:
-        """Undo the robot's motion during a scan, as the trajectory tells it; the same where beams have no times."""
+        """Undo the motion of the robot during a scan by the trajectory; unchanged if there are no beam times."""
         times = beams.scan.beam_times_s
         if times is None or not len(times):
             return beams

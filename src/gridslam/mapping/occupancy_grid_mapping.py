@@ -31,7 +31,7 @@ class OccupancyGridMapping:
     reach_cells : float
         Distance, in cells, to which an obstacle attracts the ends of beams; half a metre at 5 cm.
     inverse_sensor : InverseSensorModel
-        What a beam says about the cells on its way.
+        Evidence of a beam for the cells along it.
 
     Source: Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
     """

@@ -1,4 +1,4 @@
-"""Branch and bound: where in a large window does a scan fit a map best, and where else nearly as well."""
+"""Branch-and-bound scan matching: the best pose in a large window, and the runner-up."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Pyramid:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Where a scan fits, to half a cell; Gauss-Newton refines it.
+    """Best pose at lattice resolution; refine by Gauss-Newton.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Found:
     share : float
         Mean weight of the points there, in [0, 1]: `Match.score` for each beam, up to the lattice.
     other_pose : (3,) float64 or None
-        The best pose that is another place; None where none is good enough to be told.
+        Runner-up pose at another place; None if its score is too low.
     other_share : float
         Its share; 0 where there is none.
     """
@@ -87,7 +87,7 @@ class Found:
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class BranchAndBound:
-    """Finds the best of all poses of a lattice, without trying all, and the best one that is another place.
+    """Finds the best pose of a lattice by branch and bound, and the best pose elsewhere.
 
     The lattice has the map's cells, and headings between which the ends move by one cell in the root mean square.
 
@@ -100,9 +100,9 @@ class BranchAndBound:
     points : int
         Points used in the search, spread evenly in space.
     floor : float
-        Least share of a place. The higher, the sooner a search ends that finds nothing.
+        Minimum score. A higher value ends unsuccessful searches sooner.
     rival : float
-        Least part of the best share from which on another place is told.
+        Runner-up poses below this fraction of the best score are not reported.
     other_place_m, other_place_rad : float
         A pose within both of the best is the same place. A peak is a few times as wide as `cauchy_m` and as a step of
         the headings; but along a bare corridor it has no end, and the other place is its next part.

@@ -16,7 +16,7 @@ from gridslam.types import BeamEnds, FloatArray, Match
 __all__ = ["LEAST_INFORMATION", "LOOK", "GaussNewton", "undetermined"]
 
 LEAST_INFORMATION = 0.02
-"""Least eigenvalue of the position's information, per agreeing beam, that counts as determined."""
+"""Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
 
 
 @final
@@ -47,8 +47,8 @@ class GaussNewton:
         Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
         and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. Ends on
         a straight wall, in unknown cells, whose nearest obstacle lies along the wall do not count at all: it goes on
-        where it is not mapped yet, and they would be drawn back to where its mapped part ends. 0: all count as the
-        field says.
+        where it is not mapped yet, and they would be pulled back to where its mapped part ends. 0: all count as in
+        the field.
 
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
@@ -77,11 +77,11 @@ class GaussNewton:
 
 
 LOOK = GaussNewton(max_passes=0)
-"""Evaluates the guess, and leaves it."""
+"""Evaluates the score at the guess without iterating."""
 
 
 def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:
-    """Unit vector (2,) along which a match of this information (3, 3) and score kept its guess; None where none."""
+    """Degenerate direction (2,) of a match with this information (3, 3) and score; None if there is none."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
     turn = 1 / max(tt, 1e-12)
     a, b, c = xx - xt * xt * turn, xy - xt * yt * turn, yy - yt * yt * turn

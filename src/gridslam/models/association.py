@@ -1,4 +1,4 @@
-"""Data association: which landmark each sighting is of, where nothing tells it."""
+"""Data association of landmark observations."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["AMBIGUOUS", "NEW", "Association", "MaximumLikelihood", "Told", "signatures"]
 
 NEW, AMBIGUOUS = -1, -2
-"""Instead of a landmark: the sighting is of none that is known, or it cannot be told whether it is."""
+"""Instead of a landmark index: a new landmark, or an ambiguous observation."""
 
 
 @final
 @parameters(frozen=True, config=STRICT)
 class Told:
-    """The correspondence is what the sighting tells, as far as it can be believed.
+    """Known correspondences, with an outlier gate.
 
-    Distances are squared Mahalanobis distances of a sighting from what is predicted, with two degrees of freedom.
+    Distances are squared Mahalanobis distances between observations and predictions, with two degrees of freedom.
 
     Parameters
     ----------
@@ -39,11 +39,11 @@ class Told:
 
     @property
     def strange(self) -> float:
-        """The distance whose likelihood counts for a sighting that is not believed."""
+        """Squared Mahalanobis distance assigned to an outlier."""
         return self.believed
 
     def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
-        """Places (K,) of the sightings' landmarks among M, or `NEW`, or `AMBIGUOUS`.
+        """Indices (K,) of the observed landmarks among M, or `NEW`, or `AMBIGUOUS`.
 
         Parameters
         ----------
@@ -52,13 +52,13 @@ class Told:
         names : (M,) int64
             Names of the landmarks.
         distances, log_dets : (K, M) float64
-            Of the sightings from what is predicted of the landmarks, and log determinants of their covariances:
+            Between observations and predictions, and log determinants of the innovation covariances:
             -2 log p is the sum of both and a constant.
 
         Raises
         ------
         ArgumentError
-            The sightings do not tell their landmarks.
+            The observations have no correspondences.
         """
         same = signatures(sightings)[:, None] == names
         places = np.where(distances <= self.believed, np.arange(len(names)), AMBIGUOUS)
@@ -68,14 +68,14 @@ class Told:
 @final
 @parameters(frozen=True, config=STRICT)
 class MaximumLikelihood:
-    """The likeliest correspondence, where it is likely enough; each landmark is seen at most once at a time.
+    """Maximum likelihood correspondence with a gate; each landmark is matched at most once per step.
 
     Distances are as for `Told`.
 
     Parameters
     ----------
     same : float
-        Up to this distance a sighting may be of the landmark; 9.2 holds for 99 % of the true ones.
+        Gate of the association; 9.2 holds for 99 % of the true pairs.
     other : float
         From this distance on to all landmarks it is of another one. The book has one threshold; between the two
         nothing is learned, so that an outlier neither moves a landmark nor doubles it.
@@ -95,11 +95,11 @@ class MaximumLikelihood:
 
     @property
     def strange(self) -> float:
-        """The distance whose likelihood counts for a sighting of no known landmark: p_0 of Table 13.2."""
+        """Squared Mahalanobis distance assigned to a new landmark: p_0 of Table 13.2."""
         return self.other
 
     def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
-        """Places (K,), as for `Told`, whatever the sightings tell."""
+        """Indices (K,), as for `Told`, estimated from the distances."""
         costs = np.where(distances <= self.same, distances + log_dets, math.inf)
         chosen, free = np.full(len(costs), NEW), np.ones(len(names), np.bool_)
         while np.isfinite(costs).any():  # the surest pair first
@@ -115,7 +115,7 @@ Association: TypeAlias = Told | MaximumLikelihood
 
 
 def signatures(sightings: Sightings) -> IntArray:
-    """Return the signatures (K,) that sightings tell; raises ArgumentError where they tell none."""
+    """Return the signatures (K,) of observations; raises ArgumentError if there are none."""
     if sightings.landmarks is None:
-        raise ArgumentError("sightings", "landmarks told, or an association that finds them", "neither")
+        raise ArgumentError("sightings", "known correspondences, or an association that estimates them", "neither")
     return sightings.landmarks

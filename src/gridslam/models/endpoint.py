@@ -1,4 +1,4 @@
-"""Measurement models that look only at where a beam ends: how near to an occupied cell of the map."""
+"""End-point measurement models: evaluate only the distance from each end point to the nearest occupied cell."""
 
 from __future__ import annotations
 

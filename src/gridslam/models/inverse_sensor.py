@@ -1,4 +1,4 @@
-"""Inverse measurement model of one cell: how much a beam's end or passage tells about its occupancy."""
+"""Inverse measurement model of one cell: evidence for its occupancy from the end or the passage of a beam."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def _four_probabilities(hit: float, miss: float) -> tuple[float, float, float, f
     return false_occupied * math.exp(hit), true_free * math.exp(miss), false_occupied, true_free
 
 
-# Evidence beyond this needs probabilities that double precision can no longer tell from 1.
+# Evidence beyond this needs probabilities that double precision cannot distinguish from 1.
 _CERTAIN = 20.0
 
-# Evidence of +2.4 and -0.4 nats, six to one: a beam that ends in a cell says far more than one that grazes it.
+# Evidence of +2.4 and -0.4 nats, six to one: a beam that ends in a cell has far more evidence than one that grazes it.
 _DEFAULT = _four_probabilities(2.4, -0.4)
 
 

@@ -21,7 +21,7 @@ __all__ = ["LikelihoodField"]
 class LikelihoodField:
     """Likelihood field model: p(z) = z_hit N(d; 0, sigma_hit^2) + z_rand / range_max for each beam that hit something.
 
-    Beams without a return carry no end point and are left out, as in the book; z_max is their share of all beams.
+    Beams without a return carry no end point and are left out, as in the book; z_max is their ratio to all beams.
 
     Parameters
     ----------

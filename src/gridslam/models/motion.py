@@ -1,4 +1,4 @@
-"""Motion models conditioned on the robot's increment, as odometry or scan matching tells it.
+"""Motion models conditioned on the robot's increment, from odometry or scan matching.
 
 A model is called with an increment and returns a sampler for all particles at once. Every model here is a Gaussian over
 a few parameters of the increment; the models differ in what the parameters are and how their noise grows with motion.

@@ -25,8 +25,8 @@ class OdometryBias:
 
     What a motion model calls noise has no memory, so its share of the heading grows with the square root of the way; a
     wheel that is larger than the other, or a steering that is off its middle, turns the robot in proportion to it. The
-    increment [dx, dy, dtheta] that odometry tells is taken for [dx, dy, dtheta + b_m dx + b_rad dtheta], and each b for
-    a first-order Gauss-Markov process of the way driven: where nothing is learned it stays as likely as at the begin.
+    increment [dx, dy, dtheta] of the odometry is taken for [dx, dy, dtheta + b_m dx + b_rad dtheta], and each b for
+    a first-order Gauss-Markov process of the path length: without observations it keeps its prior variance.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ class OdometryBias:
         Parameters
         ----------
         motion : MotionSampler
-            The motion model, conditioned on what odometry tells.
+            The motion model, conditioned on the odometry.
         known : (N, 3 + B) float64
-            Poses [x m, y m, theta rad], and the errors believed of the odometry.
+            Poses [x m, y m, theta rad], and the estimated errors of the odometry.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""What a log of landmarks tells step by step: how the robot moved, and which landmarks it then saw where."""
+"""Steps of a landmark log: motion and landmark observations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["NOTHING_SEEN", "LandmarkStep", "SightingKind", "Sightings"]
 
 
 class SightingKind(Enum):
-    """What the two numbers of a sighting are."""
+    """Type of the two numbers of an observation."""
 
     RANGE_BEARING = "range (m) and bearing (rad)"
     DEPTH_BEARING = "depth along the optical axis (m) and bearing (rad)"
@@ -28,16 +28,16 @@ class SightingKind(Enum):
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
-    """Landmarks seen at one time: z_t, and c_t where it is known.
+    """Landmark observations at one time: z_t, and c_t if known.
 
     Attributes
     ----------
     values : (K, 2) float64
-        What was measured of each, as its `SightingKind` says, in the robot's frame.
+        Measurements, of the type given by `SightingKind`, in the robot's frame.
     landmarks : (K,) int64 or None
         The signature of each, by which it is known again; None where nothing is known. No two are the same.
     covariances : (K, 2, 2) float64 or None
-        Of each measurement, where the log tells them; they go before the measurement model's own.
+        Covariance of each measurement, if the log contains them; they take precedence over the measurement model's.
     """
 
     values: FloatArray
@@ -60,16 +60,16 @@ class Sightings:
         return cls(z, names, spread)
 
     def __len__(self) -> int:
-        """Return the number K of sightings."""
+        """Return the number K of observations."""
         return len(self.values)
 
     def anonymous(self) -> Sightings:
-        """Return the same sightings of nobody knows which landmarks."""
+        """Return the same observations without correspondences."""
         return Sightings(self.values, None, self.covariances)
 
 
 NOTHING_SEEN = Sightings.of(np.empty((0, 2)), np.empty(0, np.int64))
-"""The sightings of a step at which no landmark was seen."""
+"""The observations of a step at which no landmark was observed."""
 
 
 @final
@@ -80,11 +80,11 @@ class LandmarkStep:
     Attributes
     ----------
     stamp_ns : int
-        Of the sightings, or of the end of the motion where nothing was seen.
+        Of the observations, or of the end of the motion without observations.
     increment : (3,) float64
         The robot now, seen from where it was at the step before, by its odometry [x m, y m, theta rad].
     covariance : (3, 3) float64 or None
-        Of the increment, in the frame of the pose before, where the log tells it; None leaves it to the motion model.
+        Of the increment, in the frame of the last pose, if the log contains it; None leaves it to the motion model.
     sightings : Sightings
         Landmarks seen now; perhaps none.
     """
@@ -95,7 +95,7 @@ class LandmarkStep:
     sightings: Sightings
 
     def motion(self, model: MotionModel) -> MotionSampler:
-        """p(x_t | u_t, x_{t-1}): with the increment's own covariance, where the log tells one, else by the model."""
+        """p(x_t | u_t, x_{t-1}): with the increment's own covariance if the log contains one, else by the model."""
         if self.covariance is None:
             return model(self.increment)
         variances, axes = np.linalg.eigh(self.covariance)

@@ -15,7 +15,7 @@ class ResamplingPolicy(Protocol):
     """Decides whether to resample now."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Say whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
+        """Whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
 
 
 @runtime_checkable
@@ -23,7 +23,7 @@ class UpdatePolicy(Protocol):
     """Decides whether a scan becomes a key scan, at which the particles are stepped."""
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
-        """Say whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
+        """Whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
 
 
 @final
@@ -42,7 +42,7 @@ class EffectiveSampleSizeBelow:
     fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Say whether the effective sample size is below `fraction` * `count`."""
+        """Whether the effective sample size is below `fraction` * `count`."""
         return effective_sample_size < self.fraction * count
 
 
@@ -52,7 +52,7 @@ class Always:
     """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Say yes."""
+        """Return True."""
         return True
 
 
@@ -62,7 +62,7 @@ class Never:
     """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
-        """Say no."""
+        """Return False."""
         return False
 
 
@@ -86,5 +86,5 @@ class MovedAtLeast:
     rotation_rad: Annotated[float, Field(gt=0)] = 0.25
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
-        """Say whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""
+        """Whether the translation (m) or the magnitude of the rotation (rad) has reached its threshold."""
         return translation_m >= self.translation_m or abs(rotation_rad) >= self.rotation_rad

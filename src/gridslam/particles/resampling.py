@@ -36,7 +36,7 @@ class Systematic:
     """
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
+        """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = _ends(_relative(weights, size, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
@@ -50,7 +50,7 @@ class Stratified:
     """
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
+        """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = _ends(_relative(weights, size, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
@@ -64,7 +64,7 @@ class Multinomial:
     """
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
+        """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         ends = _ends(_relative(weights, size, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
@@ -78,7 +78,7 @@ class Residual:
     """
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
+        """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         expected = relative * size / relative.sum()
         counts = np.floor(expected).astype(np.int64)
@@ -109,7 +109,7 @@ class ResamplingWheel:
     """
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
-        """Draw `size` ascending indices of `weights` (N,); the module's contract says more."""
+        """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
         ends = _ends(relative)
         start = rng.random() * ends[-1]

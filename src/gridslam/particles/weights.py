@@ -26,7 +26,7 @@ def normalize(log_weights: FloatArray) -> FloatArray:
     Raises
     ------
     ArgumentError
-        If there is no weight, one is NaN or +inf, or all are -inf: then the belief is empty and cannot be mended.
+        If there is no weight, one is NaN or +inf, or all are -inf: then the belief is empty and cannot be repaired.
     """
     weights, shifted = _relative(log_weights)
     return np.asarray(shifted - np.log(weights.sum()))

@@ -23,7 +23,7 @@ _MOVED_M = 0.005  # and rad: what a mounting on /tf may flutter
 
 
 class LaserForm(NamedTuple):
-    """What a record says of a laser, number by number.
+    """Laser properties in a record, number by number.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class LaserForm(NamedTuple):
     angle_min, angle_increment : float, rad
         Of the beams.
     time_increment_s : float or None
-        Between beams, where it is told.
+        Between beams, if known.
     range_min_m, range_max_m : float, m
         Limits of the sensor.
     beams : int
@@ -61,12 +61,12 @@ class Accepted(NamedTuple):
 
 
 def refusal_of(message: ScanMessage, least: int, most: int) -> str:
-    """Say why a message is no scan to be mapped; empty where it is one of `least` to `most` beams."""
+    """Reason why a message is not a scan to map; empty for a scan of `least` to `most` beams."""
     beams = len(message.ranges)
     if beams > most:
         return f"{beams} beams, more than the {most} that a scan may have"
     if beams < least:
-        return f"{beams} beams are too few to tell where the robot is; at least {least} are needed"
+        return f"{beams} beams are too few to localize; at least {least} are required"
     if not message.frame or not message.frame.isprintable() or message.frame != message.frame.strip():
         return f"expected the name of a frame, got {message.frame!r:.60}"
     if not isinstance(message.stamp_ns, int) or not 0 < message.stamp_ns < 1 << 63:

@@ -88,7 +88,7 @@ _PARSED: Final = {name: fields_of(name) for name in FIELDS}
 
 
 def encoded(message_type: str, values: Sequence[Any]) -> bytes:
-    """Bytes of a message, from the four that tell plain CDR on.
+    """Bytes of a message, starting with the four bytes that declare plain CDR.
 
     Parameters
     ----------

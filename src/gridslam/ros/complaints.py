@@ -1,4 +1,4 @@
-"""What is wrong is said once a second, however often it happens."""
+"""Throttled warnings: each problem is logged at most once per second."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["Complaints"]
 
 @final
 class Complaints:
-    """Counts what is wrong by its kind, and tells of each kind at most once in `every_s` seconds.
+    """Counts problems by kind, and reports each kind at most once in `every_s` seconds.
 
     Parameters
     ----------
     say : callable
-        Tells people.
+        Reports to the user.
     every_s : float, s
         Between two sentences of one kind.
     clock : callable
@@ -43,7 +43,7 @@ class Complaints:
         self._last = "", 0.0
 
     def __call__(self, kind: str, problem: str) -> None:
-        """Take note of one more of a kind, and say what the problem is if it is time to."""
+        """Count one more problem of a kind, and report it if it is due."""
         now = self._clock()
         with self._lock:
             self.counts[kind] += 1

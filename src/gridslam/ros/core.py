@@ -36,7 +36,7 @@ _DIAGNOSTICS_S = 1.0
 
 @final
 class NodeCore:
-    """Maps what a robot's lidar says while it drives.
+    """Maps a live lidar stream.
 
     Callbacks never wait for the filter. A session begins with a first scan; it ends, and the next one begins with
     a new map, at a reset and where time jumps back and the robot is elsewhere, as when a bag is played again.
@@ -50,7 +50,7 @@ class NodeCore:
     outputs : Outputs
         The transport.
     record : str or Path, optional
-        CSV of the accepted scans, which `gridslam map` maps to the same bytes; later sessions get `-2`, `-3`, ...
+        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions get `-2`, `-3`, ...
         before its suffix.
     observers : sequence of Observer
         Called after each scan, in the filter's thread.
@@ -65,7 +65,7 @@ class NodeCore:
     Raises
     ------
     ConfigurationError
-        The filter needs odometry, and the settings say that it may be missing.
+        The filter needs odometry, and the settings allow it to be missing.
     OutputError
         Nothing can be written where the record should be.
     """
@@ -81,7 +81,7 @@ class NodeCore:
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
         if settings.odometry != "needed" and by_odometry:
-            expected = "expected needed, as this filter goes by nothing else"
+            expected = "expected needed, as this filter requires it"
             raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
         self.settings, self.configuration = settings, configuration
         self.failure: BaseException | None = None
@@ -112,7 +112,7 @@ class NodeCore:
         """Let someone look on; to be called before `start`.
 
         `observer` is called after each scan, `gate` gets the measurements of each session and yields them, and `hear`
-        is told once a second how the node does; all in the filter's thread.
+        gets the diagnostics once per second; all in the filter's thread.
         """
         self._observers.append(observer)
         self._gates.append(gate)
@@ -147,7 +147,7 @@ class NodeCore:
         self._intake.add_transforms(self._speaker.others(transforms, publisher), static=static, publisher=publisher)
 
     def refuse(self, what: str, problem: str) -> None:
-        """Tell of a message that the transport could not even decode."""
+        """Report a message that the transport could not even decode."""
         self._complain(f"{what} refused", problem)
 
     def dynamic_map(self) -> GridMessage | None:
@@ -155,11 +155,11 @@ class NodeCore:
         return self._renderer.latest
 
     def diagnostics(self) -> Diagnostics:
-        """Tell how the node does; it is published once a second, too."""
+        """Return the diagnostics, which are also published once per second."""
         return self._speaker.diagnostics()
 
     def reset(self) -> None:
-        """Forget everything, and begin anew with the next scan: with an empty map, or anywhere in the known one."""
+        """Reset the state, and restart with the next scan: with an empty map, or anywhere in the known one."""
         if self.localizes:
             self.place(None)
         else:
@@ -172,7 +172,7 @@ class NodeCore:
         """
         if not isinstance(self.configuration, Localization):
             raise ArgumentError("place", "a node that localizes", "one that maps")
-        if place is not None:  # what is wrong with it is said here
+        if place is not None:  # validates it
             spread(1, *place, np.random.default_rng(0))
             self.configuration.known.require(place[0])
 
@@ -199,7 +199,7 @@ class NodeCore:
     def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
         """Write what `gridslam map` writes; the filter waits only while its state is copied.
 
-        Returns what run.json says. Raises ArgumentError where nothing is mapped yet, OutputError where the folder
+        Returns the content of run.json. Raises ArgumentError if nothing is mapped yet, OutputError if the folder
         cannot be written or the filter does not answer.
         """
         answer: list[TakenSession | ArgumentError | OutputError | None] = []
@@ -217,7 +217,7 @@ class NodeCore:
             raise OutputError(f"{folder}: the filter did not answer within {timeout_s:g} s")
         (taken,) = answer
         if not isinstance(taken, TakenSession):
-            raise taken or OutputError(f"{folder}: there is nothing to be saved")
+            raise taken or OutputError(f"{folder}: nothing to save")
         return taken.save(folder)
 
     def _filter(self) -> None:
@@ -235,7 +235,7 @@ class NodeCore:
             self.ended.set()
 
     def _run_session(self) -> bool:
-        """Map until the session ends, and tell whether there is to be another one."""
+        """Map until the session ends; return whether another one follows."""
         session, why = self._session, self._turns
         why.clear()
         source = self._measurements(session)

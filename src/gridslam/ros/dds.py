@@ -50,8 +50,8 @@ class DdsParticipant:
     interfaces : sequence of str
         Addresses or names of the network interfaces to use; those that the library chooses if empty.
     mismatched : callable
-        Told what of another program does not fit, so that nothing passes: "quality of service" or "message type",
-        of which topic, and in a sentence.
+        Called with an incompatibility of another program, so that nothing passes: "quality of service" or "message
+        type", the topic, and a description.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class DdsParticipant:
             self._waiting.wait(_POLL_NS)
             for reader, take in self._readers:
                 for message in reader.take(_MOST_TAKEN):
-                    if message.sample_info.valid_data:  # else it only says that a writer has gone
+                    if message.sample_info.valid_data:  # else it only indicates that a writer has gone
                         sender = f"publisher {message.sample_info.publication_handle:x}"
                         take(message.serialize(use_version_2=False), sender)
 
@@ -139,7 +139,7 @@ class DdsParticipant:
         self._waiting.attach(core.ReadCondition(reader, states))
 
     def _compare(self, topic: str, typename: str) -> None:
-        """Tell of a publisher whose messages are of another type than a reader's: the library says nothing."""
+        """Report a publisher with another message type than a reader: the library does not."""
         for reader, _ in self._readers:
             expected = reader.topic.typename
             if reader.topic.name == topic and typename != expected:

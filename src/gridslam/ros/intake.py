@@ -52,7 +52,7 @@ class Counts:
     Attributes
     ----------
     received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused as `Complaints` tells; dropped
+        All of them; those left out on request, and while the node paused; refused, see `Complaints`; dropped
         because the filter was behind; given to the filter; times that the stamps jumped back.
     """
 
@@ -71,7 +71,7 @@ class Intake:
     settings : NodeSettings
         Bounds and frames.
     complain : Complaints
-        Told of what is refused, by name.
+        Called with refused data, by kind.
     clock : callable
         Time in s, ascending: that of all waiting.
 
@@ -256,7 +256,7 @@ class Intake:
         return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _NEAR_M)
 
     def _jumped(self, stamp_ns: int, sensor: str) -> bool | None:
-        """Whether time has jumped back; None for the first scan that says so, which may be astray."""
+        """Whether time has jumped back; None for the first such scan, whose stamp may be wrong."""
         jump_ns = round(self._settings.jump_s * 1e9)
         latest_ns = self._latest_ns.get(sensor, stamp_ns)
         stray_ns = self._strays.pop(sensor, None)
@@ -269,7 +269,7 @@ class Intake:
         return None
 
     def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
-        """Tell of scans that are always older than the odometry which came before: each would get an old pose."""
+        """Report scans that are always older than the odometry which came before: each would get an old pose."""
         newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
         self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _FORGOTTEN_S else 0

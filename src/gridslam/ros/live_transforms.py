@@ -13,19 +13,19 @@ from gridslam.transforms import TransformBuffer
 __all__ = ["LiveTransforms"]
 
 _KEEP_S = 10.0
-_AT_ONCE_NS = 2_000_000_000  # what two say within this they say at the same time
+_AT_ONCE_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
 
 
 @final
 class LiveTransforms:
-    """Feeds a `TransformBuffer`; where the stamps of a link jump back and stay there, all that moves begins anew.
+    """Feeds a `TransformBuffer`; where the stamps of a link jump back and stay there, all dynamic links restart.
 
     Parameters
     ----------
     jump_s : float, s
         What counts as a jump: two readings in a row so much before the link's latest.
     complain : Complaints
-        Told of readings that are no transforms.
+        Called with readings that are not valid transforms.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class LiveTransforms:
         self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
 
     def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
-        """Take readings; those that are none, or that contradict what another publisher says, are told."""
+        """Add readings; those that are invalid, or that contradict another publisher, are reported."""
         for transform in transforms:
             try:
                 if static:
@@ -65,7 +65,7 @@ class LiveTransforms:
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
 
     def _compare(self, transform: StampedTransform, static: bool, publisher: str) -> None:
-        """Tell where a frame has two parents, or one that two publishers tell of."""
+        """Warn if a frame has two parents, or if two publishers publish its transform."""
         stamp_ns, parent, child, _ = transform
         sources = self._sources.setdefault(child, {})
         sources[parent, "" if static else publisher] = None if static else stamp_ns
@@ -73,7 +73,8 @@ class LiveTransforms:
             differs = other != parent or (of != publisher and not static and at_ns is not None)
             if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _AT_ONCE_NS):
                 where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
-                self._complain("two transforms", f"{child} is told to lie {' and '.join(where)}: end one of the two")
+                twice = f"{child} is published twice ({' and '.join(where)}): stop one of the two publishers"
+                self._complain("two transforms", twice)
 
     def _jumped(self, transform: StampedTransform) -> bool:
         """Whether this is the second reading in a row from long before the latest."""

@@ -70,7 +70,7 @@ class LocalizationSession:
         Where its accepted scans are recorded, to be localized again.
     """
 
-    begins = "localization begins anew"
+    begins = "localization restarts"
 
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
         self._localization = localization
@@ -84,7 +84,7 @@ class LocalizationSession:
         self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.around(*place, self._rng)
 
     def add(self, accepted: Accepted) -> None:
-        """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
+        """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""
         if self._recorder is not None:
             self._recorder.add(accepted)
 

@@ -1,4 +1,4 @@
-"""What the node says, whatever carries it; what it hears are the messages of `gridslam.io.ros_messages`."""
+"""Messages published by the node, independent of the transport; its inputs are in `gridslam.io.ros_messages`."""
 
 from __future__ import annotations
 
@@ -105,4 +105,4 @@ class Outputs(Protocol):
         """Publish how the node does."""
 
     def say(self, level: Level, text: str) -> None:
-        """Tell people."""
+        """Report to the user."""

@@ -85,7 +85,7 @@ _NEVER: Final[Mapping[str, str]] = {
     ),
     "temporalUpdate": "a robot at rest adds nothing to the map",
     "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
-    "inverted_laser": "the transforms tell how the laser is mounted",
+    "inverted_laser": "the mounting is taken from the transforms",
 }
 """What nothing here corresponds to, and why."""
 

@@ -1,4 +1,4 @@
-"""The record of what was accepted: a CSV of scans that `gridslam map` maps to the same bytes."""
+"""The record of what was accepted: a CSV of scans that `gridslam map` maps with identical results."""
 
 from __future__ import annotations
 

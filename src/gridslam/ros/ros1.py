@@ -167,7 +167,7 @@ class Ros1Node:
             rospy.Subscriber(topic, rospy.AnyMsg, self._heard(topic, take), queue_size=None, **large)
 
     def _bytes(self, message: Any, kind: str, expected: str) -> bytes:  # noqa: ANN401
-        """Bytes of a message of that kind; none, and a complaint, for another one."""
+        """Bytes of a message of that kind; none, and a warning, for another one."""
         header: Mapping[str, str] = message._connection_header
         if kind_of(header["type"]) == kind:
             data: bytes = message._buff
@@ -176,7 +176,7 @@ class Ros1Node:
         return b""
 
     def _heard(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Call back, and complain of bytes that are no message."""
+        """Call back, and warn of bytes that are not a valid message."""
 
         def heard(message: Any) -> None:  # noqa: ANN401
             try:
@@ -255,14 +255,14 @@ def run_ros1(
     watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+    """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS's own: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
     given : mapping, optional
-        Parameters of the node that hold whatever its private parameters say.
+        Parameters of the node that override its private parameters.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable

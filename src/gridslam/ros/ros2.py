@@ -1,6 +1,6 @@
 """The node in ROS 2, by rclpy, where a sourced ROS 2 provides it.
 
-Scans, transforms and what the node says go through rclpy as bytes: no message becomes a Python object on its way.
+Scans, transforms and published messages pass through rclpy as bytes: no message becomes a Python object on its way.
 With the parameter `lifecycle` it is a managed node: it maps while it is active, pauses when it is deactivated, and
 forgets when it is cleaned up.
 """
@@ -127,7 +127,7 @@ class Ros2Node:
             node.create_subscription(_type(kind), topic, self._heard(topic, take), profile, raw=True)
 
     def _heard(self, topic: str, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Call back, and complain of bytes that are no message."""
+        """Call back, and warn of bytes that are not a valid message."""
 
         def heard(data: bytes) -> None:
             try:
@@ -216,7 +216,7 @@ def _managed(base: Any) -> Any:  # noqa: ANN401
 
 
 def _begin(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
-    """Initialize rclpy, whose handlers of signals would end it before the last map is told."""
+    """Initialize rclpy, whose signal handlers would end it before the last map is published."""
     unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
     if unknown:
         raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
@@ -230,14 +230,14 @@ def run_ros2(
     watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+    """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS's own: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
     given : mapping, optional
-        Parameters that hold whatever ROS's say.
+        Parameters that override those of ROS.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
     tick : callable

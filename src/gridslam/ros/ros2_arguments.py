@@ -28,7 +28,7 @@ _FLAG_OF_ROS = re.compile("--(enable|disable)-(rosout|stdout|external-lib)-logs"
 @final
 @dataclass(frozen=True, slots=True)
 class RosArguments:
-    """What arguments say.
+    """Parsed arguments.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
 
 
 def _split(text: str) -> tuple[str, str, str]:
-    """Node for which alone it is said, or "", then name and value."""
+    """Node to which it is restricted, or "", then name and value."""
     name, sign, value = text.partition(":=")
     of, _, name = name.rpartition(":")
     if not (name and sign and value):
@@ -127,7 +127,7 @@ def _of_file(path: str, node: str) -> dict[str, Any]:
 
 
 def _nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """Name of each node in a tree of parameters, and what is said of it."""
+    """Name of each node in a tree of parameters, and its parameters."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name == "ros__parameters":
             yield above, below

@@ -198,14 +198,14 @@ def run_dds(
     watch: Watch = nullcontext,
     tick: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until Ctrl-C, then write the results where `out` says so.
+    """Run the node until Ctrl-C, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
         ROS's own, see `parse_ros_arguments`.
     given : mapping, optional
-        Parameters that hold whatever the arguments say.
+        Parameters that override the arguments.
     interfaces : sequence of str
         Network interfaces, by address or name; if empty those that ROS's variables or the library choose.
     watch : callable

@@ -1,4 +1,4 @@
-"""What the node says in ROS 2, as bytes, for whatever carries them."""
+"""Messages published by the node in ROS 2, as bytes, independent of the transport."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Ros2Outputs:
     now_ns : callable
         The node's clock.
     say : callable
-        Tells people.
+        Reports to the user.
     name : str
         Of the node.
     """
@@ -60,7 +60,7 @@ class Ros2Outputs:
         return self._now_ns()
 
     def say(self, level: Level, text: str) -> None:
-        """Tell people."""
+        """Report to the user."""
         self._say(level, text)
 
     def map(self, message: GridMessage) -> None:

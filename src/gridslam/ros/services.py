@@ -19,20 +19,20 @@ Watch: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 
 
 def check_folder(out: Path | None) -> None:
-    """Raise OutputError where results cannot be written; said now, not when the robot has driven for an hour."""
+    """Raise OutputError if results cannot be written, before the run rather than after it."""
     if out is not None:
         with OutputFolder(out):
             pass
 
 
 def waiting_for(scans: str, core: NodeCore) -> str:
-    """Tell what a node listens to."""
+    """List the subscriptions of a node."""
     base, odom = core.settings.base_frame, core.settings.odom_frame
     return f"waiting for scans on {scans}" + ("" if core.settings.odometry == "none" else f" and for {base} in {odom}")
 
 
 def saved(core: NodeCore, folder: Path) -> tuple[bool, str]:
-    """Save, and tell whether that went well and what came of it."""
+    """Save; return whether it succeeded, and a message."""
     try:
         document = core.save(folder)
     except GridslamError as error:

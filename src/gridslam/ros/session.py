@@ -1,4 +1,4 @@
-"""One session: from its first scan until time jumps back, a reset or the end; and the files that tell of it."""
+"""One session: from its first scan until time jumps back, a reset or the end; and its output files."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Session:
         run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
 
     def add(self, accepted: Accepted) -> None:
-        """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
+        """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""
         scan, log = accepted.measurement.scan, self.log
         if scan.sensor not in log.mountings:
             yaw = accepted.form.mounting[5]
@@ -121,7 +121,7 @@ class TakenSession:
     record: Path | None
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write what `gridslam map` writes, the last word included; takes its time. Returns what run.json says.
+        """Write the files of `gridslam map` after the final refinement, which takes time; returns run.json's content.
 
         Raises
         ------

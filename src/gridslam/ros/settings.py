@@ -38,12 +38,12 @@ class NodeSettings:
     tf_delay_s : float, s
         How far in the future that transform is stamped: until then it may be used.
     throttle_scans : int
-        Take every so many-th scan.
+        Use every n-th scan.
     transform_wait_s : float, s
         How long a scan waits for the transforms at its stamp.
     queue_s, queue_scans : float in s, int
-        Scans that came so long before the newest one, or are more than so many, are dropped, oldest first: the filter
-        is never further behind. Half a second bridges the correction of a loop.
+        Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
+        first: the filter is never further behind. Half a second bridges the correction of a loop.
     jump_s : float, s
         Two scans in a row that are stamped so much before the last one: time has jumped back.
     map_values : str
@@ -51,7 +51,7 @@ class NodeSettings:
     min_beams, max_beams : int
         Scans of fewer or more are refused.
     seed, threads : int
-        As of `map_log`: the first begins anew with each session, the second never changes a result.
+        As in `map_log`: the generator is re-seeded for each session; the threads do not affect results.
     """
 
     base_frame: Frame = "base_link"

@@ -1,4 +1,4 @@
-"""What the node tells after each scan and by the clock."""
+"""Publishing after each scan and by timers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["Speaker"]
 Report: TypeAlias = StepReport | LocalizationReport
 
 _STALE_NS = 5_000_000_000
-_LATENCIES = 2000  # the last ones, of which the diagnostics tell
+_LATENCIES = 2000  # the last ones, reported by the diagnostics
 _RECENT_S = 2.0
 _REPEATED_S = 1.0
 _SILENT_S = 5.0
@@ -47,11 +47,11 @@ class Speaker:
     outputs : Outputs
         The transport.
     renderer : MapRenderer or KnownMapTeller
-        Draws the map.
+        Renders the map.
     intake : Intake
         Of the scans, for the diagnostics.
     complain : Complaints
-        Told of scans whose clock is not the node's.
+        Called with scans whose clock is not the node's.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Speaker:
         self._report = self._key = self._drawn = None
 
     def hears(self, accepted: Accepted) -> None:
-        """Take note of the measurement that the next report is about."""
+        """Set the measurement of the next report."""
         self._accepted = accepted
         behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
         if abs(behind_s) * 1e9 > _STALE_NS:
@@ -96,7 +96,7 @@ class Speaker:
             )  # fmt: skip
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
-        """Tell of one scan."""
+        """Publish the report of one scan."""
         accepted, outputs, frame = self._accepted, self._outputs, self._settings.map_frame
         assert accepted is not None
         odometry = accepted.measurement.odometry
@@ -133,7 +133,7 @@ class Speaker:
             stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
             now_s = time.monotonic()
             told = stamp_ns, self._report
-            if told == self._told and now_s < self._repeat_s:  # a clock at rest: tf complains of repetitions
+            if told == self._told and now_s < self._repeat_s:  # a clock at rest: tf warns of repetitions
                 return
             self._told, self._repeat_s = told, now_s + _REPEATED_S
             x, y, theta = self._map_from_odom.tolist()
@@ -146,13 +146,13 @@ class Speaker:
             self._outputs.transform(told_of)
 
     def others(self, transforms: Sequence[StampedTransform], publisher: str = "") -> Sequence[StampedTransform]:
-        """Leave out the transforms that this node tells; one from elsewhere of the same child is complained of."""
+        """Remove the transforms of this node; warn of one from elsewhere with the same child."""
         child = self._child
         if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
             return transforms
         for transform in transforms:
             if transform.child == child and transform not in self._ours:
-                told = f"{publisher or 'it'} says where {child} lies in {transform.parent}, and this one where in"
+                told = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
                 end = "end one of them (a localization, or the bag itself)"
                 self._complain("transform of another node", f"{told} {self._settings.map_frame}: {end}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]

@@ -71,7 +71,7 @@ class Beams:
         -------
         Beams
             With exact ends. All rays begin at one `origin`, the mean of the laser's places: rays of a scan leave from
-            within half the way that the laser made meanwhile, 2 cm at 0.4 m/s and 10 scans a second. The same object
+            within half the path of the laser during the scan, 2 cm at 0.4 m/s and 10 scans a second. The same object
             where the scan has no beam times.
 
         Source: Sola et al., A micro Lie theory (2018), equations 156 and 158, as complex numbers.
@@ -92,7 +92,7 @@ class Beams:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class EndPoints:
-    """What maps and matchers need of a scan that is long past: ends (K, 2) of its usable beams and origin (2,)."""
+    """End points (K, 2) of the usable beams and origin (2,) of a stored scan."""
 
     ends: FloatArray
     origin: FloatArray

@@ -20,13 +20,13 @@ from gridslam.scan.thinning import Thinning
 __all__ = ["LONGEST_SCAN_S", "BeamStatus", "LaserScan"]
 
 LONGEST_SCAN_S = 10.0
-"""No planar laser takes so long for a scan: times of beams that say so are none."""
+"""No planar laser takes this long for a scan: such beam times are invalid."""
 
 _SMALLEST = 5e-324  # a range of 0 is none
 
 
 class BeamStatus(IntEnum):
-    """What one beam says; decided once, by the adapter that reads the scan."""
+    """Status of a beam, set once by the reader of the scan."""
 
     HIT = 0
     NO_RETURN = 1
@@ -39,7 +39,7 @@ _HIT, _GREATEST = np.uint8(BeamStatus.HIT), int(max(BeamStatus))
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserScan:
-    """One sweep of a planar lidar; `from_ranges` makes it of what a sensor tells, `from_ros` of a ROS message's fields.
+    """One sweep of a planar lidar; `from_ranges` builds it from ranges, `from_ros` from the fields of a ROS message.
 
     The constructor takes arrays as they are, and checks that they belong together.
 

@@ -1,7 +1,7 @@
 """Symmetric buildings and bare corridors, drawn by chance: places that are not the same look as if they were.
 
-In some of each kind the robot comes back to where it was long before, in others it never does, and whoever says so is
-fooled. Drives are between 100 m and 400 m long.
+In some drives of each kind the robot revisits places, in others it never does, and any loop closure is false. Drives
+are between 100 m and 400 m long.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _Point = tuple[float, float]
 def symmetric(rng: np.random.Generator) -> World:
     """Draw a building that looks the same after a half or a quarter turn: a ring, a cross, or twin rings.
 
-    Every corner, arm or wing has its doubles, and nothing seen from one tells it from them.
+    Every corner, arm or wing has its doubles, and no observation from one distinguishes it from them.
     """
     return SYMMETRIC[rng.integers(len(SYMMETRIC))](rng)
 
@@ -35,8 +35,9 @@ def symmetric(rng: np.random.Generator) -> World:
 def bare_corridors(rng: np.random.Generator) -> World:
     """Draw long corridors without anything on their walls, 40 m and more, of one width.
 
-    Equal ones side by side, driven one after the other and never twice; a loop whose four corners are alike; or blind
-    alleys side by side, into which the robot goes one after the other and in the end into the first again.
+    Equal ones side by side, driven one after the other and never twice; a loop whose four corners are alike; or
+    dead-end alleys next to each other, into which the robot goes one after the other and in the end into the first
+    again.
     """
     return BARE_CORRIDORS[rng.integers(len(BARE_CORRIDORS))](rng)
 
@@ -144,7 +145,7 @@ def bare_loop(rng: np.random.Generator) -> World:
 
 
 def alleys(rng: np.random.Generator) -> World:
-    """Into blind alleys that lie side by side, one after the other; one of them twice."""
+    """Drive into dead-end alleys that lie next to each other, one after the other; one of them twice."""
     count, width, length = 3, float(rng.uniform(1.8, 2.6)), float(rng.uniform(40, 46))
     pitch = width + float(rng.uniform(0.3, 3.0))
     spaces: list[_Space] = [(-2.0, 0.0, (count - 1) * pitch + width + 2.0, width)]

@@ -116,7 +116,7 @@ def facing_corridors(rng: np.random.Generator) -> World:
 def long_way_round(rng: np.random.Generator) -> World:
     """Draw a short row of rooms, a long bare corridor behind it, and a long row back.
 
-    Along the bare corridor nothing tells how far the robot went. What odometry errs by there, 2 % of 60 m to 75 m, is
+    Along the bare corridor scan matching is degenerate. The odometry error there, 2 % of 60 m to 75 m, is
     half a room's width or nearly so when it returns through a passage that lies where one of the rooms would be.
     """
     rooms, width, count = _Rooms.drawn(rng, 2.6, 3.2), float(rng.uniform(1.9, 2.5)), int(rng.integers(6, 9))

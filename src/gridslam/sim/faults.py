@@ -38,7 +38,7 @@ _Stream = Iterable[Measurement]
 
 
 class Fault(NamedTuple):
-    """A fault by name: (measurements, size, rng) to measurements; the size it has where none is said, and its unit."""
+    """A fault by name: (measurements, size, rng) to measurements; its default size, and its unit."""
 
     apply: Callable[[_Stream, float, np.random.Generator], Iterator[Measurement]]
     size: float
@@ -68,7 +68,7 @@ FAULTS: Final[Mapping[str, Fault]] = MappingProxyType({
     "duplicate_stamps": Fault(duplicate_stamps, 0.02, "share"),
     "standing_still": Fault(standing_still, 60.0, "s"),
 })  # fmt: skip
-"""The faults; the names of those that `gridslam doctor` tells are the codes of its findings."""
+"""The faults; those that `gridslam doctor` detects have the codes of its findings as names."""
 
 
 def with_fault(

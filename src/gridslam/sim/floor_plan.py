@@ -1,6 +1,6 @@
 """Floor plans: walls are line segments (S, 4) = [x0, y0, x1, y1] in m, made by a few builders and joined by `join`.
 
-`carve` goes the other way about: it is told the free space, and makes the walls around it.
+`carve` is the inverse: it builds the walls around the given free space.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def carve(spaces: ArrayLike) -> FloatArray:
     Parameters
     ----------
     spaces : (R, 4) array_like, m
-        Two opposite corners of each rectangle; taken to the micrometre, so that edges meant to touch do.
+        Two opposite corners of each rectangle; taken to the micrometre, so that adjacent edges touch.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def clearance(walls: FloatArray, points: FloatArray) -> FloatArray:
 def near(walls: FloatArray, points: FloatArray, reach_m: float) -> FloatArray:
     """Those of walls (S, 4), in their order, that may be within `reach_m` of one of points (N, 2).
 
-    Told by upright boxes around each wall and around all points: none that is near is left out, some that are not stay.
+    Uses upright boxes around each wall and around all points: no near wall is left out, some far ones are kept.
     """
     low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
     ends = walls.reshape(-1, 2, 2)

@@ -24,7 +24,7 @@ _EDGE_RAD = 1e-9  # beams this close to a wall's end still hit it, so that none 
 class LidarConfig:
     """A planar lidar, level on the robot. The defaults are those of the laser that recorded the Intel log.
 
-    A scan is taken in an instant unless `scan_time_s` says otherwise; its stamp is the time of its first beam.
+    A scan is taken in an instant unless `scan_time_s` is given; its stamp is the time of its first beam.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class LidarConfig:
     field_of_view_rad : float, rad, (0, 2 pi]
         Angle they are spread over, symmetric about the laser's forward axis.
     clockwise : bool
-        Whether the beams come from left to right; the scans' bearings tell it.
+        Whether the beams come from left to right, as given by the bearings of the scans.
     range_max_m : float, m, > 0
         Range from which on there is no return.
     no_return : str
@@ -45,7 +45,7 @@ class LidarConfig:
     sigma_range_share : float, >= 0
         What it grows by with each metre of range, as it does where the range is triangulated.
     no_return_probability : float, [0, 1]
-        Share of the beams that are lost (dark or mirroring surfaces).
+        Ratio of beams that are lost (dark or mirroring surfaces).
     x_m, y_m, heading_rad : float
         Mounting: pose of the laser in the robot's base frame.
     rate_hz : float, Hz, > 0
@@ -55,7 +55,7 @@ class LidarConfig:
     scan_time_s : float, s, >= 0
         What a scan takes: beam i of B is measured i / B of it after the stamp, while the robot drives on.
     tells_beam_times : bool
-        Whether scans tell when each beam was measured, where they are not taken in an instant.
+        Whether scans have beam times, if they are not taken in an instant.
     sensor : str
         Name of the laser and of its frame.
     """

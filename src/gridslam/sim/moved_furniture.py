@@ -22,7 +22,7 @@ _Pieces = FloatArray  # (K, 5): x, y, width, depth in m, heading in rad
 
 
 class _Plan(NamedTuple):
-    """A floor plan with four zones on the way around it; from none is the one opposite seen."""
+    """A floor plan with four zones along the route; no zone is visible from the opposite one."""
 
     spaces: list[_Area]
     zones: list[_Area]

@@ -20,24 +20,24 @@ _DRIVES_M_S = 0.05  # a robot slower than this does not slip
 
 
 def odometry_scale(measurements: Iterable[Measurement], excess: float) -> Iterator[Measurement]:
-    """Odometry tells 1 + `excess` metres for each metre; turns are as they were. 0.03: wheels 3 % smaller than told."""
+    """Odometry reports 1 + `excess` m per metre; turns are unchanged. 0.03: wheels 3 % smaller than declared."""
     return _distorted(measurements, lambda twist, _: twist * [1 + excess, 1 + excess, 1.0])
 
 
 def odometry_rotation_bias(measurements: Iterable[Measurement], excess: float) -> Iterator[Measurement]:
-    """Odometry tells 1 + `excess` radians for each radian turned: wheels closer together than told."""
+    """Odometry reports 1 + `excess` rad per radian turned: wheels closer together than declared."""
     return _distorted(measurements, lambda twist, _: twist * [1.0, 1.0, 1 + excess])
 
 
 def odometry_drift(measurements: Iterable[Measurement], bias_rad_per_m: float) -> Iterator[Measurement]:
-    """Odometry tells a left turn of `bias_rad_per_m` for each metre driven, beside the true turn: unequal wheels."""
+    """Odometry adds a left turn of `bias_rad_per_m` per metre driven to the true turn: unequal wheels."""
     return _distorted(measurements, lambda twist, _: np.add(twist, [0, 0, bias_rad_per_m * np.hypot(*twist[:2])]))
 
 
 def wheel_slip(
     measurements: Iterable[Measurement], slip_m: float, rng: np.random.Generator, every_s: float = 20.0
 ) -> Iterator[Measurement]:
-    """In episodes of 1 s odometry tells `slip_m` m more of way forward than was driven: the wheels spin.
+    """In episodes of 1 s odometry reports `slip_m` m more forward motion than was driven: the wheels spin.
 
     An episode begins by chance, once in `every_s` seconds of driving on the average, and never while one lasts.
     """
@@ -96,7 +96,7 @@ def _between(before: Odometry, after: Odometry, stamp_ns: int) -> Odometry:
 def _distorted(
     measurements: Iterable[Measurement], change: Callable[[FloatArray, float], FloatArray]
 ) -> Iterator[Measurement]:
-    """Odometry put together anew from increments whose twist (3,) and duration in s went through `change`.
+    """Odometry rebuilt from increments whose twist (3,) and duration in s went through `change`.
 
     Scans without odometry pass as they are.
     """

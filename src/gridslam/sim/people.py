@@ -18,7 +18,7 @@ __all__ = ["PeopleConfig", "walkers"]
 @final
 @parameters(frozen=True, config=STRICT)
 class PeopleConfig:
-    """People who walk up and down the robot's route, each at a pace of their own; they step aside for the robot.
+    """People who walk up and down the robot's route, each at a pace of their own; they make way for the robot.
 
     Parameters
     ----------

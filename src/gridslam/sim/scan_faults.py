@@ -22,7 +22,7 @@ _CEILING_M = 2.5
 def reflected_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
     """Ranges come in reverse order, each with its own time, and the log does not know.
 
-    What a laser looks like that turns clockwise or is mounted upside-down, where nothing tells so.
+    Models a laser that turns clockwise or is mounted upside-down without being declared as such.
     """
     for odometry, scan in measurements:
         times = None if scan.beam_times_s is None else scan.beam_times_s[::-1].copy()
@@ -31,7 +31,7 @@ def reflected_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement
 
 
 def yaw_offset(measurements: Iterable[Measurement], yaw_rad: float) -> Iterator[Measurement]:
-    """The laser is mounted `yaw_rad` rad farther to the left than the log tells; pi: it looks backward."""
+    """The laser is mounted `yaw_rad` rad farther to the left than declared; pi: it looks backward."""
     geometries: dict[ScanGeometry, ScanGeometry] = {}
     for odometry, scan in measurements:
         if (told := geometries.get(scan.geometry)) is None:
@@ -66,17 +66,17 @@ def invalid_beams(measurements: Iterable[Measurement], share: float, rng: np.ran
 
 
 def range_limits(measurements: Iterable[Measurement], factor: float) -> Iterator[Measurement]:
-    """Scans tell `factor` times their true greatest range.
+    """Scans declare `factor` times their true maximum range.
 
     Above 1 a beam without return, reported as the true greatest range, reads as a wall there; below 1 walls beyond the
-    told range read as no return.
+    declared range read as no return.
     """
     for odometry, scan in measurements:
         yield Measurement(odometry, _measured(scan, scan.ranges, scan.geometry, factor * scan.range_max_m))
 
 
 def tilted_laser(measurements: Iterable[Measurement], tilt_rad: float, height_m: float = 0.3) -> Iterator[Measurement]:
-    """The laser is tilted by `tilt_rad` rad, nose down, and the log tells that it is level.
+    """The laser is tilted by `tilt_rad` rad, nose down, but declared level.
 
     From `height_m` m above the floor it sees the floor where that is nearer than the walls, or with its nose up the
     ceiling, 2.5 m high. Walls are as high as the room, and known from the level scan, between whose beams the inverse
@@ -89,7 +89,7 @@ def tilted_laser(measurements: Iterable[Measurement], tilt_rad: float, height_m:
 def tilting_laser(
     measurements: Iterable[Measurement], amplitude_rad: float, period_s: float = 4.0, height_m: float = 0.3
 ) -> Iterator[Measurement]:
-    """The laser nods by `amplitude_rad` rad up and down, and each scan tells its true mounting: no 2D log.
+    """The laser nods by `amplitude_rad` rad up and down, and each scan has its true mounting: no 2D log.
 
     What it sees is as of `tilted_laser`.
     """

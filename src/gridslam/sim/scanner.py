@@ -1,4 +1,4 @@
-"""What one simulated lidar records along a drive: exact ranges, beam by beam where the robot moves meanwhile."""
+"""What one simulated lidar records along a drive: exact ranges, beam by beam if the robot moves during a scan."""
 
 from __future__ import annotations
 

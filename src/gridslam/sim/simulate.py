@@ -34,7 +34,7 @@ class SimulatedLog:
     truth : Trajectory
         True poses of the base at the stamps of the scans, in the frame of the walls.
     odometry : Trajectory
-        What odometry says at the same stamps; its first pose is the true one.
+        Odometry at the same stamps; its first pose is the true one.
     walls : (S, 4) float64, m
         Line segments of the floor plan, as it is at the start.
     """
@@ -86,7 +86,7 @@ def simulate(
 ) -> SimulatedLog:
     """Drive `world`'s route once and record scans, each with odometry: of one lidar, or of several merged by time.
 
-    Stamps begin at 0. The same arguments and state of `rng` give the same bytes. People stand still during a scan.
+    Stamps begin at 0. The same arguments and state of `rng` give identical results. People stand still during a scan.
 
     Raises
     ------

@@ -75,7 +75,7 @@ class World:
         return cls(name, segments, waypoints, tuple(changes))
 
     def stretches(self, legs: IntArray, longest: int) -> Iterator[tuple[slice, FloatArray]]:
-        """Cut a drive into stretches of at most `longest` poses, and tell the walls (S, 4) that stand during each.
+        """Cut a drive into stretches of at most `longest` poses, with the walls (S, 4) present during each.
 
         `legs` (N,) is the leg of the route that each pose is on, ascending.
         """

@@ -1,4 +1,4 @@
-"""Trajectories that may be the answer, and the choice between them by one score."""
+"""Candidate trajectories and the selection of the best by score."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Candidate", "Contest"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A trajectory that may be the answer.
+    """A candidate trajectory.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Candidate:
     ties : list of Tie
         The last measurements in the graph: matches of key scans to submaps of another time.
     weights : (M,) float64
-        How much each measurement is believed.
+        Weight of each measurement in the robust estimate.
     """
 
     name: str
@@ -46,12 +46,12 @@ class Candidate:
 
     @property
     def recognized(self) -> list[Tie]:
-        """Ties of places that were searched for and found."""
+        """Constraints found by place recognition."""
         return [tie for tie in self.ties if tie.source is Source.RECOGNIZED]
 
     @property
     def believed(self) -> list[Tie]:
-        """Ties that the trajectory follows."""
+        """Constraints accepted by the robust estimate."""
         weights = self.weights[len(self.weights) - len(self.ties) :].tolist()
         return [tie for tie, weight in zip(self.ties, weights, strict=True) if weight >= 0.5]
 

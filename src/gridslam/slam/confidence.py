@@ -1,4 +1,4 @@
-"""What the filter says about how much it knows: covariances, undetermined directions, the lost flag."""
+"""Builds the step reports: covariances, degenerate directions and the lost flag."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Confidence:
     Parameters
     ----------
     sigma_m : float, m
-        Standard deviation of what one beam says about the pose, beams being correlated.
+        Standard deviation of one beam, inflated for correlated beams.
     lost_below : float
-        Share of the beams that must agree with the best map; below it the pose is not to be trusted. Entering a room
-        for the first time leaves about a third.
+        Inlier ratio with the map of the best particle below which the robot is lost. Entering a room for the first time
+        leaves about a third.
     drift_m, drift_rad : float
         Standard deviation of the tracker's error after one metre or radian.
     """

@@ -13,7 +13,7 @@ __all__ = ["Drift"]
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Drift:
-    """How uncertain a tracked increment is: a random walk, and a leap wherever the tracker did not believe its match.
+    """Uncertainty of a tracked increment: a random walk, plus extra variance where the tracker rejected its scan match.
 
     Parameters
     ----------
@@ -24,8 +24,8 @@ class Drift:
     m_of_turn, rad_of_way : float
         Standard deviation of the position after a radian, of the heading after a metre.
     doubt : float
-        Where the tracker did not believe its match it took the odometry; there so many of the odometry's standard
-        deviations are added: the wheels may have slipped, or a reading have come late.
+        Multiple of the odometry's standard deviations that is added where the tracker rejected its match and used the
+        odometry, which may suffer from slip or latency.
     """
 
     still_m: float = Field(default=0.002, gt=0)
@@ -38,7 +38,7 @@ class Drift:
     doubt: float = Field(default=1.5, ge=0)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
-        """Variances (m^2, rad^2) of an increment of so many metres and radians."""
+        """Variances (m^2, rad^2) of an increment."""
         return (
             self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
             self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,

@@ -37,16 +37,16 @@ class EkfSlam:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not.
+        `Told` if the observations contain the correspondences, `MaximumLikelihood` otherwise.
     existence : Existence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
     bias : OdometryBias
         Systematic errors of the odometry, which are part of what is estimated.
 
-    Source: Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). Where the tables correct by
-    one sighting after the other, all of one step correct at once here: the same for a linear model, and one change of
-    the covariance, whose cost grows with the square of the number of landmarks, instead of many.
+    Source: Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). The tables correct by one
+    observation after the other; here all observations of a step are used at once: the same for a linear model, and one
+    update of the covariance, whose cost grows with the square of the number of landmarks, instead of many.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
@@ -74,7 +74,7 @@ class EkfSlam:
         Raises
         ------
         ArgumentError
-            The association goes by what the sightings tell, and they tell nothing.
+            The association needs correspondences that the observations do not contain.
         """
         state, noise = state.take(), self.sensor.noise(sightings)
         self._predict(state, motion)
@@ -92,7 +92,7 @@ class EkfSlam:
         return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), told)
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
-        """Return the landmarks that are held for real."""
+        """Return the confirmed landmarks."""
         return state.landmark_map(self.existence.confirmed)
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
@@ -105,7 +105,7 @@ class EkfSlam:
         P[own, own] += Q
 
     def _correspondences(self, state: EkfSlamState, sightings: Sightings, noise: FloatArray) -> IntArray:
-        """Table 10.2, lines 9 to 16: the place of each sighting's landmark in the state."""
+        """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
         predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions)
         H = np.concatenate([H_x, H_m], axis=-1)
         P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
@@ -117,7 +117,7 @@ class EkfSlam:
         return self.association(sightings, state.names, *mahalanobis(residuals, S))
 
     def _correct(self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray) -> None:
-        """Table 10.1, lines 12 to 20, for K sightings at once: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
+        """Table 10.1, lines 12 to 20, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
         if not len(places):
             return
         residuals, HP, S = self._innovation(state, places, measured, noise)
@@ -167,7 +167,7 @@ class EkfSlam:
         return len(state.names) - 1
 
     def _count(self, state: EkfSlamState, places: IntArray, sightings: Sightings) -> None:
-        """Count sightings and evidence, and drop what there is evidence against."""
+        """Count observations and update the evidence; drop landmarks whose evidence is negative."""
         state.sightings[places] += 1
         if self.association.told:
             state.evidence[places] = math.inf

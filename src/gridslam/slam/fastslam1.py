@@ -30,7 +30,7 @@ __all__ = ["FastSlam1"]
 class FastSlam1:
     """The filter; what it knows is in the state that goes in and comes out of `step`.
 
-    The pose is drawn from the motion model alone, so the weight is the likelihood of the sightings.
+    The pose is sampled from the motion model alone, so the weight is the likelihood of the observations.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class FastSlam1:
         Raises
         ------
         ArgumentError
-            The association goes by what the sightings tell, and they tell nothing.
+            The association needs correspondences that the observations do not contain.
         """
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
@@ -92,5 +92,5 @@ class FastSlam1:
         return state, report
 
     def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
-        """Return the landmarks that the best particle holds for real."""
+        """Return the confirmed landmarks of the best particle."""
         return state.landmark_map()

@@ -1,7 +1,8 @@
-"""FastSLAM 2.0: as FastSLAM 1.0, but the pose is drawn with the sightings in mind.
+"""FastSLAM 2.0: as FastSLAM 1.0, but the proposal includes the observations.
 
-Where the motion is noisier than the sensor, most poses drawn from the motion model fit no sighting, and their particles
-die. Here the motion's Gaussian is first corrected by the sightings, as an EKF would, for each particle by its own map.
+Where the motion is noisier than the sensor, most poses sampled from the motion model fit no observation, and their
+particles are lost by resampling. Here the Gaussian of the motion is first corrected by the observations, as in an EKF,
+for each particle with its own map.
 """
 
 from __future__ import annotations
@@ -33,22 +34,24 @@ __all__ = ["FastSlam2"]
 class FastSlam2:
     """The filter; what it knows is in the state that goes in and comes out of `step`.
 
-    The pose is drawn from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the mean
-    so far, one sighting after the other. As long as nothing is seen nothing is drawn, and the Gaussian goes on. The
-    weight is p(z_t | x_t-1, u_t, c_t), in which neither the drawn pose nor the landmarks that it then corrects have a
-    part: what the proposal takes into account is not weighed again.
+    The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
+    mean so far, one observation after the other. Without observations no pose is sampled, and the Gaussian is
+    propagated. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled pose nor the landmarks that it then
+    corrects have a part: what the proposal takes into account is not weighed again.
 
-    Where nothing is seen that is known, the pose is not drawn either: what is new is put on a raft, whose place is a
-    Gaussian, too (see `gridslam.slam.landmark_raft`). So particles do not die over what nobody can tell yet.
+    Where only new landmarks are observed, the pose is not sampled either: the new landmarks are kept in a local frame
+    whose pose is Gaussian (see `gridslam.slam.landmark_raft`). So particles are not depleted by what is not observable
+    yet.
 
     Attributes
     ----------
     landmarks, resampler, when_to_resample
         As for `FastSlam1`.
     bias : OdometryBias
-        Systematic errors of the odometry, of which each particle keeps a Gaussian: they are never drawn, nor is what
-        they explain of the pose and of the landmarks, which lean on them linearly. So a loop that closes straightens
-        all that went before. As they change, all comes to lean on what they are now (see `landmark_bias.predict`).
+        Systematic errors of the odometry, of which each particle keeps a Gaussian: they are never sampled, nor is the
+        part of the pose and of the landmarks that depends linearly on them. So a loop closure corrects the whole
+        trajectory before it. As the errors change, all is expressed by their current values (see
+        `landmark_bias.predict`).
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
     correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
@@ -100,5 +103,5 @@ class FastSlam2:
         return state, report
 
     def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
-        """Return the landmarks that the best particle holds for real."""
+        """Return the confirmed landmarks of the best particle."""
         return state.landmark_map()

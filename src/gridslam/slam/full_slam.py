@@ -1,4 +1,4 @@
-"""The full-SLAM answer, told from the end: a pose and its covariance for every scan, the graph and the map."""
+"""Full SLAM result: pose and covariance of every scan, pose graph and map."""
 
 from __future__ import annotations
 
@@ -33,28 +33,28 @@ __all__ = ["FullSlam", "Loops", "full_slam"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Loops:
-    """What loop closure made of a run.
+    """Summary of loop closure.
 
     Attributes
     ----------
     closures : (K, 2) int64
-        Key scans that were recognized to show one place, older and later one, and that the last word believes.
+        Pairs of key scans (older, later) of recognized closures accepted by the final refinement.
     revisits : (R, 2) int64
         Key scans that were matched to an older place without search, the way to it being certain; older one first.
     doubted : int
-        Recognized ones that it does not.
+        Number of recognized closures that it rejected.
     rejected : Counter of Rejection
-        Places that were found but not believed, by reason.
+        Rejected candidates by reason.
     ties : Counter of Source
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     joint_ties : int
-        Key scans matched to submaps of another time in the last word, besides the recognized ones.
+        Constraints that the final refinement added, besides the recognized ones.
     chi2 : float
-        Of the graph after the last word.
+        Of the graph after the final refinement.
     moved_m : float
-        How far the last word moved a key scan at most.
+        Largest correction of a key scan by the final refinement.
     candidates : dict of str to TrajectoryScore
-        Trajectories that were compared in the last word, by name (see `Candidate`).
+        Candidate trajectories of the final refinement, by name (see `Candidate`).
     chosen : str
         Name of the one that is the answer.
     """
@@ -89,7 +89,7 @@ class FullSlam:
     drawn : TiledGrid
         The map, drawn from the key scans at these poses.
     loops : Loops or None
-        What loop closure made of the run; None for the filter alone.
+        Summary of loop closure; None without loop closure.
     """
 
     poses: FloatArray
@@ -100,7 +100,7 @@ class FullSlam:
 
     @property
     def map(self) -> OccupancyGrid:
-        """The map, unfolded anew at each access."""
+        """The map as one array, built at each access."""
         return self.drawn.whole()
 
 
@@ -113,10 +113,9 @@ def full_slam(
     last_word: JointMatching,
     tick: Callable[[], None] = lambda: None,
 ) -> FullSlam:
-    """Tell the answer as the scans so far have it; `state` is not changed, so that the run may go on.
+    """Compute the full SLAM result of the scans so far; `state` is not modified.
 
-    With loop closure at work it is the last word's: key scans matched jointly, the graph solved, every scan matched to
-    the map of all. For the filter alone it is the past of the best particle.
+    With loop closure it is the result of the final refinement; without it, the trajectory of the best particle.
 
     Parameters
     ----------
@@ -125,9 +124,9 @@ def full_slam(
     keys, key_from_base : (N,) int64, (N, 3) float64
         For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
     mapper, closure, last_word
-        The parts of the run; of `closure` the filter alone needs the drift, for covariances.
+        Components of the run; without loop closure only the drift model of `closure` is used, for covariances.
     tick
-        Called now and then while the last word is found.
+        Called periodically during the final refinement.
     """
     trajectory = state.ancestry.trajectory(state.best)
     if state.memory is None:
@@ -136,7 +135,7 @@ def full_slam(
         maps: TileMaps = state.maps
         row, loops = state.best, None
     else:
-        memory = state.memory.snapshot()  # the last word writes into it
+        memory = state.memory.snapshot()  # the final refinement modifies it
         said = last_word(memory, trajectory, keys, key_from_base, mapper, closure, tick)
         graph, poses, maps, row = scaled(said.best.graph, said.best.weights), said.poses, said.maps, 0
         key_covariances = _marginals(graph)
@@ -146,7 +145,7 @@ def full_slam(
 
 
 def _marginals(graph: PoseGraph) -> FloatArray:
-    """Covariances (T, 3, 3); where nothing is tied they need no algebra."""
+    """Covariances (T, 3, 3); without loop-closure constraints they are accumulated directly."""
     if len(graph.edges) < len(graph.poses):
         return drift_covariances(graph)
     from gridslam.slam.graph_marginals import marginal_covariances
@@ -165,7 +164,7 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
 
 
 def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
-    """Sum up what was remembered while the robot drove, and in the last word."""
+    """Summarize online loop closure and the final refinement."""
     closures = [tie for tie in said.best.believed if tie.source is Source.RECOGNIZED]
     recognized = len(said.best.recognized)
     return Loops(
@@ -183,5 +182,5 @@ def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArra
 
 
 def _ends(ties: list[Tie]) -> IntArray:
-    """Key scans (K, 2) that ties join."""
+    """Pairs of key scans (K, 2) connected by constraints."""
     return np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)

@@ -37,7 +37,7 @@ def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatA
 
 
 def shares_of_way(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
-    """Tell how much of the way from its key scan to the next one each scan has behind it: (N,) in [0, 1].
+    """Fraction of the path from its key scan to the next one for each scan: (N,) in [0, 1].
 
     In metres and radians driven; after the last key scan it is these themselves. Arguments as for `full_trajectory`.
     """

@@ -1,4 +1,4 @@
-"""Gauss-Newton with a Levenberg-Marquardt fallback: the least sum of squares that is near."""
+"""Gauss-Newton with a Levenberg-Marquardt fallback: a local minimum of the sum of squares."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PATIENCE = 3
 """Gauss-Newton steps that may raise chi2 before it is lower than ever: on long chains the first ones often do."""
 
 _LIGHT, _HEAVY, _HOPELESS = 1e-4, 1e-2, 1e8
-"""Damping to begin with; from which on a short step tells nothing of the minimum; at which the search is given up."""
+"""Initial damping; least damping at which a short step is no sign of convergence; damping at which the solver stops."""
 
 _NEGLIGIBLE = 1e-6
 """A chi2 for each measurement that is rounding and no error."""

@@ -11,7 +11,7 @@ from gridslam.types import FloatArray
 __all__ = ["initial_guess"]
 
 _REFINEMENTS = 5
-"""Passes that give every heading its say: each costs a solution with the factor that is there, and few are enough."""
+"""Iterations for the headings: each costs one solution with the existing factorization, and few are enough."""
 
 
 def initial_guess(graph: PoseGraph) -> FloatArray:

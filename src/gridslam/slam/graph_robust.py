@@ -21,7 +21,7 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
 
 _LEAST_WEIGHT = 1e-8
-"""Keeps the linear system regular where poses hang on measurements alone that are held for false."""
+"""Keeps the linear system regular where poses are only constrained by rejected measurements."""
 
 _ROUNDS, _REFITS = 5, 8
 """At most; they end where the cost falls no more, which is after one to three."""
@@ -30,7 +30,7 @@ _PASSES, _ROUGH = 2, 1e-3
 """Linear systems for one degree of non-convexity, and the share of chi2 that is left to the next."""
 
 _ENOUGH, _FINE = 20, 1e-5
-"""The same, to tell true from false."""
+"""The same, for the classification into inliers and outliers."""
 
 _SAME = 1e-4
 """Costs that differ by less than this share are of the same minimum."""
@@ -52,9 +52,9 @@ class GraduatedNonConvexity:
     """Truncated least squares: a squared error counts at most c^2, which a true measurement hardly exceeds.
 
     The cost has many minima. It is reached through a family of costs, from one that is nearly convex to the truncated
-    one, minimized in turn by weighted least squares. What is then held for true is solved anew from its own first
-    guess, without the false ones that bent the graph, and told true from false again, as long as the cost falls. Both
-    together are a round. Rounds begin from several guesses until two agree, and are repeated from the best.
+    one, minimized in turn by weighted least squares. The inliers are then solved again from their own initial guess,
+    without the outliers that distorted the graph, and classified again, as long as the cost falls. Both together are a
+    round. Rounds start from several guesses until two agree, and are repeated from the best.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class GraduatedNonConvexity:
 
     @property
     def bound(self) -> float:
-        """c^2, the greatest squared error that is held for noise."""
+        """c^2, the truncation threshold: the largest squared error of an inlier."""
         from scipy.special import chdtri
 
         return float(chdtri(3, 1.0 - self.probability))
@@ -109,12 +109,12 @@ class _Search:
         self.iterations = 0
 
     def round(self, poses: FloatArray) -> Work[RobustEstimate]:
-        """Graduate from poses (N, 3), then fit what is held for true until the cost falls no more."""
+        """Graduate from poses (N, 3), then fit the inliers until the cost stops decreasing."""
         poses, weights = yield from self._graduate(poses)
         return (yield from self._settle(weights, poses))
 
     def readmit(self, best: RobustEstimate) -> Work[RobustEstimate]:
-        """Take back what was rejected but can be followed at less than c^2, all or the likeliest, if the cost falls."""
+        """Readmit rejected measurements whose squared innovation is below c^2, if the cost decreases."""
         while True:
             yield
             rejected = np.flatnonzero(best.weights == 0.0)
@@ -139,7 +139,7 @@ class _Search:
         return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
     def _settle(self, weights: FloatArray, poses: FloatArray) -> Work[RobustEstimate]:
-        """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""
+        """Alternate fitting the inliers and reclassifying, from poses (N, 3), until the cost stops decreasing."""
         best = RobustEstimate(Descent(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
             found = yield from self._refit(weights, best)
@@ -152,7 +152,7 @@ class _Search:
         return best
 
     def _refit(self, weights: FloatArray, best: RobustEstimate) -> Work[RobustEstimate]:
-        """Fit what is held for true, from its own first guess; from the best poses yet where that does not help."""
+        """Fit the inliers, from their own initial guess; from the best poses so far if that does not help."""
         found = best
         for start in (initial_guess(scaled(self.graph, weights)), best.solution.poses):
             solution = yield from self._fit(weights, start, _ENOUGH, _FINE)

@@ -77,7 +77,7 @@ class GraphSlam:
         less, and again from the other where the first answer is doubtful: it turned some pose by more than a right
         angle from the computed guess, or its chi2 is greater than the measurements' noise explains.
     robust : GraduatedNonConvexity, Cauchy or None
-        Estimates which of the measurements that are not trusted are false, or how good each is; None believes all.
+        Robust estimator of the measurements that are not trusted; None for plain least squares.
     max_iterations : int
         Linear systems solved at most from one guess.
     tolerance : float

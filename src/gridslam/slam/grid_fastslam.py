@@ -80,16 +80,16 @@ class GridFastSlam:
     map_limit : MapLimit
         How much the particles' maps may take.
     confidence : Confidence
-        How poses' covariances and the lost flag are told.
+        Builds the step reports: covariances and the lost flag.
     loop_closure : LoopClosure or None
-        Recognizes old places and corrects the past; None for the filter alone.
+        Detects loop closures and corrects the trajectory; None to disable it.
     range_min_m, range_max_m : float
         Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
         what it hits.
     thinning : Thinning
         How many beams of a dense scan are used.
     particles : int, >= 1
-        How many particles `init` begins with, unless it is told otherwise.
+        Default number of particles of `init`.
     threads : int
         Threads of the kernels; never changes a result.
 
@@ -206,7 +206,7 @@ class GridFastSlam:
     def _track(
         self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
     ) -> tuple[Tracked, OdometryNoise | None]:
-        """Track a scan, by odometry unless that is told to be of no use; and what is told of its noise."""
+        """Track a scan with the odometry, unless its reported noise makes it useless; also return that noise."""
         tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
         if odometry is not None and isinstance(tracker, Tracker):
             seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)

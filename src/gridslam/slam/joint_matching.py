@@ -1,4 +1,4 @@
-"""The last word: key scans matched again to all submaps they see, the graph solved again, every scan matched again."""
+"""Global scan refinement: alternating scan matching and graph optimization, then selection of the best trajectory."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ __all__ = ["JointMatching", "LastWord"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LastWord:
-    """What the end of a log tells of all of it.
+    """Result of the final refinement.
 
     Attributes
     ----------
     best : Candidate
-        The key scans' trajectory, and what is known of it.
+        The selected trajectory of the key scans with its graph.
     poses : (N, 3) float64
         A pose for every scan.
     maps : TileMaps
@@ -57,47 +57,47 @@ class LastWord:
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class JointMatching:
-    """Match, solve, and match again, until nothing moves; choose; then match every scan to the map of all key scans.
+    """Alternates scan matching and graph optimization, selects the best candidate, and matches every scan to its map.
 
-    Key scans are matched to the older and later submaps about them, drawn anew from the current trajectory. Matched to
-    those of its own time a scan would only repeat what the tracker has made of it. This is begun from the past of the
-    best particle, whose closures are evidence like recognized places; and, where that is another one, from the
-    trajectory that the constraints found on the way make of the tracked motion. The answer is the candidate of the best
-    score, and that past as it is is one of them: nothing that the particles knew is forgotten for a worse map.
+    Key scans are matched to the overlapping older and later submaps, rebuilt from the current trajectory. Submaps of
+    the same visit are excluded: they only repeat the tracker's result. The refinement starts from the trajectory of the
+    best particle, whose closures are evidence like recognized places; and, if it differs, from the tracked motion
+    optimized with the online constraints. The result is the candidate with the best score. The unrefined trajectory of
+    the best particle is one of the candidates, so the result never has a worse score than the filter.
 
     Parameters
     ----------
     rounds : int
-        At most so many times are the key scans matched and the graph solved.
+        Maximum number of alternations of matching and optimization.
     stop_m : float, m
-        A round that moves no key scan farther is the last.
+        Converged if no key scan moves farther than this.
     drawn_off_m, drawn_off_rad : float
-        A particle that its map moved by more than this in one step, off the track, has closed a loop, rightly or not:
-        whether the two places are one is for the ties to say.
+        An increment of a particle that differs from the tracked motion by more than this is treated as an implicit loop
+        closure and replaced by the tracked increment; the constraints decide whether the places coincide.
     key_scans : KeyScanMatching
         How key scans are matched to submaps.
     scan_share : float
-        A scan with which fewer of its beams agree stays where the trajectory of the key scans has it.
+        Minimum inlier ratio of a scan match; below it the interpolated pose is kept.
     scan_m : float, m
-        So does one that would move farther.
+        Maximum correction of a scan match.
     scan_prior : float
         Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
     matcher : GaussNewton
         How scans are matched.
     another_m : float, m
-        The constraints found on the way make a candidate of their own where they move a key scan farther.
+        The online constraints form a separate candidate if they move a key scan farther than this.
     settled_m, settled_share : float
-        Where so large a share of the ties is nearer than this to where the filter's own past has them, and that past is
-        the tracked one, nothing is refined.
+        Refinement is skipped if this fraction of the constraints is within this distance of the filter's trajectory,
+        and that trajectory is the tracked one.
     searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
     other_share, confirmations
         As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
     pieces : PieceAlignment
-        How pieces between which the robot went on blindly are aligned.
+        Alignment of rigid components that are separated by gaps in the laser data.
     robust : Cauchy
-        How the graph is solved, and what a measurement counts that is off.
+        Robust estimator of the graph.
     score : JointMapScore
         How candidates are compared.
     """
@@ -146,9 +146,9 @@ class JointMatching:
         keys, key_from_base : (N,) int64, (N, 3) float64
             For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
         closure
-            How places are recognized, and told true from false.
+            Place recognition and outlier rejection.
         tick
-            Called now and then, so that progress can be shown and the work be interrupted.
+            Progress callback; may raise to interrupt.
         """
         graph, scans = memory.graph, memory.scans
         contest = Contest(lambda poses: self.score(graph, scans, poses, mapper, tick))
@@ -166,7 +166,7 @@ class JointMatching:
         self, contest: Contest, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> None:  # fmt: skip
-        """Search the whole log for places seen again, from a candidate on, as long as that makes it better."""
+        """Repeatedly search the whole log for revisits, starting from a candidate, as long as the score improves."""
         best, reached = begin, contest.scores[begin.name].log_likelihood
         for _ in range(self.searches):
             name = f"closed {sum(name.startswith('closed') for name in contest.scores) + 1}"
@@ -179,9 +179,9 @@ class JointMatching:
         self, name: str, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Candidate | None:  # fmt: skip
-        """Add the places that are found to a candidate; None if there is none.
+        """Add newly found closures to a candidate; None if there are none.
 
-        Which of them are true is decided by all together: by least squares that tell false measurements from true ones.
+        Robust least squares over all of them rejects the outliers.
         """
         known = memory.graph
         known.ties = begin.believed
@@ -212,7 +212,7 @@ class JointMatching:
         mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Iterator[Candidate]:
-        """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
+        """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
         known, found = memory.graph, memory.graph.ties
         recognized = [tie for tie in found if tie.source is Source.RECOGNIZED]
         tracked = self._increments(memory, trajectory)
@@ -232,7 +232,7 @@ class JointMatching:
             yield self._refined("constraints", memory, recognized, ties, tracked, mapper, tick)
 
     def _is_settled(self, graph: PoseGraph, ties: int) -> bool:
-        """Whether nearly all ties are where the graph's poses have them: solving would only average their noise."""
+        """Whether nearly all constraints are already satisfied, so that optimization would only average noise."""
         missed = graph.errors()[len(graph.edges) - ties :, :2]
         return ties > 0 and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.settled_m)) > self.settled_share
 
@@ -240,7 +240,7 @@ class JointMatching:
         self, name: str, memory: Memory, recognized: list[Tie], ties: list[Tie], increments: FloatArray,
         mapper: OccupancyGridMapping, tick: Callable[[], None],
     ) -> Candidate:  # fmt: skip
-        """Solve the graph with ties found at its poses, find them anew at the solution, and so on."""
+        """Alternate optimization and matching: constraints are recomputed at each solution of the graph."""
         known = memory.graph
         for last in range(self.rounds - 1, -1, -1):
             before, known.ties = np.array(known.poses), ties
@@ -253,7 +253,7 @@ class JointMatching:
         return Candidate(name, graph.with_poses(solution.poses), ties, solution.weights)
 
     def _increments(self, memory: Memory, trajectory: FloatArray) -> FloatArray:
-        """Increments (T - 1, 3) as the filter has them; where its map drew it off the track, as tracked."""
+        """Increments (T - 1, 3) of the filter; tracked increments where scan matching moved it off the track."""
         tracked = np.array(memory.graph.tracked)
         moved, driven = between(tracked[:-1], tracked[1:]), between(trajectory[:-1], trajectory[1:])
         missed = between(moved, driven)
@@ -263,7 +263,7 @@ class JointMatching:
         return np.where(drawn_off[:, None], moved, driven)
 
     def _matched(self, memory: Memory, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]) -> FloatArray:
-        """Match every scan to the map of all; one of which nothing was kept moves with the last one before it."""
+        """Match every scan to the final map; a scan without stored beams moves with its predecessor."""
         matched, last = poses.copy(), 0
         prior = self.scan_prior * np.eye(3)[None]
         for scan in range(len(poses)):

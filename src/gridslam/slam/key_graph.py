@@ -1,4 +1,4 @@
-"""The growing pose graph of a run: key scans joined by tracked motion, and ties to older key scans."""
+"""The pose graph of a run: key scans, odometry constraints and loop-closure constraints."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gridslam.types import FloatArray, IntArray
 __all__ = ["BLOCK", "KeyGraph", "Nearby"]
 
 _Crossing = tuple[int, FloatArray] | None
-"""The block that a tie leads from, and its first key scan seen from that of the block that it leads to."""
+"""Submap at which a constraint starts, and pose of its first key scan relative to that of the target submap."""
 
 BLOCK = 10
 """Key scans of a submap: about 5 m of driving."""
 
 
 GAP_M, GAP_RAD = 0.5, 0.1
-"""Standard deviations of an increment from which on it tells next to nothing."""
+"""Standard deviations above which an increment is regarded as a gap."""
 
 
 @final
 class KeyGraph:
-    """Key scans 0 .. T - 1, what was measured between them, and how well one knows where another lies.
+    """Key scans 0 .. T - 1, the constraints between them, and the uncertainty of relative poses.
 
     Uncertainty between two key scans is that of the best known way through the graph (the least uncertain path), an
     upper bound of what all ways together would leave. Heading errors are kept with where they happened, so that the
@@ -47,10 +47,10 @@ class KeyGraph:
         self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
         self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
         self.ties: list[Tie] = []
-        self._gaps: list[int] = []  # blind stretches of way up to each key scan
+        self._gaps: list[int] = []  # number of gaps in the laser data up to each key scan
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
         self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
-        # block -> block -> the first seen from the second (3,), and the moments (7,), of the best tie
+        # block -> block -> relative pose (3,) and moments (7,) of the most certain constraint
         self._links: dict[int, dict[int, tuple[FloatArray, Moments]]] = {}
 
     def __len__(self) -> int:
@@ -78,7 +78,7 @@ class KeyGraph:
         self._link(tie)
 
     def correct(self, poses: FloatArray) -> None:
-        """Let all poses be poses (T, 3)."""
+        """Set all poses (T, 3)."""
         self.poses = list(poses)
         self._sums = list(np.cumsum(moments_of(poses, np.array(self.variances)), axis=0))
         self._links, self._steps = {}, []
@@ -160,9 +160,9 @@ class KeyGraph:
         return [Nearby(*found) for found in zip(ways, poses, spreads, strict=True)]
 
     def pieces(self) -> IntArray:
-        """For each key scan the rigid piece (T,) that it belongs to, by number.
+        """Label (T,) of the rigid component of each key scan.
 
-        Between two pieces the robot went on blindly, and no tie that is more than believed leads from one to the other.
+        Components are separated by gaps in the laser data and not joined by tracked or recognized constraints.
         """
         labels = np.array(self._gaps)
         if not labels[-1]:
@@ -177,7 +177,7 @@ class KeyGraph:
         return pieces
 
     def unbroken(self, keys: IntArray, anchor: int) -> IntArray:
-        """Those of consecutive key scans (K,) that no blind stretch of way divides from `anchor`, one of them."""
+        """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
         side = np.array(self._gaps[keys[0] : keys[-1] + 1])
         here: IntArray = keys[side == side[anchor - keys[0]]]
         return here
@@ -185,9 +185,9 @@ class KeyGraph:
     def graph(
         self, increments: FloatArray | None = None, keys: int | None = None, ties: int | None = None
     ) -> PoseGraph:
-        """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the ties.
+        """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the loop-closure constraints.
 
-        The increments are the tracked ones if not given. With `keys` and `ties` it is the graph of the first so many.
+        The increments are the tracked ones if not given. `keys` and `ties` limit the graph to the first of each.
         """
         poses, tracked = np.array(self.poses[:keys]), np.array(self.tracked[:keys])
         count, known = len(poses), self.ties[:ties]
@@ -251,7 +251,7 @@ class KeyGraph:
         return found
 
     def _count_gaps(self) -> None:
-        """Count the blind stretches up to the key scans that are new."""
+        """Count the gaps in the laser data up to the new key scans."""
         for position, heading in self.variances[len(self._gaps) :]:
             before = self._gaps[-1] if self._gaps else 0
             self._gaps.append(before + (position > GAP_M**2 or heading > GAP_RAD**2))
@@ -263,7 +263,7 @@ class KeyGraph:
             self._steps.append(tuple((sums[first + BLOCK] - sums[first]).tolist()))
 
     def _link(self, tie: Tie) -> None:
-        """Note the way that a tie opens between two submaps, if it is the best so far."""
+        """Add the link of a constraint between two submaps if it is the most certain so far."""
         if not tie.determined:
             return
         a, b = tie.from_ // BLOCK, tie.to // BLOCK

@@ -28,10 +28,10 @@ _OWN = 3
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class KeyScanMatching:
-    """Ties key scans to the submaps about them, drawn anew from a trajectory.
+    """Matches key scans to overlapping submaps that are rebuilt from a trajectory.
 
-    Only submaps of the same rigid piece (see `KeyGraph.pieces`): that two places lie about each other in a trajectory
-    proves nothing where the robot went on blindly in between.
+    Only submaps of the same rigid component (see `KeyGraph.pieces`): across a gap in the laser data, nearby poses are
+    no evidence of a revisit.
 
     Parameters
     ----------
@@ -40,13 +40,13 @@ class KeyScanMatching:
     submaps : int
         The nearest of them.
     share : float
-        Share of the beams that must agree.
+        Minimum inlier ratio.
     least_information : float
         Least eigenvalue of the position's information, per agreeing beam.
     most_m : float, m
-        A match that moves a key scan farther is not believed.
+        Maximum correction of a match.
     beam_sigma_m : float, m
-        Standard deviation of what one beam says, beams being correlated and walls a cell thick.
+        Standard deviation of one beam, inflated for correlated beams and cell size.
     matcher : GaussNewton
         How a key scan is matched.
     """
@@ -86,7 +86,7 @@ class KeyScanMatching:
 
     def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""
-        from scipy.spatial import cKDTree  # only who closes loops pays for its import
+        from scipy.spatial import cKDTree  # imported lazily: only needed for loop closure
 
         blocks, pieces = memory.graph.blocks, memory.graph.pieces()
         wanted: list[list[int]] = [[] for _ in range(blocks)]

@@ -1,4 +1,4 @@
-"""Tying key scans to old submaps that need no search: the way there is certain, or the filter believes to be there."""
+"""Constraints to old submaps without a search: the relative pose is known from tracking or proposed by the filter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["tie_known_place"]
 
 
 def tie_known_place(places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping) -> bool:
-    """Tie the newest key scan to an old submap where it is certain, or believed, to be; whether it is certain."""
+    """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain."""
     graph = memory.graph
     newest = len(graph) - 1
     oldest = newest // BLOCK - places.gap
@@ -48,7 +48,7 @@ def tie_known_place(places: PlaceParameters, memory: Memory, mapper: OccupancyGr
 
 
 def _followed(places: PlaceParameters, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
-    """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
+    """The submap reached by tracking from the last constraint, and the pose of the robot in its frame."""
     newest = len(graph) - 1
     known = (t for t in reversed(graph.ties[-places.follow :]) if t.determined and t.source is not Source.BELIEVED)
     last = next(known, None)
@@ -64,7 +64,7 @@ def _followed(places: PlaceParameters, graph: KeyGraph, oldest: int) -> tuple[in
 
 
 def _believed(places: PlaceParameters, memory: Memory, oldest: int) -> tuple[int, FloatArray] | None:
-    """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
+    """The old submap nearest to the filter's pose, and that pose in its frame."""
     anchors, here = np.array(memory.said[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK]), memory.said[-1]
     away = np.hypot(*(anchors[:, :2] - here[:2]).T)
     block = int(away.argmin())

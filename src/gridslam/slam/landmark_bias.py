@@ -28,7 +28,7 @@ def predict(
     bias : OdometryBias
         The errors that are learned, perhaps none.
     motion : MotionSampler
-        The motion model, conditioned on what odometry tells.
+        The motion model, conditioned on the odometry.
     rng : numpy.random.Generator
 
     Returns

@@ -24,7 +24,7 @@ class Existence:
 
     A landmark begins with the evidence of having been seen once. It is provisional until its log odds reach
     `confirmed`, and dropped where they fall below 0. They saturate, so that what a wrong correspondence made can fade.
-    In EKF SLAM it is provisional again when they fall below `confirmed`; FastSLAM holds it for real until it is
+    In EKF SLAM it is provisional again when they fall below `confirmed`; in FastSLAM it stays confirmed until it is
     dropped, for what is hidden for a while is still there, and a wrong one ends with the particle that made it.
 
     Parameters
@@ -34,7 +34,7 @@ class Existence:
     false_alarm : float, (0, detection)
         Probability that, where there is none, something is seen and taken for it.
     confirmed : float, nats, > 0
-        What three sightings give, with the defaults.
+        Log-odds after three observations, with the defaults.
     most : float, nats, >= confirmed
         Where the log odds saturate: so far above `confirmed` that what is hidden for some seconds stays.
     range_min_m, range_max_m : float, m
@@ -61,7 +61,7 @@ class Existence:
 
     @property
     def seen(self) -> float:
-        """What a sighting adds, nats."""
+        """Evidence of an observation, nats."""
         return math.log(self.detection / self.false_alarm)
 
     @property

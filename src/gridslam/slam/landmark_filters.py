@@ -24,7 +24,7 @@ __all__ = ["Innovation", "LandmarkFilters"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
-    """One sighting, as some of the particles predict it.
+    """One observation, as predicted by some of the particles.
 
     Attributes
     ----------
@@ -63,8 +63,8 @@ class LandmarkFilters:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not: then each particle
-        finds its own.
+        `Told` if the observations contain the correspondences, `MaximumLikelihood` otherwise: then each particle
+        estimates its own.
     existence : Existence
         Which landmarks are real, where correspondences are unknown.
     """
@@ -74,7 +74,7 @@ class LandmarkFilters:
     existence: Existence = field(default_factory=Existence)
 
     def order(self, state: LandmarkParticles, sightings: Sightings, poses: FloatArray) -> IntArray:
-        """Order (K,) in which sightings find their landmarks: the surest first, as the best particle sees them.
+        """Order (K,) of association: most certain first, by the best particle.
 
         So one of two landmarks side by side is not taken for the other if that is seen, too.
         """
@@ -91,18 +91,18 @@ class LandmarkFilters:
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
         taken: IntArray, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
-        """Find the landmark of sighting k in each particle.
+        """Associate observation k with a landmark in each particle.
 
         Parameters
         ----------
         poses : (N, 3) float64
-            From where it is seen.
+            Poses of the observation.
         belief : PoseAndRaft or None
-            Of these poses; None where they are given.
+            Belief of these poses; None if they are given.
         taken : (N, K) int64
-            Columns of the sightings before, below 0 where there is none: a landmark is seen once at a time.
+            Columns of the observations before, below 0 where there is none: a landmark is observed once per step.
         rng : numpy.random.Generator
-            Correspondences that are not told are drawn.
+            Unknown correspondences are sampled.
 
         Returns
         -------
@@ -130,7 +130,7 @@ class LandmarkFilters:
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
         spread: FloatArray | None, sightings: Sightings, k: int,
     ) -> Innovation:  # fmt: skip
-        """Predict sighting k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
+        """Predict observation k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
         predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
         L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(sightings)[k]
         if spread is not None:
@@ -138,14 +138,14 @@ class LandmarkFilters:
         return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
 
     def outweighs(self, poses: FloatArray, spread: FloatArray, sightings: Sightings) -> NDArray[np.bool_]:
-        """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than what the sightings tell."""
+        """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than the observations."""
         _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, sightings.values[0]))
         of_pose = projected(H_x, np.ascontiguousarray(spread[:, :3, :3]))
         ratio = np.linalg.inv(self.sensor.noise(sightings)[0]) @ of_pose
         return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
-        """Let a sighting correct the landmarks that it is of, seen from poses that are given.
+        """Correct the observed landmarks, given the poses.
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2 (mean and covariance of the features).
         """
@@ -160,7 +160,7 @@ class LandmarkFilters:
             state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
 
     def add(self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int) -> None:
-        """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.
+        """Add a landmark at observation k to particles whose columns (N,) are `NEW`, and write its column there.
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2: mean h^-1(z, x), covariance H^-1 Q H^-1'.
         """
@@ -178,7 +178,7 @@ class LandmarkFilters:
         state.evidence[of], state.sightings[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
-        """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
+        """Count the observations of landmarks `columns` (N, K), update the evidence of all, and drop refuted ones.
 
         Source: Probabilistic Robotics, Table 13.2 (the counters i), as log odds.
         """
@@ -209,7 +209,7 @@ class LandmarkFilters:
         self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
         taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
-        """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
+        """Sample c ~ p(c | z), so that particles hold different correspondences; the weight is the sum of p(z | c)."""
         rows, columns = np.nonzero(self._near(state, sightings, k, poses, belief, within.other))
         seen = self._predicted(state, rows, columns, poses, belief, sightings, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)

@@ -19,17 +19,17 @@ from gridslam.types import FloatArray, IntArray, MotionModel
 __all__ = ["LandmarkGraph"]
 
 _ALMOST_EXACT = 1e-12  # m^2 and rad^2 added to covariances, since an increment may have no noise
-_ANY = 1.0  # rad^-2, of a heading that nothing else tells
+_ANY = 1.0  # rad^-2, of a heading without any other information
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkGraph:
-    """What a log tells of its T + 1 poses, that of the begin included, and of its M landmarks.
+    """The measurements of a log: T + 1 poses, including the first one, and M landmarks.
 
-    A landmark is a node without a heading, and a sighting of it an edge of which only the position counts: its
-    information about the heading is 0. So that there is one least chi2, the first sighting of each landmark gives it
-    the heading of the pose from which it is seen. That is the only word about this heading, hence met exactly: it adds
+    A landmark is a node without a heading, and an observation of it an edge with a position only: its
+    information about the heading is 0. So that there is one least chi2, the first observation of each landmark gives it
+    the heading of the pose of that observation. It is the only measurement of this heading, hence met exactly: it adds
     nothing to chi2 and pulls at nothing, and neither solver nor covariances need to know of landmarks.
 
     Attributes
@@ -37,7 +37,7 @@ class LandmarkGraph:
     increments, of_increments : (T, 3), (T, 3, 3) float64
         Measurements and information of the edges between poses.
     at : (K,) int64
-        From which pose each sighting is, ascending.
+        Index of the pose of each observation, ascending.
     place : (K,) int64
         Which landmark it is of, by the order of first sight.
     points, of_points : (K, 3), (K, 3, 3) float64
@@ -56,9 +56,9 @@ class LandmarkGraph:
 
     @classmethod
     def of(cls, steps: Iterable[LandmarkStep], motion: MotionModel, sensor: LandmarkModel) -> LandmarkGraph:
-        """Take a log's steps; sightings become positions in the robot's frame, with covariances to first order.
+        """Convert the steps of a log; observations become positions in the base frame, with covariances to first order.
 
-        Raises ArgumentError where a sighting does not tell its landmark.
+        Raises ArgumentError if an observation has no correspondence.
         """
         increments, spreads, at, told, points, covariances = [], [], [], [], [], []
         for t, step in enumerate(steps, 1):
@@ -118,7 +118,7 @@ class LandmarkGraph:
 
 
 def _points(step: LandmarkStep, sensor: LandmarkModel) -> tuple[FloatArray, FloatArray]:
-    """Sightings as positions (K, 2) in the robot's frame, and their covariances (K, 2, 2)."""
+    """Observations as positions (K, 2) in the base frame, and their covariances (K, 2, 2)."""
     here = np.zeros(3)
     points = sensor.locate(here, step.sightings.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])

@@ -42,7 +42,7 @@ class LandmarkGraphSolution:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of chi2: two for each sighting but the first of each landmark."""
+        """Degrees of freedom of chi2: two for each observation but the first of each landmark."""
         return 2 * int((self.landmarks.sightings - 1).sum())
 
 
@@ -59,7 +59,7 @@ class LandmarkGraphSlam:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     solver : GraphSlam
-        Where it estimates robustly, it doubts the sightings.
+        If it is robust, it down-weights the observations.
     growth : int
         Steps from one solution to the next; over 200 steps of Victoria Park, 110 m, dead reckoning turns by 0.1 rad.
 
@@ -77,7 +77,7 @@ class LandmarkGraphSlam:
         Raises
         ------
         ArgumentError
-            There is no step, or the sightings do not tell their landmarks.
+            There is no step, or the observations have no correspondences.
         """
         problem = LandmarkGraph.of(steps, motion, self.sensor)
         if not len(problem):

@@ -28,7 +28,7 @@ _MORE = 8  # columns that are added where none is free
 @final
 @dataclass(slots=True, eq=False)
 class LandmarkParticles:
-    """Everything that the filter knows between two steps; it has one owner, who changes it.
+    """State of the filter between two steps; owned and modified by the filter.
 
     The landmarks lie in dense arrays, a row for each particle and a column for each landmark. Copying a particle costs
     66 bytes for each column, and 16 more for each error of the odometry that is learned; only those that replace a dead
@@ -49,24 +49,24 @@ class LandmarkParticles:
     log_weights, log_ancestry : (N,) float64, nats
         Normalized; and accumulated along each particle's ancestry, relative to the greatest.
     names : (M,) int64
-        Signature of the landmark in each column, where correspondences are told; else -1, and each particle uses its
-        columns as it needs them.
+        Signature of the landmark in each column, if correspondences are known; otherwise -1, and each particle assigns
+        its own columns.
     positions, covariances : (N, M, 2), (N, M, 2, 2) float64
         Of the landmarks, given what was drawn and the errors of the odometry.
     evidence : (N, M) float64, nats
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
     firm : (N, M) bool
-        Which of them are held for real.
+        Confirmed landmarks.
     sightings : (N, M) int64
-        How often each was seen.
+        Number of observations of each.
     rafts, drift, aboard, launched : (N, 3), (N, 3, 3) float64, (N,) bool, (N,) int64
-        Where each particle's raft lies, map frame, the covariance of that, whether the robot is on it, and the step
-        at which it came to be, 0 where there is none: see `gridslam.slam.landmark_raft`.
+        Pose of each particle's local frame in the map frame, its covariance, whether the robot is in it, and the step
+        at which it was opened, 0 if there is none: see `gridslam.slam.landmark_raft`.
     adrift : (N, M) bool
-        Which landmarks are on the raft.
+        Landmarks kept in the local frame.
     ancestry : Ancestry
-        All particles' pasts, step by step, the first pose included: what `landmark_path.path` tells the trajectories
-        from.
+        Ancestry of all particles, step by step, including the first pose: `landmark_path.path` computes trajectories
+        from it.
     """
 
     known: FloatArray
@@ -130,10 +130,10 @@ class LandmarkParticles:
         return int(self.log_ancestry.argmax())
 
     def landmark_map(self) -> LandmarkMap:
-        """Return the landmarks that are held for real.
+        """Return the confirmed landmarks.
 
-        Where correspondences are told, these are mean and covariance of each landmark over all particles. Where each
-        particle has its own, they are the best particle's, and the covariances hold given its path.
+        With known correspondences, these are mean and covariance of each landmark over all particles. Otherwise they
+        are those of the best particle, and the covariances hold given its path.
         """
         spread = self._landmark_covariances()
         if (self.names < 0).all():
@@ -168,7 +168,7 @@ class LandmarkParticles:
     ) -> None:
         """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
 
-        `rafts` (N, 5) goes into the past instead of `rafts_now()` where rafts are replaced.
+        `rafts` (N, 5) is stored in the ancestry instead of `rafts_now()` where local frames are replaced.
         """
         self._go(known, spread, True, rafts)
         self.log_weights = normalize(self.log_weights + log_weights)
@@ -176,11 +176,11 @@ class LandmarkParticles:
         self.log_ancestry = accumulated - accumulated.max()
 
     def wait(self, known: FloatArray, spread: FloatArray) -> None:
-        """Move to poses and errors (N, 3 + B) of covariance (N, 3 + B, 3 + B), with no news to weigh."""
+        """Predict poses and errors (N, 3 + B) with covariance (N, 3 + B, 3 + B), without observations."""
         self._go(known, spread, False, None)
 
     def rafts_now(self) -> FloatArray:
-        """Of each particle (N, 5): where its raft lies, when it came to be, and whether the robot is aboard."""
+        """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
         return np.column_stack([self.rafts, self.launched, self.aboard])
 
     def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
@@ -209,7 +209,7 @@ class LandmarkParticles:
         return parents
 
     def report(self, places: IntArray) -> LandmarkReport:
-        """Tell of the step that led here; places (N, K) are the columns of the sightings' landmarks."""
+        """Report of the last step; places (N, K) are the columns of the observed landmarks."""
         best = self.best
         weights = np.exp(self.log_weights)
         covariance = weighted_covariance(self.poses, weights)
@@ -231,14 +231,14 @@ class LandmarkParticles:
         return LandmarkParticles(**arrays, ancestry=self.ancestry.snapshot())
 
     def _pose_covariances(self) -> FloatArray:
-        """Of each particle's pose (N, 3, 3), that of its raft included where the robot is aboard."""
+        """Covariance of each particle's pose (N, 3, 3), including that of its local frame where the robot is in it."""
         if not self.aboard.any():
             return self.spread[:, :3, :3]
         of_raft = projected(lever(self.rafts, self.poses), self.drift)
         return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
 
     def _landmark_covariances(self) -> FloatArray:
-        """Of each particle's landmarks (N, M, 2, 2), with what the odometry's errors and the raft have part in."""
+        """Covariances of landmarks (N, M, 2, 2), including those of the odometry errors and of the local frame."""
         moved = projected(lever(self.rafts[:, None], self.positions), self.drift[:, None])[..., :2, :2]
         turned = projected(self.positions_by_bias, self.spread[:, None, 3:, 3:])
         return self.covariances + turned + self.adrift[..., None, None] * moved

@@ -1,4 +1,4 @@
-"""A FastSLAM particle's trajectory, told from the end."""
+"""Smoothed trajectory of a FastSLAM particle."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ __all__ = ["path"]
 def path(
     state: LandmarkParticles, particle: int, motions: Sequence[MotionSampler], bias: OdometryBias = EXACT_ODOMETRY
 ) -> FloatArray:
-    """Trajectory (1 + T, 3) of a particle, map frame: what was drawn, and between that what is to be expected.
+    """Trajectory (1 + T, 3) of a particle, map frame: sampled poses, and smoothed poses between them.
 
-    What was drawn on a raft is told from where the raft came to lie, and all that was drawn from what the errors of the
-    odometry turned out to be. Poses that were not drawn, since nothing was seen, are the means of p(x_t | u, the poses
-    drawn before and after), by one pass of a Kalman smoother. With FastSLAM 1.0, which draws every pose, it is the
-    ancestry.
+    Poses sampled in a local frame are transformed by its final pose, and all sampled poses are corrected by the final
+    estimate of the odometry errors. Poses that were not sampled, since nothing was observed, are the means of
+    p(x_t | u, the poses sampled before and after), by one pass of a Kalman smoother. For FastSLAM 1.0, which samples
+    every pose, the trajectory is the ancestry.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def path(
     for begin, end in zip(keys[:-1].tolist(), keys[1:].tolist(), strict=True):
         if end > begin + 1:
             poses[begin + 1 : end] = _between(poses[begin], poses[end], motions[begin:end], bias, errors[begin:end])
-    if keys[-1] < len(poses) - 1:  # nothing tells of these but the motion
+    if keys[-1] < len(poses) - 1:  # only the motion constrains these
         for t in range(int(keys[-1]), len(poses) - 1):
             poses[t + 1] = bias.predict(motions[t], np.append(poses[t], errors[t])[None])[0][0, :3]
     return poses

@@ -1,11 +1,10 @@
-"""The raft of a FastSLAM 2.0 particle: landmarks first seen from a pose that was known badly.
+"""Local frame of a FastSLAM 2.0 particle: landmarks first observed from an uncertain pose.
 
-After a spell without a sighting the pose is uncertain by decimetres, and landmarks that are then seen for the first
-time lie where the pose does. To draw that pose is to decide, for good, where all of them lie: the particles that drew
-otherwise are resampled away by the noise of the sightings to come, long before the robot is back among the landmarks
-that it knew and could tell. So it is not drawn. The new landmarks lie on a raft, exact to each other as ever, and
-where the raft lies is a Gaussian that each sighting from the raft to the map, or back, corrects as a Kalman filter.
-The rest of the particle is drawn: the robot's pose on the raft while the robot is aboard, in the map while it is not.
+After an interval without observations the pose is uncertain by decimetres, and landmarks that are then observed for the
+first time have the same error. Sampling that pose would fix all of them: particles with other samples are lost by
+resampling long before the robot observes known landmarks again. So it is not sampled. The new landmarks are kept in a
+local frame, and the pose of this frame is a Gaussian that is corrected by a Kalman update whenever landmarks of both
+frames are observed. The remaining pose is sampled: in the local frame or in the map frame, whichever holds the robot.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _EXACT = 1e-6  # m^2 and rad^2: what is known to 1 mm and 1 mrad is not known be
 
 
 def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
-    """How poses or points (..., 2 and more) move as rafts (..., 3) do: Jacobians (..., 3, 3), for points two rows."""
+    """Jacobians (..., 3, 3), for points two rows, of poses or points (..., 2 and more) by local frames (..., 3)."""
     moves = np.zeros((*points.shape[:-1], 3, 3))
     moves[..., 0, 0] = moves[..., 1, 1] = moves[..., 2, 2] = 1.0
     moves[..., 0, 2], moves[..., 1, 2] = rafts[..., 1] - points[..., 1], points[..., 0] - rafts[..., 0]
@@ -42,23 +41,23 @@ def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
 @final
 @dataclass(slots=True, eq=False)
 class PoseAndRaft:
-    """What each particle believes, within one step, of its pose and of what is not drawn: one Gaussian.
+    """Joint Gaussian of the pose and of the local frame of each particle within one step.
 
-    With the pose's own error e and the raft's error d, the pose errs by e + s L d, where s is 1 aboard and 0 else and L
-    is the lever. What lies on the same side as the robot, both aboard or both not, tells of e alone; else of e + (s -
-    f) L d, where f is 1 for landmarks that are adrift. Or, with errors of the odometry b that move a landmark by A b,
-    what is seen of it tells of e - A b.
+    With the error e of the pose and the error d of the local frame, the pose errs by e + s L d, where s is 1 if the
+    robot is in the local frame and 0 otherwise, and L is the lever. An observation of a landmark in the frame of the
+    robot depends on e only; otherwise on e + (s - f) L d, where f is 1 for landmarks in the local frame. Or, with
+    odometry errors b that move a landmark by A b, an observation of it depends on e - A b.
 
     Attributes
     ----------
     state : LandmarkParticles
-        Its raft and the landmarks on it move as they are corrected.
+        Its local frame and the landmarks in it move as they are corrected.
     mean : (N, 3 + B) float64
-        Poses, map frame, and the errors of the odometry that are learned; where any are (B > 0) there are no rafts.
+        Poses, map frame, and the estimated odometry errors; if there are any (B > 0) there are no local frames.
     covariance : (N, 3 + B, 3 + B) or (N, 6, 6) float64
-        Of e and b, or of e and d where any particle has a raft.
+        Of e and b, or of e and d if any particle has a local frame.
     replaced : (N, 5) float64 or None
-        `state.rafts_now()` with those rafts that were replaced as they lay at last.
+        `state.rafts_now()` with the last pose of local frames that were replaced.
     """
 
     state: LandmarkParticles
@@ -87,7 +86,7 @@ class PoseAndRaft:
 
     @property
     def floats(self) -> bool:
-        """Whether any particle has a raft."""
+        """Whether any particle has a local frame."""
         return bool(self.covariance.shape[1] > self.mean.shape[1])
 
     def spread(self, rows: IntArray, columns: IntArray) -> FloatArray:
@@ -97,7 +96,7 @@ class PoseAndRaft:
         return projected(self._errors_seen_from(rows, columns), self.covariance[rows])
 
     def reach(self) -> FloatArray:
-        """Covariance (N, 3, 3) of the poses as seen from whatever sees them worst."""
+        """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""
         if self.learns:
             turned = projected(self.state.positions_by_bias, self.covariance[:, None, 3:, 3:])
             most = np.trace(turned, axis1=2, axis2=3).max(axis=1, initial=0.0)
@@ -109,7 +108,7 @@ class PoseAndRaft:
         return np.asarray(2 * (self.covariance[:, :3, :3] + projected(L, self.covariance[:, 3:, 3:])))
 
     def correct(self, seen: Innovation) -> None:
-        """Condition on a sighting, where it has a landmark.
+        """Condition on an observation, where it has a landmark.
 
         Equations 13.26 to 13.28 in the form of a Kalman gain, which needs no inverse of the motion's covariance: that
         may be singular.
@@ -130,9 +129,9 @@ class PoseAndRaft:
             self.state.positions[rows] += turned[..., 0]
 
     def launch(self, only_new: IntArray, rng: np.random.Generator) -> None:
-        """Put the robot on a new raft, as uncertain as its pose, in particles (R,) that have seen nothing they know.
+        """Open a new local frame, with the covariance of the pose, in particles (R,) that observe only new landmarks.
 
-        It replaces a raft that is less uncertain, which is drawn: each particle has one.
+        It replaces a less uncertain local frame, which is sampled: each particle has one.
         """
         if self.learns:
             return
@@ -154,7 +153,7 @@ class PoseAndRaft:
         state.launched[rows] = state.ancestry.steps  # the step that is being taken
 
     def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw of the poses what is independent of all that is never drawn.
+        """Sample the part of the poses that is independent of the Gaussian parts.
 
         Returns poses and errors of the odometry (N, 3 + B), and what covariance (N, 3 + B, 3 + B) is left.
         """
@@ -167,7 +166,7 @@ class PoseAndRaft:
         return self.mean, left
 
     def _draw_by_raft(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw the poses on the raft or in the map, wherever each is known better, and condition the raft on them."""
+        """Sample the poses in the frame with the smaller covariance and condition the local frame on them."""
         state = self.state
         seen_from = [self._errors(np.full(len(state), side)) for side in (False, True)]
         in_map, on_raft = (projected(errors, self.covariance) for errors in seen_from)
@@ -202,7 +201,7 @@ class PoseAndRaft:
         return errors
 
     def _errors(self, sides: NDArray[np.bool_], rows: IntArray | slice = slice(None)) -> FloatArray:
-        """Jacobians (R, 3, 6) of the poses' errors by e and d, seen from the raft where `sides` (R,), else the map."""
+        """Jacobians (R, 3, 6) of the pose errors by e and d: in the local frame where `sides` (R,), else in the map."""
         state = self.state
         errors = np.zeros((len(sides), 3, 6))
         errors[:, :, :3] = np.eye(3)
@@ -211,7 +210,7 @@ class PoseAndRaft:
         return errors
 
     def _move(self, rows: IntArray, by: FloatArray) -> None:
-        """Move rafts by (R, 3), about where each lies, and all that is on them."""
+        """Move local frames by (R, 3) with all their landmarks."""
         state, before = self.state, self.state.rafts[rows]
         after = before + by
         after[:, 2] = wrap(after[:, 2])

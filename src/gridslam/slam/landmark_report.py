@@ -1,4 +1,4 @@
-"""What one step of a landmark filter tells, and the landmarks as they are told at the end."""
+"""Report of one step of a landmark filter, and the final landmark map."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["LandmarkMap", "LandmarkReport"]
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkReport:
-    """What one step of a filter tells its observers.
+    """Report of one filter step.
 
     Attributes
     ----------
     pose, covariance : (3,), (3, 3) float64
         Of the robot, map frame: of the EKF, or of the best particle and of all particles about it.
     landmarks : (K,) int64
-        Which landmark each sighting was taken for, by its name (see `LandmarkMap`), that of a new one, too; `AMBIGUOUS`
-        for a sighting of which nothing was learned. With particles it is what the best one says.
+        Name of the landmark associated with each observation (see `LandmarkMap`), also of a new one; `AMBIGUOUS` for an
+        unused observation. With particles it is the association of the best one.
     n_eff : float
         Effective sample size before resampling; 1 for the EKF.
     parents : (N,) int64 or None
@@ -38,7 +38,7 @@ class LandmarkReport:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkMap:
-    """Landmarks, as an algorithm tells them at the end.
+    """Estimated landmarks.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class LandmarkMap:
     covariances : (M, 2, 2) float64, m^2
         Of each position by itself.
     sightings : (M,) int64
-        How often each was seen.
+        Number of observations of each.
     """
 
     names: IntArray
@@ -63,4 +63,4 @@ class LandmarkMap:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} sightings)"
+        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} observations)"

@@ -1,4 +1,4 @@
-"""Loop closure: an old place recognized corrects the trajectory, and the corrected map goes back into the filter."""
+"""Loop closure: corrects the trajectory when a place is recognized, and rebuilds the map of the filter."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["LoopClosure"]
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class LoopClosure:
-    """Remember, recognize, solve, draw, merge.
+    """Store, recognize, optimize, rebuild the map, merge.
 
     When the graph, solved with a place just recognized, puts the robot elsewhere than the filter does, the filter's
     past is replaced: all particles are reseeded on the graph's most likely trajectory, with equal weights and the one
@@ -40,7 +40,7 @@ class LoopClosure:
     matcher's basin (the closure was matched), and the motion model spreads the particles again. Particles that differ
     only in how they would have closed this loop have nothing left to be weighed by, hence equal weights.
 
-    The graph is solved aside, some linear systems at each new scan, and then the corrected map is drawn aside,
+    The graph is solved incrementally, some linear systems at each new scan, and then the corrected map is built,
     `scans_per_step` key scans at each new one, so that no scan waits for either: the map is merged a number of scans
     after the closure was found that depends on counts alone, never on time.
 
@@ -53,9 +53,9 @@ class LoopClosure:
     drift : Drift
         How uncertain tracked motion is.
     disagree_m, disagree_rad : float
-        Where the filter has the recognized places within this it closed the loop itself, and is left alone.
+        The filter is not corrected if its trajectory satisfies the new constraints within this.
     scans_per_step : int
-        Key scans of the corrected map drawn at each new key scan, 0.3 ms each.
+        Key scans inserted into the corrected map per new key scan, 0.3 ms each.
     poses_per_scan : int
         Poses solved for at each new scan, 1 us each; never less than one linear system of them all.
     """
@@ -84,13 +84,13 @@ class LoopClosure:
         mapper: OccupancyGridMapping,
         threads: int,
     ) -> StepReport:
-        """Take note of a scan that the filter has taken; may correct `state`, and says so in the report."""
+        """Process a scan after the filter; may correct `state`, which the report indicates."""
         memory.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
         ties = [] if memory.weighing is None else self._weigh(memory, memory.weighing, mapper, threads)
         if report.skipped is not None:
             return replace(report, closures=_ends(ties)) if ties else report
         self._remember(memory, state)
-        if len(memory.graph) == BLOCK:  # long before a place can be an old one
+        if len(memory.graph) == BLOCK:  # long before the first search
             Thread(target=self.solver.prepare).start()
         found = self.recognition(memory, mapper)
         if found and memory.weighing is None and memory.correction is None and self._disagrees(memory, found, state):
@@ -113,7 +113,7 @@ class LoopClosure:
         memory.said.append(state.poses[state.best])
 
     def _disagrees(self, memory: Memory, ties: list[Tie], state: GridFastSlamState) -> bool:
-        """Whether the filter's best trajectory contradicts what was recognized."""
+        """Whether the best particle violates the new constraints."""
         trajectory = state.ancestry.trajectory(state.best)
         has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
         missed = between(has, np.array([tie.measurement for tie in ties]))
@@ -121,9 +121,9 @@ class LoopClosure:
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
     def _weigh(self, memory: Memory, weighing: Weighing, mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
-        """Solve the graph a little more; at the end begin to draw the corrected past, and return the new ties.
+        """Advance the graph solver; when it has finished, start the correction and return the accepted constraints.
 
-        None are returned before the end, and none if the graph doubts them.
+        Returns none before the solver has finished, and none if it rejects them.
         """
         graph = memory.graph
         if weighing.work is None:
@@ -140,7 +140,7 @@ class LoopClosure:
         true = solution.weights[-weighing.new :] >= 0.5
         ties = [tie for tie, is_true in zip(graph.ties[new], true.tolist(), strict=True) if is_true]
         memory.rejected[Rejection.IMPLAUSIBLE] += weighing.new - len(ties)
-        if 2 * len(ties) <= weighing.new:  # what else is known speaks against the closure
+        if 2 * len(ties) <= weighing.new:  # most of the new constraints were rejected
             ties = []
         graph.ties[new] = ties
         if ties:
@@ -149,7 +149,7 @@ class LoopClosure:
         return ties
 
     def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
-        """Draw on; when all is drawn, merge. Returns whether it was merged."""
+        """Continue to rebuild the map and merge it when complete; return whether it was merged."""
         correction.poses = poses = memory.graph.continued(correction.poses)
         last = min(correction.drawn + self.scans_per_step, len(poses))
         draw(correction.maps, memory.scans, range(correction.drawn, last), poses[correction.drawn : last])

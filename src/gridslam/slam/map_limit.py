@@ -42,7 +42,7 @@ class MapLimit:
     tiles_per_particle: int = Field(default=1700, ge=1)
 
     def __call__(self, state: GridFastSlamState) -> IntArray | None:
-        """Say which particle each is to continue, (N,); None if the maps are within the limit, or not counted now."""
+        """Index of the particle that each continues, (N,); None if maps are within the limit, or not counted now."""
         count, maps = len(state.poses), state.maps
         limit = self.tiles_per_particle * count
         if state.ancestry.steps % _EVERY or maps.tiles_used <= limit:

@@ -1,4 +1,4 @@
-"""What loop closure remembers of a run."""
+"""State of loop closure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["Correction", "Memory", "Rejection", "Weighing"]
 
 
 class Rejection(Enum):
-    """Why a recognized place was not believed."""
+    """Why a loop-closure candidate was rejected."""
 
     POOR = "too few beams agree"
     AMBIGUOUS = "another place fits as well"
@@ -38,7 +38,7 @@ class Rejection(Enum):
 @final
 @dataclass(slots=True, eq=False)
 class Correction:
-    """A corrected past that is being drawn: poses of the key scans, and the map of the first `drawn` of them."""
+    """A corrected trajectory whose map is being rebuilt: key scan poses, and the map of the first `drawn` of them."""
 
     poses: FloatArray
     maps: TileMaps
@@ -48,18 +48,18 @@ class Correction:
 @final
 @dataclass(slots=True, eq=False)
 class Weighing:
-    """New ties that the graph is being solved with.
+    """New constraints, while the graph is solved with them.
 
     Attributes
     ----------
     keys, ties : int
-        The graph is that of the first so many key scans and ties.
+        Number of key scans and constraints in the graph being solved.
     new : int
-        The last so many of these ties are in question.
+        Number of new constraints, the last of `ties`.
     steps : int
         Steps of work done.
     work : Work of GraphSolution or None
-        What does them; None where it has to be begun again, up to `steps`.
+        The running computation; None if it must be restarted and advanced to `steps`.
     """
 
     keys: int
@@ -72,31 +72,32 @@ class Weighing:
 @final
 @dataclass(slots=True, eq=False)
 class Memory:
-    """What loop closure remembers of a run.
+    """State of loop closure.
 
     Attributes
     ----------
     scans : ScanArchive
         All scans.
     graph : KeyGraph
-        The key scans and how they hang together.
+        Key scans, odometry and loop-closure constraints.
     hypotheses : list of Tie
-        Places recognized lately that wait for others to agree.
+        Recent loop-closure candidates that are not confirmed yet.
     rejected : Counter
-        How often which reason spoke against a place.
+        Number of rejected candidates by reason.
     said : list of (3,) float64
-        The best particle's pose at each key scan, as told at the time or corrected since.
+        Online pose of the best particle at each key scan, or its later correction.
     doubts : (float, float), m^2, rad^2
-        Variances of the odometry that the tracker took instead of a match, up to the newest key scan.
+        Accumulated variances of the odometry increments used in place of a rejected scan match, up to the newest key
+        scan.
     failures, next_search : int
-        Searches in a row that found nothing, and the key scan at which to search next.
+        Number of consecutive failed searches, and the key scan of the next search.
     area, wide : tuple of int
-        Submaps in which was searched last, and from which the place found there must be told; while they are the ones
-        to search in, their map is drawn once.
+        Submaps of the last search, and those of its ambiguity check; their joint maps are cached while they do not
+        change.
     weighing : Weighing or None
-        Places just recognized, of which is not known yet what the graph says.
+        New constraints that the graph solver has not accepted or rejected yet.
     correction : Correction or None
-        A corrected past on its way into the filter.
+        A corrected trajectory that will replace the filter's.
     """
 
     scans: ScanArchive = field(default_factory=ScanArchive)
@@ -114,13 +115,13 @@ class Memory:
     submaps: Submaps = field(default_factory=Submaps)
 
     def correct(self, poses: FloatArray) -> None:
-        """Let the key scans be at poses (T, 3): what was drawn from others is drawn anew."""
+        """Set the poses (T, 3) of the key scans and invalidate cached maps."""
         self.graph.correct(poses)
         self.area = self.wide = ()
         self.submaps.forget()
 
     def snapshot(self) -> Memory:
-        """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
+        """Return a copy; scans are shared and caches are not copied."""
         pending = self.correction
         if pending is not None:
             pending = replace(pending, maps=pending.maps.snapshot())
@@ -131,7 +132,7 @@ class Memory:
         )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {
             "said": np.array(self.said, np.float64).reshape(-1, 3),
             "doubts": np.array(self.doubts),

@@ -12,12 +12,12 @@ from gridslam.types import FloatArray
 __all__ = ["Moments", "Nearby", "covariances", "moments_of"]
 
 Moments = tuple[float, ...]
-"""The sums along a way of what `moments_of` tells of its steps."""
+"""Sums of the result of `moments_of` along a path."""
 
 
 @final
 class Nearby(NamedTuple):
-    """A submap, and where a key scan is as seen from its first one, by the most certain way there."""
+    """A submap with the relative pose of a key scan along the least uncertain path."""
 
     block: int
     pose: FloatArray  # (3,)

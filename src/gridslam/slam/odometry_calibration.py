@@ -1,4 +1,4 @@
-"""What the tracker learns of the odometry as it goes: its systematic errors, its noise, and whether it helps at all."""
+"""Online calibration of the odometry: systematic errors, noise, and whether it is useful."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 @final
 @dataclass(slots=True, eq=False)
 class LearnedOdometry:
-    """What is known of the odometry; arrays in it are replaced, never written to.
+    """Estimated odometry model; arrays are replaced, never modified in place.
 
     Attributes
     ----------
     factors : (6,) float64
         True increments [x, y, theta] are [a x - c y + p theta, c x + a y + q theta, g theta + b x] of those measured,
         by a, c, p m/rad, q m/rad, g, b rad/m: a and c are the scale and a turn of the direction of motion, p and q
-        say where the wheels turn about, seen from the base, g and b how the heading errs by radian and by metre.
+        give the centre of rotation in the base frame, g and b how the heading errs by radian and by metre.
     position, heading : (4, 5), (2, 3) float64
         Normal equations of a, c, p, q and of g, b: the matrix, and the right side as the last column.
     variances : (2,) float64
@@ -44,7 +44,7 @@ class LearnedOdometry:
     begin_pose, begin_odometry : (3,) float64
         Begin of the present stretch, in the tracker's frame and in the odometry's; NaN where there is none.
     determined : bool
-        Whether all scans of the present stretch told where they were in all directions.
+        Whether no scan of the current segment was degenerate.
     """
 
     factors: FloatArray = field(default_factory=_EXACT.copy)
@@ -70,7 +70,7 @@ class LearnedOdometry:
         return replace(self)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
         arrays["stretches"] = np.array(self.stretches)
         return arrays | {"flags": np.array([self.trusted, self.determined])}
@@ -89,7 +89,7 @@ _ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class OdometryCalibration:
-    """Learns from what the tracker makes of the odometry, stretch by stretch.
+    """Estimates the odometry model from the tracked motion, segment by segment.
 
     The six factors of `LearnedOdometry` are the least squares solution over past stretches, of which older ones count
     less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which the
@@ -104,7 +104,7 @@ class OdometryCalibration:
     prior : float
         Weight of the odometry's being exact, in squared metres and radians moved.
     known_stretches : float
-        After so many the odometry's errors are known,
+        Number of segments after which the errors of the odometry count as known,
     known_sigma_m : float, m
         ... if it keeps to them as closely as this over a stretch.
     useless : float
@@ -121,13 +121,13 @@ class OdometryCalibration:
     useless: float = Field(default=0.6, gt=0)
 
     def is_known(self, learned: LearnedOdometry) -> bool:
-        """Whether enough was learned, and the odometry keeps to it."""
+        """Whether the estimate has converged and the odometry is consistent with it."""
         return learned.stretches >= self.known_stretches and learned.variances[0] < self.known_sigma_m**2
 
     def learn(
         self, learned: LearnedOdometry, pose: FloatArray, odometry: FloatArray, believed: bool, determined: bool
     ) -> None:
-        """Take note of a scan that was matched.
+        """Process a scan that was matched.
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class OdometryCalibration:
         believed : bool
             Whether the match was good; else a new stretch begins.
         determined : bool
-            Whether the scan told where it was in all directions.
+            Whether the scan is not degenerate.
         """
         learned.determined &= determined
         known = believed and not math.isnan(odometry[0] + learned.begin_odometry[0])

@@ -1,8 +1,8 @@
-"""What a log tells of its odometry's noise, as a part of the particles' control.
+"""Odometry noise reported by a log, as a part of the control of the particles.
 
-The motion model says how far the particles spread whatever the robot says of itself. Where the log tells how uncertain
-its odometry is, this adds to it, as the two errors are independent: the less certain, the wider. Odometry that tells
-less than the robot's velocity does is not used at all.
+The motion model spreads the particles independently of the log. If the log reports the uncertainty of its odometry,
+that is added, since the two errors are independent. Odometry less certain than the velocity prediction is not used at
+all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROUNDING = 1e-9
 
 
 def is_worse_than_velocity(odometry: Odometry, seconds: float, velocity: ConstantVelocity) -> bool:
-    """Whether odometry tells less than the velocity of the last scans, of the position or of the heading.
+    """Whether odometry is less certain than the velocity of the last scans, in position or heading.
 
     `seconds` are those since the last scan.
     """
@@ -58,9 +58,9 @@ class OdometryNoise:
 
     @classmethod
     def told(cls, state: GridFastSlamState, odometry: Odometry | None, *, matched: bool) -> OdometryNoise | None:
-        """Add what a reading tells to what is known up to the scan before; None where either is not told.
+        """Add the noise of a reading to that accumulated up to the last scan; None if either is unknown.
 
-        To be called before the tracker takes the scan. `matched` says whether it matches scans; else the control is
+        To be called before the tracker processes the scan. `matched`: whether it matches scans; else the control is
         odometry alone, from one key scan to the next.
 
         """

@@ -36,6 +36,6 @@ class OdometryTracker:
 
 def _needed(odometry: Odometry | None, stamp_ns: int) -> Odometry:
     if odometry is None:
-        expected = "a pose with every scan, as this tracker goes by nothing else"
+        expected = "a pose with every scan, as this tracker uses nothing else"
         raise ArgumentError("odometry", expected, f"none with the scan at {stamp_ns} ns")
     return odometry

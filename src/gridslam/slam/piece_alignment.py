@@ -1,4 +1,4 @@
-"""Aligning the pieces of a drive between which the robot went on blindly: the whole piece decides, not one scan."""
+"""Alignment of rigid components of the trajectory that are separated by gaps in the laser data."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class _Hit:
 class _Alignment:
     """A piece followed through the map of another one from the best of the hits that agree.
 
-    `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; `alone` hits had no other
-    place that fits nearly as well.
+    `poses` (K, 3) are those of all its key scans, `nats` their log likelihood; `alone` hits had no other place that
+    fits nearly as well.
     """
 
     poses: FloatArray
@@ -58,14 +58,14 @@ class _Alignment:
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class PieceAlignment:
-    """Finds where a piece of the drive lies in the map of another one, by all of its key scans together.
+    """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
 
     Within a piece the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
-    other piece's map, and the two best places of each search are kept. Hits that the tracked motion joins are one
-    hypothesis, which is followed through the whole piece from scan to scan. It is judged by the score by which
-    trajectories are compared (see `JointMapScore`): a single scan may fit two places, a whole drive seldom does.
-    The best hypothesis is accepted if it says enough, next to nothing speaks for any other one, the drift explains it,
-    and the piece does not look alike in itself: then the place where it fits may look like one never seen.
+    other piece's map, and the two best places of each search are kept. Hits that are consistent with the tracked motion
+    form one hypothesis, which is tracked through the whole component. It is judged by the score by which trajectories
+    are compared (see `JointMapScore`): a single scan is often ambiguous, a whole component rarely. The best hypothesis
+    is accepted if its log likelihood is high enough, no other hypothesis is comparable, it lies within the drift
+    covariance, and the component is not self-similar (a self-similar component may match an aliased place).
 
     Parameters
     ----------
@@ -74,15 +74,15 @@ class PieceAlignment:
     reach_m : float, m
         A key scan is searched for where the drift leaves its position this certain (standard deviation).
     hypotheses : int
-        At most so many are followed, those of most hits first.
+        Maximum number of hypotheses, those with most hits first.
     follow_sigma : float
         A match farther from the motion since the last one than this many standard deviations is not followed.
     neutral, scale_m, tempering
         As in `JointMapScore`.
     least_nats : float, nats
-        What the best hypothesis must say at least.
+        Minimum log likelihood of the best hypothesis.
     rival : float
-        What any other hypothesis may say at most, as a part of what the best one says.
+        Maximum log likelihood of any other hypothesis, as a fraction of the best.
     rival_alone : float
         The same where enough of the searches, by themselves, found nothing else that fits nearly as well.
     same_m : float, m
@@ -91,7 +91,7 @@ class PieceAlignment:
         The piece looks alike in itself where, in its own map, the next best place of a quarter of its key scans fits
         this well, as a part of how the right one does.
     share : float
-        Share of the beams that must agree for a key scan to give a constraint.
+        Minimum inlier ratio of a key scan that gives a constraint.
     least : int
         Constraints that an alignment must give, and searches that must have found nothing else.
     search : BranchAndBound
@@ -231,7 +231,7 @@ class PieceAlignment:
     def _matched(
         self, memory: Memory, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
     ) -> tuple[FloatArray, float]:
-        """Match a key scan if the motion allows it, and tell in nats what its beams say for being there."""
+        """Match a key scan within the gate of the motion; return its pose and log likelihood (nats)."""
         beams, pose = memory.scans.key(key), guess
         if len(beams) < self.matcher.least_beams:
             return pose, 0.0
@@ -246,7 +246,7 @@ class PieceAlignment:
         return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
 
     def _looks_alike(self, memory: Memory, places: PlaceParameters, own: Pyramid, keys: IntArray) -> bool:
-        """Whether a piece fits its own map elsewhere as well: there its like may stand where nobody has been."""
+        """Whether a component also matches its own map elsewhere (self-similarity)."""
         within = replace(self.search, window_m=self.search.window_m / 2, window_rad=0.35)
         ratios = []
         for key in keys[min(places.query, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():

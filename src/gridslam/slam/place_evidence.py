@@ -1,4 +1,4 @@
-"""What speaks for a place or against it: points seen lately, beams through walls, what matches differ by."""
+"""Checks of loop-closure candidates: inlier ratio, beams through walls, consistency."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _MATCHING = np.diag([0.05, 0.05, 0.02]) ** 2
 """Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
 
 _WALL_M = 0.3
-"""A beam that ends so much behind what the map knows has passed through it."""
+"""A beam that ends this far behind a mapped obstacle has passed through it."""
 
 
 def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
     """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
 
-    None from before the robot went on blindly.
+    Stops at a gap in the laser data.
     """
     graph = memory.graph
     keys = graph.unbroken(np.arange(max(key - scans + 1, 0), key + 1), key)
@@ -36,7 +36,7 @@ def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
 
 
 def agreement(maps: TileMaps, pose: FloatArray, points: FloatArray, overlap: float, cauchy_m: float) -> float:
-    """How well points (B, 2), seen from a pose, agree with what the map knows; 0 if it knows a lesser share of them.
+    """Inlier ratio of points (B, 2) at a pose over known cells; 0 if fewer than `overlap` of them are known.
 
     An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
     """
@@ -53,7 +53,7 @@ def plausible(covariance: FloatArray, missed: FloatArray, gate: float) -> bool:
 
 
 def through_walls(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:
-    """Share of the beams that, from a pose (3,), would pass through what the map knows as walls."""
+    """Ratio of beams that, from a pose (3,), would pass through what the map knows as walls."""
     ways = beams.ends - beams.origin
     ranges = np.hypot(ways[:, 0], ways[:, 1])
     seen = maps.cast_rays(ROW, pose[None], beams.origin, ways / ranges[:, None], float(ranges.max()))[0]
@@ -61,7 +61,7 @@ def through_walls(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:
 
 
 def missed_by(graph: KeyGraph, way: Nearby, tie: Tie) -> FloatArray:
-    """What a tie (3,) differs by from the way to its submap, turned to the map frame."""
+    """Innovation (3,) of a constraint with respect to the best path through the graph, map frame."""
     expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
     turn = graph.poses[-1][2] - expected[2]
     c, s = math.cos(turn), math.sin(turn)
@@ -70,6 +70,6 @@ def missed_by(graph: KeyGraph, way: Nearby, tie: Tie) -> FloatArray:
 
 
 def disagreement(graph: KeyGraph, earlier: Tie, later: Tie) -> FloatArray:
-    """What the place of a later tie differs by (3,) from where the motion leads from the place of an earlier one."""
+    """Difference (3,) between a later constraint and the prediction from an earlier one by tracked motion."""
     reached = compose(earlier.measurement, between(graph.tracked[earlier.to], graph.tracked[later.to]))
     return between(reached, compose(graph.local(earlier.from_, later.from_), later.measurement))

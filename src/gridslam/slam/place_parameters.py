@@ -1,4 +1,4 @@
-"""What it takes to believe that a key scan shows an old place, and how key scans are matched to submaps."""
+"""Acceptance thresholds of place recognition, and matching of key scans to submaps."""
 
 from __future__ import annotations
 
@@ -24,47 +24,47 @@ __all__ = ["PlaceParameters"]
 
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class PlaceParameters:
-    """What `PlaceRecognition` goes by.
+    """Parameters of `PlaceRecognition`.
 
     Parameters
     ----------
     gap : int
-        Submaps this recent are no old place.
+        Number of most recent submaps that are excluded.
     near_m : float, m
-        Two key scans this close see enough in common to be matched.
+        Largest distance between two key scans to be matched.
     overlap : float
-        Share of the points that must lie in what the old map knows: where it knows nothing, nothing can agree.
+        Minimum ratio of points that fall into known cells of the old map.
     share : float
-        Share of those that must agree with the old map.
+        Minimum inlier ratio of those points.
     known_m : float, m
-        Where the position relative to a submap is this certain (standard deviation), its scans are tied without search.
+        Standard deviation of the relative position below which key scans are matched without a search.
     follow : int
-        Key scans for which the robot is followed from one that was tied in all directions.
+        Number of key scans for which the pose is tracked from the last non-degenerate constraint.
     follow_m : float, m
-        A match farther from where the robot was followed to is not believed, since it contradicts the motion from tie
-        to tie: what it fits has moved, or it slid along a wall.
+        Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall.
     believed_m : float, m
-        Where the filter has the robot farther than this from where it was tracked to, its belief is not taken over: a
-        map that repeats itself may have drawn it there.
+        Ignore the filter's pose if it differs from the tracked pose by more than this: a repetitive map may have
+        attracted it.
     every : int
         Key scans between two searches.
     query : int
-        Key scans whose points are searched together.
+        Number of key scans whose points are matched together.
     other_share : float
-        A second place with this share of the best one's agreement makes it ambiguous.
+        Reject as ambiguous if another pose reaches this fraction of the best score.
     unlike_m, unlike_rad : float
-        Not only within the drift: where the map repeats itself this near, the next room may be one never seen.
+        Margin added to the search window of the ambiguity check, since the true place may be an unmapped neighbour that
+        looks alike.
     through : float
-        Share of the beams that may pass through what the old map knows as walls: doors and furniture move.
+        Maximum ratio of beams that pass through walls of the old map (doors and furniture move).
     confirmations : int
-        Searches in a row that must agree.
+        Minimum number of consistent consecutive searches.
     agree_m, agree_rad : float
-        How far they may differ.
+        Largest difference between them.
     least_information : float
-        Least eigenvalue of the position's information, per agreeing beam: along a corridor whose doors are shut nothing
-        is recognized.
+        Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare
+        corridors.
     beam_sigma_m : float, m
-        Standard deviation of what one beam says about a tie, beams being correlated and walls a cell thick.
+        Standard deviation of one beam in a constraint, inflated for correlated beams and cell size.
     search : BranchAndBound
         How a place is searched for.
     matcher : GaussNewton
@@ -118,9 +118,9 @@ class PlaceParameters:
         return Tie.of(anchor_of(block), key, guess, seen, self.beam_sigma_m, self.least_information, source)
 
     def agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
-        """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
+        """Whether overlap and inlier ratio of points (B, 2) at a pose reach their thresholds."""
         return evidence.agreement(maps, pose, points, self.overlap, self.matcher.cauchy_m) >= self.share
 
     def is_plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
-        """Whether the drift explains what a match differs by (3,)."""
+        """Whether the innovation (3,) of a match lies within the gate."""
         return evidence.plausible(covariance, missed, self.search.gate)

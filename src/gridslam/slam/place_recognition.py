@@ -1,4 +1,4 @@
-"""Recognizing old places by scan matching, and believing it only when nothing speaks against it."""
+"""Place recognition by scan matching, with rejection of ambiguous and inconsistent matches."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ __all__ = ["PlaceRecognition"]
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class PlaceRecognition(PlaceParameters):
-    """Ties key scans to older submaps: those it still knows its way to, and those it recognizes.
+    """Adds constraints from key scans to older submaps: tracked revisits and recognized places.
 
-    A place is recognized when the points of the last key scans fit the old map somewhere within what the drift allows
-    (branch and bound), nowhere else within it as well, in all directions, without looking through walls, and when
-    other searches nearby say the same.
+    A place is recognized if the points of the last key scans match the old map within the pose uncertainty (branch and
+    bound), the match is unique, has no degenerate direction, passes no beams through walls, and is confirmed by the
+    next searches.
     """
 
     def __call__(self, memory: Memory, mapper: OccupancyGridMapping) -> list[Tie]:
-        """Look at the newest key scan; returns the ties of a place just recognized, which are in the graph, too."""
+        """Process the newest key scan; return the constraints of a newly recognized place, also added to the graph."""
         graph = memory.graph
         newest = len(graph) - 1
         if newest // BLOCK < self.gap or len(memory.scans.key(newest)) < self.matcher.least_beams:
@@ -69,10 +69,10 @@ class PlaceRecognition(PlaceParameters):
     def search_all(
         self, memory: Memory, mapper: OccupancyGridMapping, known: Sequence[Tie], tick: Callable[[], None]
     ) -> list[Tie]:
-        """Search the whole log for places that `known` ties do not tell of yet.
+        """Search the whole log for revisits that the constraints `known` do not cover.
 
-        Returns ties of groups that agree with each other and with the motion between them: each is one place seen
-        again, by as many searches as confirm it. The graph's poses and ties are those of the best answer so far.
+        Returns groups of constraints that are consistent with each other and with the tracked motion between them; each
+        group is one confirmed revisit. The poses and constraints of the graph are those of the best candidate so far.
         """
         graph, near = memory.graph, range(-self.every, self.every + 1)
         tied, labels = {tie.to + k for tie in known for k in near}, graph.pieces()
@@ -82,7 +82,7 @@ class PlaceRecognition(PlaceParameters):
                 continue
             for piece in candidate_pieces(self, graph, key):
                 if piece[0].sigma_m < 2 * self.known_m or labels[anchor_of(piece[0].block)] != labels[key]:
-                    continue  # key scans are matched to it without search; another piece is aligned as a whole
+                    continue  # tracked revisit: matched without a search; another piece is aligned as a whole
                 found = self._searched(memory, mapper, key, piece)
                 tick()
                 if isinstance(found, Rejection):
@@ -95,14 +95,14 @@ class PlaceRecognition(PlaceParameters):
     def _searched(
         self, memory: Memory, mapper: OccupancyGridMapping, key: int, piece: list[Nearby]
     ) -> Tie | Rejection | None:
-        """Search at a key scan to the end: maps are drawn when they are needed."""
+        """Run all stages of the search at one key scan."""
         found = None
         for _ in range(3):
             found = found or search_place(self, memory, mapper, key, piece)
         return found
 
     def _group(self, graph: KeyGraph, groups: list[list[Tie]], found: Tie) -> None:
-        """Add a tie to the group that it agrees with, or begin one."""
+        """Add a constraint to the consistent group, or start a new one."""
         for group in reversed(groups):
             if found.to - group[-1].to <= 6 * self.every and self._agree(graph, group[-1], found):
                 group.append(found)
@@ -110,17 +110,17 @@ class PlaceRecognition(PlaceParameters):
         groups.append([found])
 
     def _convinces(self, group: list[Tie], found: list[Tie]) -> bool:
-        """Whether a group has enough members, and more than twice as many as contradict it meanwhile."""
+        """Whether a group has enough members, and a majority of the candidates in its interval."""
         meanwhile = sum(group[0].to <= tie.to <= group[-1].to for tie in found)
         return len(group) >= max(self.confirmations, 2 * (meanwhile - len(group)) + 1)
 
     def _reject(self, memory: Memory, reason: Rejection) -> None:
-        """Count a place that was not believed; what fits nowhere is searched for less and less often."""
+        """Count a rejected candidate; after repeated failures the search interval grows."""
         memory.rejected[reason] += 1
         memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
         memory.next_search = len(memory.graph) - 1 + self.every * 2 ** min(max(memory.failures - 1, 0), 3)
 
     def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
-        """Whether the motion between two key scans leads from the one place to the other."""
+        """Whether two candidates are consistent with the tracked motion between their key scans."""
         missed = evidence.disagreement(graph, earlier, later)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad

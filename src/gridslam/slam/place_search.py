@@ -1,4 +1,4 @@
-"""Searching for a key scan in the old submaps where the robot may be, and in all that it must be told from."""
+"""Search for loop-closure candidates in old submaps, and check for ambiguity."""
 
 from __future__ import annotations
 
@@ -21,16 +21,15 @@ from gridslam.types import FloatArray
 __all__ = ["candidate_pieces", "search_place"]
 
 _FEW, _MOST_SUBMAPS = 12, 24
-"""Submaps in which a place is searched for, and those from which it must be told."""
+"""Maximum number of submaps in the search and in the ambiguity check."""
 
 
 def search_place(
     places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, candidates: list[Nearby]
 ) -> Tie | Rejection | None:
-    """Search what was seen up to a key scan in old submaps where the robot may have been: one of `candidate_pieces`.
+    """Match the points up to a key scan against old submaps within the pose uncertainty (one of `candidate_pieces`).
 
-    Where the map to search in has to be drawn first, that is all for now, and None is returned: no scan shall wait for
-    both.
+    If the joint map must be built first, only that is done and None is returned, so that no scan waits for both.
     """
     graph, oldest = memory.graph, key // BLOCK - places.gap
     way, blocks = candidates[0], tuple(n.block for n in candidates)
@@ -42,7 +41,7 @@ def search_place(
         return found
     near = [n.block for n in candidates if _away(places, n) < places.search.gate][:_FEW]
     if not set(near[:6]) <= set(memory.area):
-        seen_too = {b for block in near for b in range(block - 1, block + 2)}  # what is seen reaches farther
+        seen_too = {b for block in near for b in range(block - 1, block + 2)}  # within the range of the sensor
         memory.area = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
         memory.submaps.joint(memory.area, mapper, memory.scans, graph)
         return None
@@ -60,7 +59,7 @@ def _told_apart(
     places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int,
     guess: FloatArray, spread: FloatArray, points: FloatArray,
 ) -> Tie | Rejection:  # fmt: skip
-    """Search in all the places that the one found must be told from."""
+    """Check that no other place matches as well."""
     graph, blocks = memory.graph, memory.wide
     pyramid = memory.submaps.pyramid(blocks, mapper, memory.scans, graph)
     maps = memory.submaps.joint(blocks, mapper, memory.scans, graph)
@@ -81,9 +80,10 @@ def _told_apart(
 
 
 def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list[list[Nearby]]:
-    """Old submaps that the robot may be in, by rigid piece; those that it would have to be moved least for first.
+    """Candidate submaps by rigid component; first those that require the smallest correction of the robot's pose.
 
-    Submaps between which the robot went on blindly make no map together, and are searched one piece at a time.
+    Submaps separated by a gap in the laser data do not form a consistent map; each rigid component is searched on its
+    own.
     """
     oldest, labels = key // BLOCK - places.gap, graph.pieces()
     found: dict[int, list[tuple[float, Nearby]]] = {}
@@ -100,14 +100,14 @@ def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list
 
 
 def _away(places: PlaceParameters, nearby: Nearby) -> float:
-    """By how many standard deviations the robot would have to be elsewhere to be in a submap."""
+    """Distance to a submap in standard deviations of the relative pose."""
     return max(math.hypot(nearby.pose[0], nearby.pose[1]) - places.near_m, 0.0) / nearby.sigma_m
 
 
 def _judged(
     places: PlaceParameters, found: Found, maps: TileMaps, points: FloatArray, memory: Memory, key: int
 ) -> Rejection | None:
-    """What speaks against a place that was found."""
+    """Return the reason to reject a candidate, or None."""
     if not places.agrees(maps, found.pose, points):
         return Rejection.POOR
     if found.other_share > places.other_share * found.share:

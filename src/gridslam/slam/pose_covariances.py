@@ -17,8 +17,8 @@ __all__ = ["drift_covariances", "scan_covariances"]
 def drift_covariances(graph: PoseGraph) -> FloatArray:
     """Covariances (T, 3, 3) of poses that only increments join, one from each pose to the next.
 
-    A heading error of variance q at p_j moves a later pose p across the way between them: (p - p_j)^2 q. Summed over
-    the way that takes no more than the moments of q about the origin, so all poses are told at once.
+    A heading error of variance q at p_j moves a later pose p across the line between them: (p - p_j)^2 q. Summed over
+    the path this needs only the moments of q about the origin, so all poses are computed at once.
 
     Parameters
     ----------

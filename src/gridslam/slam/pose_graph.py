@@ -31,7 +31,7 @@ class PoseGraph:
     information : (M, 3, 3) float64
         Inverse covariance of the error of each measurement (see `errors`), by x, y in m and theta in rad.
     trusted : (M,) bool
-        Measurements that no robust estimation doubts: odometry.
+        Measurements that robust estimation never rejects: odometry.
     """
 
     poses: FloatArray
@@ -53,7 +53,7 @@ class PoseGraph:
         information: ArrayLike,
         trusted: ArrayLike | None = None,
     ) -> PoseGraph:
-        """Validate and copy; where nothing is said, edges between neighbours in the order of the poses are trusted.
+        """Validate and copy; by default edges between neighbours in the order of the poses are trusted.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Proposals: where the particles' candidates come from, and the importance weight that follows from it.
+"""Proposal distributions and the corresponding importance weights.
 
 A proposal is handed the motion model conditioned on the control and the measurement model conditioned on the scan, and
 returns new poses with their log weight increments. The control must come from measurements before the scan that

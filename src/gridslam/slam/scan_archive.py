@@ -1,4 +1,4 @@
-"""The scans of a run, kept so that maps can be drawn again and scans matched again when the past is corrected."""
+"""Archive of scans for rebuilding maps and rematching after corrections."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ScanArchive:
         self.keys: list[int] = []
 
     def append(self, beams: BeamEnds, pose: FloatArray, *, is_key: bool) -> None:
-        """Take note of one more scan, from `pose` (3,) in a frame that drifts slowly."""
+        """Append a scan from `pose` (3,) in a frame that drifts slowly."""
         scan, ends = len(self), beams.ends
         if is_key:
             self.keys.append(scan)

@@ -52,7 +52,7 @@ class GridFastSlamState:
     memory : Memory or None
         What loop closure remembers, where it is at work.
     odometry_covariance : (3, 3) float64 or None
-        What the log told of the odometry's noise since the pose from which it goes on (see `OdometryNoise`).
+        Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
     """
 
     tracker: TrackerState
@@ -130,7 +130,7 @@ class GridFastSlamState:
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues to the same bytes."""
+        """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
         self._check()
         own = {name: getattr(self, name) for name in _ARRAYS}
         own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))

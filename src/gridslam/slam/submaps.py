@@ -1,4 +1,4 @@
-"""Submaps: small maps of consecutive key scans, drawn when they are asked for."""
+"""Submaps: local maps of consecutive key scans, built on demand."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _MOST_BYTES = 32_000_000
 """Of submaps that are kept: 32 of them inside, and few where a laser sees 80 m of open ground."""
 
 _FEW = 12
-"""Of so many submaps every other scan is drawn into one map, of more one in four."""
+"""Up to this many submaps every second key scan is inserted into the joint map, above it every fourth."""
 
 
 def keys_of(block: int, graph: KeyGraph) -> IntArray:
-    """Key scans of a submap: those that no blind stretch of way divides from its anchor."""
+    """Key scans of a submap that no gap in the laser data separates from its anchor."""
     return graph.unbroken(np.arange(block * BLOCK, (block + 1) * BLOCK), anchor_of(block))
 
 
@@ -44,14 +44,14 @@ def draw(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterabl
 
 
 def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
-    """Draw a new map of key scans `keys` (K,) at poses (K, 3)."""
+    """Build a map of key scans `keys` (K,) at poses (K, 3)."""
     maps = mapper.empty(1)
     draw(maps, scans, keys.tolist(), poses)
     return maps
 
 
 def joint_map(blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
-    """Draw one map of several blocks, each where the graph has its anchor."""
+    """Build one map of several blocks, each at the pose of its anchor in the graph."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
     keys = [keys_of(block, graph)[::stride] for block in blocks]
     poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
@@ -60,7 +60,7 @@ def joint_map(blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: Scan
 
 @final
 class Submaps:
-    """Draws the submap of a block in its anchor's frame, and keeps the last ones; what it keeps changes no result.
+    """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
 
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
     """
@@ -112,6 +112,6 @@ class Submaps:
         return self._pyramids[blocks]
 
     def forget(self) -> None:
-        """Draw the next joint maps anew: the poses have changed."""
+        """Drop the cached joint maps after the poses have changed."""
         self._joint.clear()
         self._pyramids.clear()

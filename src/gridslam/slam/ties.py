@@ -1,4 +1,4 @@
-"""Ties: later key scans matched to submaps about older ones, and how it is known that they belong together."""
+"""Constraints between key scans and older submaps, and their origin."""
 
 from __future__ import annotations
 
@@ -20,33 +20,32 @@ from gridslam.types import BeamEnds, FloatArray, Match
 __all__ = ["Source", "Tie", "seen_from", "surveyed", "ties_from_arrays", "ties_to_arrays"]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
-"""Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
+"""Information (1/m^2, 1/rad^2) along a degenerate direction: 10 m, 10 rad."""
 
 
 _CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
-"""Looks only at what the ends of beams say across the wall they lie on."""
+"""Evaluates point-to-line residuals only."""
 
 
 @final
 class Source(IntEnum):
-    """How it is known which old submap a key scan sees."""
+    """Origin of the data association of a constraint."""
 
     BELIEVED = 0
-    """The filter has the two at one place, which is no proof."""
+    """Associated by the filter's pose estimate; not independent evidence."""
 
     KNOWN = 1
-    """The way from the one to the other is too short to be wrong."""
+    """Associated by tracking; the relative pose is certain."""
 
     RECOGNIZED = 2
-    """It was searched for, and found there and nowhere else."""
+    """Found by place recognition, unambiguously."""
 
 
 @final
 class Tie(NamedTuple):
     """The pose (3,) of a key scan `to` seen from another, `from_`, and its information (3, 3), of g2o's error.
 
-    A match that leaves a direction open (a corridor's axis) says nothing along it: there the measurement is the guess,
-    and its information next to none.
+    Along a degenerate direction (a corridor's axis) the measurement equals the guess and its information is near zero.
     """
 
     from_: int
@@ -60,7 +59,7 @@ class Tie(NamedTuple):
     def of(
         cls, from_: int, to: int, guess: FloatArray, match: Match, sigma_m: float, least: float, source: Source
     ) -> Tie:
-        """Tie from a match in the frame of `from_`.
+        """Constraint from a match in the frame of `from_`.
 
         Parameters
         ----------
@@ -69,9 +68,9 @@ class Tie(NamedTuple):
         match : Match
             Of one guess.
         sigma_m : float, m
-            Standard deviation of what one beam says, beams being correlated.
+            Standard deviation of one beam, inflated for correlated beams.
         least : float
-            Least eigenvalue of the position's information, per agreeing beam, that counts as determined.
+            Minimum eigenvalue of the position information per inlier beam of a non-degenerate match.
         """
         pose, information = match.poses[0].copy(), match.information[0] / sigma_m**2
         weak = undetermined(match.information[0], float(match.score[0]), least)
@@ -86,10 +85,10 @@ class Tie(NamedTuple):
 
 
 def surveyed(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
-    """Take a match for no more informed than what straight walls say across themselves, and corners in all directions.
+    """Recompute the information of a match from point-to-line residuals only.
 
-    Ends that lie sparsely on a wall are mapped as dots, and dots hold the next scan where it happens to be: along a
-    bare corridor that is no measurement, although matching is the better for it elsewhere.
+    Sparse end points on a wall are mapped as isolated cells, which would constrain a scan along a bare corridor without
+    physical reason.
     """
     loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
     return replace(match, information=_CLOSE(maps, row, match.poses, loose, beams).information)

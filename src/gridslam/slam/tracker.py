@@ -1,8 +1,8 @@
-"""The tracker: matches every scan to a sliding local map, and so turns odometry into a smooth, nearly exact one.
+"""The tracker: matches every scan to a sliding local map and outputs smooth laser odometry.
 
-It never looks at anything older than its local maps, so it drifts slowly but never jumps when a loop closes. The
-particles take its increments as their control (Haehnel et al. 2003). Where there is no odometry it goes by the robot's
-velocity, and searches more widely.
+It uses only its local maps, so it drifts slowly and never jumps at loop closures. The particles take its increments as
+their control (Haehnel et al. 2003). Without odometry it predicts by the robot's velocity, and searches more
+widely.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Tracker:
-    """Matches every scan to the older of two local maps that take turns.
+    """Matches every scan to the older of two alternating local maps.
 
     Parameters
     ----------
@@ -43,46 +43,46 @@ class Tracker:
     insert_m, insert_rad : float
         A scan is inserted after this much motion.
     map_scans : int
-        A second local map is begun when the first holds so many scans of each laser, and replaces it when it does
-        itself.
+        Number of scans of each laser in a local map after which the second one is begun; when that is as full, it
+        replaces the first.
     beam_sigma_m : float, m
         Standard deviation of a beam's distance to the map against which the odometry's information is weighed. Far
-        below a lidar's noise: beams are many, and odometry slips in ways that no variance tells. With seven times as
+        below a lidar's noise: beams are many, and wheel slip is not covered by any variance. With seven times as
         much the Intel log is lost by 0.2 m and more.
     jump_m, jump_rad : float
         Odometry that moves farther between two scans than this and the speeds in `velocity` allow has jumped: it was
         reset, or a message was lost. Its increment is not used, as if there had been no odometry.
     poor_share : float
-        A match with which a smaller share of the beams agrees is not believed: the scan sees mostly what is new, or a
-        turn too fast for the scans' rate has led the descent astray. It takes the prediction.
+        Minimum inlier ratio of a match; below it (mostly unmapped area, or a turn too fast for the scan rate) the
+        prediction is used.
     slip_m : float, m
         A match that moves the position farther than this from the odometry, and than four of the odometry's standard
-        deviations, must convince: the wheels slipped, or a reading came late. Else something misled it (a person
-        walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position keeps the
-        odometry, and only the heading is taken.
+        deviations, requires a gain in inliers (`slip_gain`): wheel slip or delayed odometry. Else something misled it
+        (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position
+        keeps the odometry, and only the heading is taken.
     slip_gain : float
-        Share of the beams that must agree more after such a match than before it.
+        Minimum gain of the inlier ratio by such a match.
     matcher : GaussNewton
         How a scan is matched.
     steady_matcher : GaussNewton
-        The same where the odometry's errors are known: what the scan tells but weakly, the odometry tells better. Where
+        The same once the odometry is calibrated: it then constrains weak directions better than the scan. Where
         directions are better determined than that, the odometry's errors are learned.
     velocity : ConstantVelocity
-        What is predicted where there is no odometry.
+        Motion prediction without odometry.
     join_m, join_rad : float
         A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry;
         where there is none, from a twentieth of that.
     search_share : float
-        Where a smaller share of the beams agrees with a match, a better one is searched for from the velocity's
+        Inlier ratio of a match below which a better one is searched for from the velocity's
         prediction and all around: on real logs more agree in the right place, and fewer in others.
     patience : int
-        Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
+        Without odometry, a scan is inserted without a valid match after this many consecutive failures.
     search : OdometrySearch
         How a scan is searched for around the odometry where scans are far apart.
     deskew : Deskew or None
         How scans with beam times are deskewed; None: they are taken as they are.
     calibration : OdometryCalibration or None
-        How the odometry's errors are learned; None: it is taken as it is.
+        Online calibration of the odometry; None: disabled.
     """
 
     still_m: float = Field(default=0.005, ge=0)
@@ -183,7 +183,7 @@ class Tracker:
         return found
 
     def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
-        """Search around the velocity's prediction; around the odometry's where velocities tell nothing."""
+        """Search around the velocity's prediction; around that of the odometry if the velocity is invalid."""
         if self.search.is_far(state, predicted):
             return self.search(state, predicted, beams)
         return self._searched(state, self._by_velocity(state, predicted.seconds), beams)
@@ -194,7 +194,7 @@ class Tracker:
         return state.joined(beams, pose, trusted * self.join_m, trusted * self.join_rad)
 
     def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: BeamEnds) -> bool:
-        """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
+        """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
         if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return False
         share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
@@ -258,7 +258,7 @@ class Tracker:
             self.calibration.learn(state.learned, found.pose, state.odometry, believed, found.determined)
 
     def _determined(self, match: Match) -> bool:
-        """Whether a match tells the position in all directions, better than odometry whose errors are known."""
+        """Whether a match is non-degenerate, and better than calibrated odometry."""
         least = self.steady_matcher.min_information
         return undetermined(match.information[0], float(match.score[0]), least) is None
 

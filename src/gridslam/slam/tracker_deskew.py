@@ -1,4 +1,4 @@
-"""Scans that a moving robot takes its time for: which twist sharpens them, and whether their beam times are true."""
+"""Deskewing of scans, and detection of wrong beam times."""
 
 from __future__ import annotations
 
@@ -20,23 +20,22 @@ _ORDERS = (1, 0, -1)
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Deskew:
-    """Deskews a scan by the motion that its match tells.
+    """Deskews a scan by the motion that its match yields.
 
-    A scan goes on after its stamp, so its beams tell the twist to come: that of the motion up to the stamp, by the
-    prediction or by the match, or that one grown by as much as since the scan before. The one by which most beams agree
-    with the map is taken.
+    A scan goes on after its stamp, so its beams depend on the following twist: that of the motion up to the stamp, by
+    the prediction or by the match, or that one grown by as much as since the scan before. The one by which most beams
+    agree with the map is taken.
 
-    Drivers exist that tell the times of beams in the wrong order, as their lidar turns the other way, or tell times
-    that mean nothing. Deskewed by them a scan fits worse, so the order that fits best is found, and gone by.
+    Some drivers report beam times in reverse order or without meaning. The order with the highest inlier ratio is used.
 
     Parameters
     ----------
     turn_rad : float, rad
-        A scan tells the order of its beams if the robot turns more than this while it is taken.
+        A scan contributes to the estimate of the beam order if the robot turns by more than this during the scan.
     doubt : float
-        Share of the beams that must agree more, in the mean over the scans, in another order than the one told.
+        Gain of the inlier ratio, averaged over the scans, required to use an order other than the reported one.
     scans : int
-        So many scans count for the order told before the first is seen.
+        Prior weight of the reported order, in scans.
     """
 
     turn_rad: float = Field(default=0.02, gt=0)
@@ -44,7 +43,7 @@ class Deskew:
     scans: int = Field(default=20, ge=1)
 
     def order(self, seen: Seen | None) -> int:
-        """Order of the beams of a laser: 1 as told, 0 if none fits, -1 backward."""
+        """Order of the beams of a laser: 1 as reported, 0 if none fits, -1 reversed."""
         if seen is None:
             return 1
         count, none, backward = seen.orders.tolist()
@@ -89,7 +88,7 @@ class Deskew:
         return best, sharp
 
     def _learn(self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], Found]) -> None:
-        """Keep the number of scans that tell the order, and the sums of what the other orders gain in agreement."""
+        """Update the number of scans used for the beam order, and the gains in agreement of the other orders."""
         seen, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:
             told, none, backward = (find(beams.deskewed(order * twist)).share for order in _ORDERS)

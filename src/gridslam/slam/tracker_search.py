@@ -1,4 +1,4 @@
-"""Where was a scan taken that does not fit where the odometry has it? A search as wide as the odometry errs."""
+"""Correlative search around the odometry prediction for sparse scans."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 class OdometrySearch:
     """Correlative search around the odometry's prediction, for logs whose scans are far apart.
 
-    Velocities tell where a scan was taken only while scans come often. When one comes every half metre, or twice a
-    second, the odometry is all there is, however bad, and between two scans it errs by more than a descent can follow.
+    A velocity prediction is only valid while scans are frequent. With one scan every half metre, or twice a second,
+    only the odometry remains, however inaccurate, and its error between two scans exceeds the basin of convergence of a
+    matcher.
     The window grows until a place is found: nearer ones are preferred, as the odometry is more often right than wrong.
 
     Parameters
@@ -35,7 +36,7 @@ class OdometrySearch:
     seldom_way : float, m + rad
         So they do where the robot moves and turns by more between two of them: stamps may be no measurements.
     gap_s, gap_way : float, s, m + rad
-        Where so much time passed between two scans, and so much was driven by the odometry, the laser was blind.
+        Time and odometry path between two scans above which there is a gap in the laser data.
     gates : tuple of float
         Standard deviations of the odometry within which is searched, one after the other. Those of the position are the
         ones learned, once they are: where the odometry has been right to centimetres, a place half a metre off is
@@ -45,25 +46,26 @@ class OdometrySearch:
     least_m : float, m
         The standard deviation of the position counts as this at least.
     certain_share : float
-        Share of the beams from which on a place is taken without looking farther.
+        Inlier ratio above which a place is accepted without further search.
     gains : tuple of float
         By so much more of the beams a place must agree than the best one within the gates before.
     overlap : float
-        Share of the beams that must end in what the local map knows; those that do not say nothing. Where scans are
-        far apart, much of each is new.
+        Minimum ratio of beams that end in known cells of the local map; the others are ignored. With sparse scans, much
+        of each is new.
     window : BranchAndBound
         How is searched; its `gate` is not used.
     anywhere : BranchAndBound
         How is searched where nothing certain was found within the gates: a turn was not counted at all. The position
         is within the widest gate; a half turn is left out, as corridors and rooms look alike after one.
     anywhere_share, anywhere_gain : float
-        Share of the beams that must agree with a place found so, and how many more than with any before.
+        Minimum inlier ratio of such a place, and its minimum gain over any previous one.
     unique : float
         A place must be the only one: no other within the same gate has this part of its share.
     follow_m, follow_rad : float
-        So far from the prediction the descents of the particles still reach the right peak.
+        Basin of convergence of the particles' scan matching.
     matcher, steady_matcher : GaussNewton
-        How a place is refined, and how where the scan leaves a direction open, which is the odometry's to tell.
+        Matchers that refine a place; the second one is used if the scan is degenerate and the odometry has to constrain
+        it.
     """
 
     seldom_s: float = Field(default=0.3, gt=0)
@@ -87,7 +89,7 @@ class OdometrySearch:
     steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
 
     def is_far(self, state: TrackerState, predicted: Prediction) -> bool:
-        """Whether the last scan was taken so long ago, or so far away, that velocities tell nothing."""
+        """Whether the last scan is too old, or too far away, for a velocity prediction."""
         driven = predicted.moved_m + predicted.turned_rad > self.gap_way and predicted.seconds >= self.gap_s
         return self.comes_seldom(state) or driven
 

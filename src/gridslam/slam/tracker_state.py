@@ -1,4 +1,4 @@
-"""What the tracker remembers between two scans, and what it says of one."""
+"""State and result of the tracker."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 
 @final
 class Seen(NamedTuple):
-    """The last of one laser; several take turns, told apart by their scans' `sensor`."""
+    """Track of one laser; lasers are distinguished by `sensor`."""
 
     stamp_ns: int  # of its last scan that was matched
     matched_pose: FloatArray  # (3,), of that scan
-    share: float  # of the beams that agreed with the map then; 0 where it was not believed
+    share: float  # inlier ratio of that match; 0 if it was rejected
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
-    orders: FloatArray  # (3,), what its scans told of the order of their beams; see `Deskew`
+    orders: FloatArray  # (3,), votes for the order of its beams; see `Deskew`
     ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
 
     @classmethod
@@ -42,7 +42,7 @@ class Seen(NamedTuple):
 @final
 @dataclass(slots=True, eq=False)
 class TrackerState:
-    """What the tracker remembers; arrays in it are replaced, never written to.
+    """State of the tracker; arrays are replaced, never modified in place.
 
     Attributes
     ----------
@@ -69,17 +69,17 @@ class TrackerState:
     stride : float
         Mean way between scans while the robot moves, m + rad.
     even : bool
-        Stamps cannot be true: the time between scans counts as `period_s`.
+        Stamps are unreliable: the time between scans is taken as `period_s`.
     active : int
         Which local map is matched against.
     scans : (int, int)
         Scans that each local map holds.
     blind_scans : int
-        Scans in a row of whose poses nothing was known, neither by a match nor by odometry.
+        Consecutive scans without a valid match and without odometry.
     overruled : int
-        Scans so far whose odometry was not used: it jumped, came late, or is not trusted.
+        Number of scans whose odometry was rejected (jump, latency, or not trusted).
     doubt_m2, doubt_rad2 : float
-        Variances of all predictions so far that were taken instead of a match that was not believed.
+        Accumulated variances of predictions used in place of a rejected match.
     """
 
     maps: TileMaps
@@ -130,7 +130,7 @@ class TrackerState:
         return EndPoints(np.concatenate([beams.ends, *others]), beams.origin) if others else beams
 
     def insert(self, beams: Beams, most: int) -> None:
-        """Insert a scan at the present pose; the local maps take turns by so many scans of each laser."""
+        """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""
         scans, active, full = list(self.scans), self.active, most * len(self.sensors)
         rows = _ROWS[active] if scans[active] < full else _BOTH
         for row in rows.tolist():
@@ -146,7 +146,7 @@ class TrackerState:
         return replace(self, maps=self.maps.snapshot(), learned=self.learned.snapshot())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues to the same bytes."""
+        """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
         counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.overruled, self.even]
         arrays["counters"] = np.array(counters, np.int64)
@@ -197,7 +197,7 @@ def pose_of(odometry: Odometry | None) -> FloatArray:
 
 @final
 class Prediction(NamedTuple):
-    """Where a scan should have been taken, by all that is known without looking at it."""
+    """Predicted pose of a scan."""
 
     pose: FloatArray  # (3,)
     by_odometry: bool  # or by the velocity
@@ -222,15 +222,15 @@ class Found(NamedTuple):
     pose: FloatArray  # (3,)
     predicted: Prediction  # from which it was found
     matched: bool  # whether the map was asked
-    poor: bool  # nothing that is known of the pose is to be trusted
-    share: float = 0.0  # of the beams that agree with the map; 0 where the match is not believed
+    poor: bool  # neither match nor prediction is reliable
+    share: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
     determined: bool = False  # by the scan, in all directions
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracked:
-    """What the tracker says of one scan.
+    """Result of tracking one scan.
 
     Attributes
     ----------

@@ -27,9 +27,9 @@ class ConstantVelocity:
     ----------
     blend_s : float, s
         The velocity is that of the last scans, back to about this time: two scans at nearly the same stamp, of two
-        lasers, say nothing of it.
+        lasers, do not determine it.
     longest_s : float, s
-        Nothing is said of motion over a longer time than this: a gap in the log counts as so long.
+        No prediction is made over a longer time than this: a gap in the log counts as this long.
     speed_mps, turn_rps : float
         Above what an indoor robot drives (m/s, rad/s).
     margin_m, margin_rad : float

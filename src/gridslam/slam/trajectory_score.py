@@ -1,4 +1,4 @@
-"""How well do all scans agree with the joint map drawn from a trajectory? One score, by which answers are compared."""
+"""Score of a trajectory: log likelihood of all scans given the map of other visits, and of the motion."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ class JointMapScore:
     The map is drawn scan by scan, and each scan is compared with what was mapped of the places around it long before,
     on another visit: its own time agrees with it in any trajectory. A beam that ends in what was mapped then agrees by
     1 / (1 + (d / scale_m)^2), d its distance to the nearest obstacle; ends in what others saw free, or behind their
-    walls, agree with nothing. A beam that ends in what was unknown says nothing. Walls mapped twice are seen by it, and
-    so is a visit that was put into the wrong place.
+    walls, agree with nothing. Beams that end in unknown cells are ignored. Doubled walls and misplaced visits
+    reduce the score.
 
     Parameters
     ----------
     gap : float, m + rad
-        What was mapped within so much way and turning is a scan's own time.
+        Path length (plus rotation) within which mapped scans count as the same visit.
     scale_m : float, m
         Distance at which a beam agrees by half, that of the measurement model `CauchyAgreement`.
     tempering : float, (0, 1]

@@ -1,4 +1,4 @@
-"""Work that can be put aside: long computations of which a live robot's scan waits for one step at a time."""
+"""Incremental computations: long computations run a few steps per scan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Work = Generator[None, None, T]
 
 
 def worked(work: Work[T], steps: int) -> T | None:
-    """Do so many more steps; returns the result if that was enough, else None (which no result may be)."""
+    """Run up to `steps` steps; return the result if the computation finished, otherwise None (never a valid result)."""
     try:
         for _ in range(steps):
             next(work)
@@ -25,7 +25,7 @@ def worked(work: Work[T], steps: int) -> T | None:
 
 
 def done(work: Work[T]) -> T:
-    """Do all that is left."""
+    """Run the computation to its end and return the result."""
     while True:
         try:
             next(work)

@@ -1,6 +1,6 @@
-"""The transform buffer: fed with links as a log or a robot tells them, asked where one frame lies in another.
+"""The transform buffer: stores the links of a log or a robot, and returns the pose of one frame in another.
 
-What it does not know it does not tell: nothing is extrapolated, and the error names the link that lacks.
+It never extrapolates; the error names the missing link.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class TransformBuffer:
     Between two readings a link is interpolated, however far they are apart within `keep_s`. A static link holds at
     every stamp; one that comes as static and as dynamic is dynamic. Readings may come late and twice: see
     `LinkStatistics`. Where the stamps of a link jump back by more than `keep_s` and stay there, as in a log that was
-    played twice, it begins anew; a shorter jump leads to stamps that are known, and the first value there stays.
+    played twice, it restarts; a shorter jump leads to stamps that are known, and the first value there stays.
 
     Frames may form several trees, one for each robot. A frame may have several parents, by error or because it was
     handed over: all links stand side by side, and of several ways the one of fewest links is taken, and of those the
@@ -87,7 +87,7 @@ class TransformBuffer:
         static : bool
             Whether it holds at all times.
         publisher : str, optional
-            Who says so, for the statistics.
+            Name of the publisher, for the statistics.
 
         Raises
         ------

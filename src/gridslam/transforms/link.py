@@ -26,15 +26,15 @@ class LinkStatistics:
         Least and greatest stamp of a dynamic reading that was taken; None where there is none.
     repeated, contradicted : int
         Readings at a stamp that was known: with the same value, or with another one. The first stays; of a static
-        link the last. Static readings of a link that moves contradict too. Contradictions tell of two publishers.
+        link the last. Static readings of a link that moves contradict too. Contradictions indicate two publishers.
     late : int
         Readings that came after one of a later stamp, and were put in their place.
     strays : int
         Single readings from more than the time kept before the latest: left out.
     restarts : int
-        Times that the stamps jumped back by more than the time kept and stayed there; the link began anew.
+        Times that the stamps jumped back by more than the time kept and stayed there; the link was restarted.
     publishers : set of str
-        Who published it, where that is told.
+        Names of its publishers, if known.
     """
 
     readings: int = 0
@@ -80,7 +80,7 @@ class Link:
         return len(self.stamps_ns) or 1
 
     def fix(self, motion: Rigid) -> bool:
-        """Take a static reading and tell whether it changed the link; one that moves stays dynamic."""
+        """Add a static reading; return whether it changed the link; one that moves stays dynamic."""
         self.statistics.readings += 1
         changed = motion != self.fixed
         self.statistics.repeated += not changed
@@ -91,7 +91,7 @@ class Link:
         return False
 
     def add(self, stamp_ns: int, motion: Rigid) -> None:
-        """Take a dynamic reading, or leave it out as `LinkStatistics` tells."""
+        """Add a dynamic reading, or skip it as described in `LinkStatistics`."""
         stamps, statistics = self.stamps_ns, self.statistics
         statistics.readings += 1
         if stamps and stamp_ns <= stamps[-1]:
@@ -146,7 +146,7 @@ class Link:
         statistics.taken(stamp_ns)
 
     def _add_far_back(self, stamp_ns: int, motion: Rigid) -> None:
-        """Begin anew at the second reading in a row from the same past: one alone is an error, two are a clock."""
+        """Restart at the second consecutive reading from the same past: one alone is an error, two are a clock."""
         stray, statistics = self._stray, self.statistics
         if stray is None or not 0 < stamp_ns - stray[0] <= self._keep_ns:
             self._stray = (stamp_ns, motion)

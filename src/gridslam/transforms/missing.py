@@ -1,4 +1,4 @@
-"""Whether a transform is known, and the error that says why it is not."""
+"""Whether a transform is known, and the error that states why it is not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Coverage(Enum):
 
 
 @final
-class MissingTransform(GridslamError):  # noqa: N818 - it says what is missing
+class MissingTransform(GridslamError):  # noqa: N818 - the name states what is missing
     """A transform that was asked for is not known at its stamp.
 
     Attributes
@@ -57,7 +57,7 @@ class MissingTransform(GridslamError):  # noqa: N818 - it says what is missing
 
 
 def named(frames: Sequence[str]) -> str:
-    """List frames for people: quoted, and where they are many the first ones and how many more."""
+    """List frames: quoted, and if there are many, the first ones and how many more."""
     shown = ", ".join(f"'{frame}'" for frame in frames[:_NAMES_SHOWN])
     more = len(frames) - _NAMES_SHOWN
     return f"{shown} and {more} more" if more > 0 else shown or "none"

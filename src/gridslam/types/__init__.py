@@ -1,4 +1,4 @@
-"""The values that travel between the parts, and the small Protocols by which parts are swapped.
+"""Value types exchanged between components, and the Protocols of exchangeable components.
 
 Poses are rows ``[x m, y m, theta rad]`` with theta in [-pi, pi); grids are ``[row = y, column = x]``; a stamp is int64
 nanoseconds; angles are counter-clockwise radians.

@@ -29,7 +29,7 @@ class OccupancyGrid:
     log_odds : (H, W) float32, nats
         Log-odds of occupancy; meaningful where `known`.
     known : (H, W) bool
-        Whether any beam has told anything about the cell.
+        Whether the cell was observed.
     resolution_m : float
         Side of a cell.
     origin : (float, float), m

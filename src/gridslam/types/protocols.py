@@ -14,7 +14,7 @@ __all__ = ["DistanceMaps", "MotionModel", "MotionSampler", "Resampler", "SensorM
 
 @runtime_checkable
 class DistanceMaps(Protocol):
-    """Maps that tell distances: one row of a table of maps for each particle (see `gridslam.grid.TileMaps`)."""
+    """Maps with distance queries, one per particle (see `gridslam.grid.TileMaps`)."""
 
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m to the nearest occupied cell, (K, B), capped at `reach_m`.

@@ -21,7 +21,7 @@ __all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "requi
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Odometry:
-    """Where the wheels believe the robot to be; `at` makes it of plain numbers.
+    """Pose of the integrated wheel odometry; `at` builds it from plain numbers.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ def require_step(kind: type, state: object, odometry: object, scan: object, rng:
 
 
 class SkipReason(Enum):
-    """Why a scan did not step the particles."""
+    """Why a scan did not update the particles."""
 
     BETWEEN_KEY_SCANS = "between key scans"
     NO_VALID_BEAM = "no valid beam"
@@ -135,7 +135,7 @@ class Match:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class StepReport:
-    """What one step of the filter tells its observers.
+    """Report of one filter step.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Stamps and poses in the one line that tells a value."""
+"""Stamps and poses as one-line text."""
 
 from __future__ import annotations
 

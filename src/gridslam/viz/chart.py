@@ -1,4 +1,4 @@
-"""Charts for people: lines, dots and bars over labelled axes, with a caption under them."""
+"""Charts: lines, dots and bars over labelled axes, with a caption below."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 130, 50, 90, 90  # around what is drawn
 _COLOURS: tuple[Colour, ...] = (OCCUPIED, CLOSURE, TRUTH, TIME_ENDS[0])
 _MARK = TIME_ENDS[1]
 _TICKS = 8
-_DOTS = 6000  # more cannot be told apart
+_DOTS = 6000  # more cannot be distinguished
 
 
 _Label: TypeAlias = tuple[tuple[float, float], str, str]

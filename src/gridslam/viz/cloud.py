@@ -1,4 +1,4 @@
-"""A cloud of many particles, told by few."""
+"""A cloud of many particles, represented by few."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def fair_share(weights: FloatArray, most: int = MOST_SHOWN) -> tuple[IntArray, F
     -------
     chosen : (K,) int64
         Indices in ascending order: evenly spaced along the cumulative weights, so that K / `most` of a place's weight
-        is told to within 1 / `most`, and without chance.
+        is represented to within 1 / `most`, and without chance.
     shares : (K,) float64
         The weight for which each stands; they sum to 1.
     """

@@ -50,7 +50,7 @@ def paint_footer(
 ) -> None:
     """Paint the caption at the left and the keys to scale, time and lines at the right, under a thin line.
 
-    Where stamps only count the steps no time is told.
+    If stamps only count the steps, no time is shown.
     """
     u, draw = layout.unit, ImageDraw.Draw(page)
     margin = round(MARGIN * u)

@@ -1,4 +1,4 @@
-"""A pose graph as a picture for people: before and after it was solved, side by side."""
+"""Picture of a pose graph before and after optimization."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _panel(
 
 
 def _dot_px(odometry: FloatArray) -> float:
-    """Width of a pose's dot: as large as lets neighbours be told apart, within limits."""
+    """Width of a pose's dot: as large as allows neighbours to be distinguished, within limits."""
     steps = np.hypot(*(odometry[:, 2:] - odometry[:, :2]).T)
     return float(np.clip(0.5 * np.median(steps), 2.0 * _UNIT, 5.0 * _UNIT)) if len(steps) else 5.0 * _UNIT
 

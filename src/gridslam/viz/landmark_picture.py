@@ -1,4 +1,4 @@
-"""Landmarks as a picture for people: the robot's way, each landmark with what is not known of it, and the truth."""
+"""Picture of landmarks: trajectory of the robot, landmarks with their covariance ellipses, and the truth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNIT = 1.2
 _NODE_PX = 3.0  # a path is thinned to nodes this far apart
 _CORNERS = 48
 SIGMAS = 3.0
-"""Ellipses are drawn at so many standard deviations: the landmark lies within with 98.9 %."""
+"""Ellipses are drawn at this many standard deviations: they contain the landmark with 98.9 %."""
 
 
 def draw_landmarks(

@@ -1,4 +1,4 @@
-"""Localization as a picture for people: the map, the robot's way in it, and where it was lost and found."""
+"""Picture of a localization: the map, the trajectory in it, and where the robot was lost and localized."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def draw_localization(
     title: str = "",
     caption: Sequence[str] = (),
 ) -> Image.Image:
-    """Draw a map with the poses that were told in it: the way by time, dots where the robot was lost.
+    """Draw a map with the reported poses: the trajectory by time, dots where the robot was lost.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def draw_localization(
 
 
 def _paint_lost(page: Image.Image, points: FloatArray, layout: Layout) -> None:
-    """Dots where the robot was said to be while it was lost, those on one spot once."""
+    """Dots at the reported poses while the robot was lost, those on one spot once."""
     if len(points):
         spots = np.unique(np.round(points / _NODE_PX), axis=0) * _NODE_PX
         stroke(page, np.tile(spots, 2), [LOST] * len(spots), 3.0 * layout.unit)

@@ -1,4 +1,4 @@
-"""The map as a picture for people: what is known, the way the robot took, a scale, and a caption."""
+"""Picture of the map: known cells, trajectory of the robot, a scale, and a caption."""
 
 from __future__ import annotations
 

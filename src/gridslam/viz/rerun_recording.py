@@ -36,13 +36,14 @@ class RerunRecording:
     Under ``map`` are the best particle's map and path (after every tenth key scan), the particles (at key scans), the
     scan and the robot (ten times a second of the log); under ``filter`` the effective sample size, the latency and
     whether the robot is lost. Timelines are ``stamp``, the time of the log, and ``scan``, which counts. Where the map
-    is known it is there from the beginning, the path is what was told at the time, broken where the robot was lost, and
-    under ``filter`` are the number of particles and the doubt, too.
+    is known it is there from the beginning, the path has the online poses, broken where the robot was lost, and
+    under ``filter`` are the number of particles and the lost probability, too.
 
     Parameters
     ----------
     target : str
-        A file (``run.rrd``), or the address of a viewer: ``127.0.0.1:9876``, or as Rerun writes it, ``rerun+http://...``.
+        A file (``run.rrd``), or the address of a viewer: ``127.0.0.1:9876``, or as Rerun writes it,
+        ``rerun+http://...``.
     title : str
         What is mapped.
     range_max_m : float, m
@@ -99,7 +100,7 @@ class RerunRecording:
         self._recording.disconnect()
 
     def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a source, as they come; a robot's next session begins the map anew."""
+        """The measurements of a source, as they come; the next session of a robot restarts the map."""
         self._begin()
         for measurement in source:
             self._scan = measurement[1]
@@ -126,7 +127,7 @@ class RerunRecording:
             (self._log_slam if self._known is None else self._log_localization)(report, state)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
-        """Record the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        """Record the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._log_map(grid)
         self._strips("path", [poses[:, :2]], TIME_ENDS[1])
         self._strips("closures", closures.reshape(-1, 2, 2), TRUTH)
@@ -155,7 +156,7 @@ class RerunRecording:
             self._log_way()
 
     def _log_way(self) -> None:
-        """What was told of a localized robot, without what was a guess."""
+        """Path of a localized robot, without guesses."""
         self._strips("path", [np.array(strip) for strip in self._way if len(strip) > 1], TIME_ENDS[1])
 
     def _log_robot(self, pose: FloatArray) -> None:

@@ -114,7 +114,7 @@ def test_clockwise_scans_too():
 def test_times_that_are_told_are_gone_by_unless_they_are_told_backward(backward):
     found = skewed(backward)["skewed_while_turning"]
     assert found.severity is Severity.INFO
-    assert ("wrong order" in found.says) == backward
+    assert ("reverse order" in found.says) == backward
 
 
 def test_scans_taken_in_an_instant_are_not():
@@ -187,16 +187,16 @@ def test_the_report_tells_the_worst_first_and_fits_into_json():
     assert [finding["size"] for finding in told["findings"]] == [None, 2.5, 3.0]
     assert told["counts"] == {"info": 1, "doubtful": 1, "spoils": 1}
     lines = "\n".join(text(diagnosis_of(*FINDINGS)))
-    for words in ("What spoils the map:\n  few_hits: Nothing seen.", "gaps (front): A gap.\n    -> Mend it."):
-        assert words in lines
-    assert "## What makes it doubtful" in markdown(diagnosis_of(*FINDINGS))
+    assert "Faults that make the map unusable:\n  few_hits: Nothing seen." in lines
+    assert "gaps (front): A gap.\n    -> Mend it." in lines
+    assert "## Warnings" in markdown(diagnosis_of(*FINDINGS))
 
 
 @pytest.mark.parametrize(
     ("chosen", "words"),
     [
-        ((0,), "This log is healthy"), ((0, 1), "1 thing may harm it"), ((2,), "1 thing would spoil the map."),
-        ((1, 2), "1 thing would spoil the map, 1 more thing may harm it."),
+        ((0,), "This log is healthy"), ((0, 1), "No fault makes the map unusable; 1 warning."),
+        ((2,), "The map would be unusable: 1 fault."), ((1, 2), "The map would be unusable: 1 fault; 1 warning."),
     ],
 )  # fmt: skip
 def test_the_verdict(chosen, words):

@@ -66,7 +66,7 @@ def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, k
     found, repair, said = mended(tmp_path, faulty, kind)
     assert repair.range_max_m == pytest.approx(REACH_M - MARGIN_M, abs=0.01)
     assert said == [repair]
-    assert [line for line in repair.says() if "8.13 m" in line and "hit nothing" in line]
+    assert [line for line in repair.says() if "8.13 m" in line and "no-return beams" in line]
     lost = 0
     for one, wrong, true in zip(found, faulty, drive(), strict=True):
         assert one.scan.stamp_ns == wrong.scan.stamp_ns

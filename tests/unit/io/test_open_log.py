@@ -64,7 +64,7 @@ def test_folders_of_bags(tmp_path, name):
         (b"VERTEX_SE2 0 0 0 0\n", "got a pose graph (gridslam graph solves it)"),
         (b"<!DOCTYPE html>\n", "got a web page"),
         (b"dear diary,\nFLASERS are\n", "got text that begins with 'dear diary,'"),
-        (b"# nothing\n\n", "got text without a line that says anything"),
+        (b"# nothing\n\n", "got text with blank lines only"),
         (gzip.compress(b"#ROSBAG V2.0\n" + bytes(50), mtime=0), "got a compressed one (unpack it)"),
     ],
 )

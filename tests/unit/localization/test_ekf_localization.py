@@ -195,5 +195,5 @@ def test_arguments():
         KnownLandmarks.of([1, 1], np.zeros((2, 2)))
     with pytest.raises(ArgumentError, match="at least one landmark"):
         KnownLandmarks.of([], np.empty((0, 2)))
-    with pytest.raises(ArgumentError, match="landmarks told"):
+    with pytest.raises(ArgumentError, match="known correspondences"):
         ekf.step(ekf.init(np.zeros(3), SOME), MOTION(INCREMENT), Sightings.of([[1.0, 0.0]]))

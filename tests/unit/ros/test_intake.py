@@ -278,7 +278,8 @@ def test_two_publishers_of_one_transform_are_named():
     for at_s, publisher in ((0.0, "/wheels"), (0.02, "/ekf"), (0.1, "/wheels"), (0.12, "/ekf")):
         desk.intake.add_transforms([link(at_s, ODOM)], publisher=publisher)
     assert desk.said == [
-        "two transforms: base_link is told to lie in odom by /ekf and in odom by /wheels: end one of the two"
+        "two transforms: base_link is published twice (in odom by /ekf and in odom by /wheels): "
+        "stop one of the two publishers"
     ]
 
 
@@ -287,7 +288,7 @@ def test_two_parents_of_one_frame_are_named():
     desk.intake.add_transforms([link(0.0, "odom_combined")], publisher="/ekf")
     desk.intake.add_transforms([link(0.01, ODOM)], publisher="/wheels")
     desk.intake.add_transforms([link(0.0, "base_footprint")], static=True, publisher="/urdf")
-    assert "base_link is told to lie in odom by /wheels and in odom_combined by /ekf" in desk.said[0]
+    assert "base_link is published twice (in odom by /wheels and in odom_combined by /ekf)" in desk.said[0]
     assert desk.complain.counts["two transforms"] == 3
 
 

@@ -93,7 +93,7 @@ def test_people_say_where_the_robot_is(map_file, log):
     play(core, heard, log.measurements[30:31], shift_ns=SHIFT_NS)
     assert until(lambda: len(heard.poses) == 31)
     assert core.diagnostics().summary.startswith("lost: it may be elsewhere")
-    assert "begins anew" not in heard.warnings()
+    assert "restarts" not in heard.warnings()
     core.close()
 
 

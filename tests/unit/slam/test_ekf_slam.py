@@ -179,7 +179,7 @@ def test_a_sighting_that_cannot_be_believed_changes_nothing():
 def test_what_is_refused():
     slam = EkfSlam(SENSOR)
     state = slam.init()
-    with pytest.raises(ArgumentError, match="landmarks told"):
+    with pytest.raises(ArgumentError, match="known correspondences"):
         slam.step(state.snapshot(), EXACT, Sightings.of([[1.0, 0.0]]))
     kept = state.snapshot()
     slam.step(state, EXACT, NOTHING_SEEN)

@@ -277,7 +277,7 @@ def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
 @BOTH
 def test_what_is_refused(kind):
     slam, rng = kind(FILTERS), np.random.default_rng(0)
-    with pytest.raises(ArgumentError, match="landmarks told"):
+    with pytest.raises(ArgumentError, match="known correspondences"):
         slam.step(slam.init(2), EXACT, Sightings.of([[1.0, 0.0]]), rng)
     with pytest.raises(ArgumentError, match="particle"):
         slam.init(0)

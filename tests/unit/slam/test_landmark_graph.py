@@ -148,5 +148,5 @@ def test_what_is_refused():
     with pytest.raises(ArgumentError, match="at least one"):
         LandmarkGraphSlam(SENSOR).solve([], MOTION)
     steps = [LandmarkStep(0, np.zeros(3), None, Sightings.of([[1.0, 0.0]]))]
-    with pytest.raises(ArgumentError, match="landmarks told"):
+    with pytest.raises(ArgumentError, match="known correspondences"):
         LandmarkGraphSlam(SENSOR).solve(steps, MOTION)

@@ -1,4 +1,4 @@
-// Draws the world: the map, where the robot was, what it sees, and what the particles believe.
+// Draws the map, the trajectory, the scan and the particles.
 
 const ROBOT = 9; // px
 

@@ -56,7 +56,7 @@ export class Panel {
     if (!$("#step").disabled) this.ask({ do: "step", to_key_scan: !shift });
   }
 
-  // Whether there is a connection; `why` is told where the server has refused it.
+  // Shows whether there is a connection; `why` is the reason if the server has refused it.
   connected(is, why, finished) {
     const notice = $("#notice");
     notice.hidden = is || finished;
@@ -117,10 +117,10 @@ export class Panel {
     put("latency", steps ? `${short(latency)} ms` : "");
     put("particles", status.particles || "");
     const replay = hello.mode === "replay", what = replay ? "past" : "map";
-    $("#watched span").textContent = ["writing", "done"].includes(status.stage) ? "map as the end tells it"
+    $("#watched span").textContent = ["writing", "done"].includes(status.stage) ? "final map"
       : status.watched < 0 ? "the chosen one has died out"
       : status.watched != null ? `${what} of number ${status.watched}`
-      : replay ? "map as the end tells it" : status.best === undefined ? "" : `map of the best, number ${status.best}`;
+      : replay ? "final map" : status.best === undefined ? "" : `map of the best, number ${status.best}`;
     $("#best").hidden = status.watched == null;
   }
 

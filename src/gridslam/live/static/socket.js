@@ -1,7 +1,7 @@
 // The line to the server: messages in, commands out, and another try whenever it is lost.
 
 const FIRST_PAUSE_MS = 400, LONGEST_PAUSE_MS = 5000;
-const SILENCE_MS = 10000; // the server says something every 3 s: after so long the line is dead, though nobody said so
+const SILENCE_MS = 10000; // the server sends a message every 3 s: after this time the connection is regarded as lost
 
 async function inflated(data) {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));

@@ -1,0 +1,100 @@
+"""Prose uses the terms of the field (docs/glossary.md): words with a meaning of our own may not come back.
+
+`language.tsv` lists them as regular expressions, how often each may occur at most, and what to write instead. A limit
+may only fall. Identifiers do not count: text in backticks, names of parameters in docstrings, strings without a blank.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from house import PACKAGE, ROOT
+
+LIST = Path(__file__).with_name("language.tsv")
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+SOURCES = sorted(path for kind in ("py", "cpp", "hpp", "js") for path in PACKAGE.rglob(f"*.{kind}"))
+
+
+class Word(NamedTuple):
+    pattern: str
+    most: int
+    instead: str
+
+
+WORDS = [
+    Word(pattern, int(most), instead)
+    for pattern, most, instead in (
+        line.split("\t") for line in LIST.read_text(encoding="utf-8").splitlines() if not line.startswith("#")
+    )
+]
+
+
+def of_page(text: str) -> Iterator[str]:
+    """Lines of a page without blocks of code, comments, code in backticks and targets of links."""
+    text = re.sub(r"^```.*?^```$|<!--.*?-->|^ {4}.*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    for line in text.split("\n"):
+        yield re.sub(r"`[^`]*`|\]\([^)]*\)", "", line)
+
+
+def of_source(text: str, suffix: str) -> Iterator[str]:
+    """Lines of docstrings, comments and messages without the identifiers in them."""
+    if suffix != ".py":
+        yield from re.findall(r"//(.*)", text)
+        return
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT or (token.type == tokenize.STRING and re.search(r"\s", token.string)):
+            for line in token.string.split("\n"):
+                without = re.sub(r"`[^`]*`|\{[^{}]*\}|^\s*[\w, .]+ : .*", "", line)
+                yield re.sub(r"^f?\"[\w.]+\"$", "", without)
+
+
+def prose() -> dict[str, list[str]]:
+    pages = {path.name: list(of_page(path.read_text(encoding="utf-8"))) for path in PAGES}
+    sources = {
+        path.relative_to(PACKAGE).as_posix(): list(of_source(path.read_text(encoding="utf-8"), path.suffix))
+        for path in SOURCES
+    }
+    return pages | sources
+
+
+def found(pattern: str, texts: dict[str, list[str]]) -> list[str]:
+    """Where a pattern occurs, once for each occurrence."""
+    word = re.compile(pattern)
+    return [f"{name}: {line.strip()}" for name, lines in texts.items() for line in lines for _ in word.finditer(line)]
+
+
+@pytest.fixture(scope="module")
+def texts():
+    return prose()
+
+
+@pytest.mark.parametrize("word", WORDS, ids=lambda word: word.pattern)
+def test_words_of_our_own_do_not_come_back(texts, word):
+    places = found(word.pattern, texts)
+    assert len(places) <= word.most, f"write {word.instead} (see docs/glossary.md):\n" + "\n".join(places)
+
+
+@pytest.mark.parametrize(
+    ("source", "suffix", "count"),
+    [
+        ('"""The scan tells where the robot is."""\n', ".py", 1),
+        ("x = 1  # what the log tells\n", ".py", 1),
+        ('raise ValueError(f"{path}: the log tells {nothing}")\n', ".py", 1),
+        ("// what a beam tells\n", ".cpp", 1),
+        ('tells = state["tells"]\n', ".py", 0),
+        ('def f(tells):\n    """Return `tells`.\n\n    tells : int\n    """\n', ".py", 0),
+    ],
+)
+def test_a_planted_word_is_found_and_an_identifier_is_not(source, suffix, count):
+    assert len(found(r"\btells?\b", {"planted": list(of_source(source, suffix))})) == count
+
+
+def test_a_planted_word_is_found_on_a_page():
+    page = "A scan tells it.\n\n```python\ntells = 1\n```\n\nSee `tells` and [this](tells.md).\n"
+    assert found(r"\btells?\b", {"planted": list(of_page(page))}) == ["planted: A scan tells it."]
