@@ -51,7 +51,7 @@ def block() -> str:
         f"{variants['gridslam']['cpu_s']:.2f} times the CPU time"
         for log, variants in ratio["logs"].items()
     ]
-    head = ["", "gridslam", "the filter alone", *(system["name"] for system in others["systems"].values())]
+    head = ["", "gridslam", "filter only", *(system["name"] for system in others["systems"].values())]
     rows = [_cells(log, row, present, others) for log in _LOGS for row in _ROWS]
     machine = present["machine"]
     load = machine["load, yardstick"].partition(",")[0]

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from house import PACKAGE, ROOT
+
+from support.house import PACKAGE, ROOT
 
 LIST = Path(__file__).with_name("language.tsv")
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]

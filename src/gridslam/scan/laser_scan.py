@@ -194,7 +194,7 @@ class LaserScan:
     def beams(self, min_m: float, max_m: float, thinning: Thinning = Thinning()) -> Beams:
         """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame.
 
-        Of a dense scan only some are taken, as `thinning` says.
+        Dense scans are thinned by `thinning`.
         """
         ranges, geometry = self.ranges, self.geometry
         usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]

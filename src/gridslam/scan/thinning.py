@@ -21,7 +21,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 class Thinning:
     """Takes of a dense scan only one beam for each bit of arc about the laser.
 
-    What is near else outweighs all the rest, and thousands of beams cost time and say the same again.
+    Otherwise near structure outweighs all the rest, and thousands of beams cost time without new information.
 
     Parameters
     ----------

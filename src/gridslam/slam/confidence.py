@@ -24,7 +24,7 @@ _LEAST_INFORMATION = 1e-2 * np.eye(3)
 
 @final
 class Estimate(NamedTuple):
-    """What the weighed particles say at a key scan, before resampling, which only loses some of it."""
+    """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
 
     pose: FloatArray  # (3,), of the best particle
     covariance: FloatArray  # (3, 3), of that pose
@@ -37,7 +37,7 @@ class Estimate(NamedTuple):
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
 class Confidence:
-    """Says how far the filter's pose can be trusted, and builds its reports; reads the state, and never writes to it.
+    """Estimates how reliable the filter's pose is, and builds its reports; reads the state and never writes to it.
 
     The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
     key scans a random walk is added.

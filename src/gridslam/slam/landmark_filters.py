@@ -202,7 +202,7 @@ class LandmarkFilters:
         return self.innovation(state, rows, columns, poses, spread, sightings, k)
 
     def _strange(self, sightings: Sightings, k: int) -> float:
-        """Log density of a sighting at the threshold beyond which it is of no known landmark."""
+        """Log density at the threshold beyond which an observation is of no known landmark."""
         return float(log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k]))))
 
     def _drawn(

@@ -142,7 +142,7 @@ class Tracker:
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
-        useless = not (state.learned.trusted or self.search.comes_seldom(state))  # then velocities tell less
+        useless = not (state.learned.trusted or self.search.comes_seldom(state))  # else velocities are worse
         if math.isnan(told[0]) or useless or self._jumped(state, at, stamp_ns):
             return self._by_velocity(state, seconds)
         increment = state.learned.corrected(told)

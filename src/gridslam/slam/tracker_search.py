@@ -42,7 +42,7 @@ class OdometrySearch:
         ones learned, once they are: where the odometry has been right to centimetres, a place half a metre off is
         another one that looks alike.
     known_stretches : float
-        After so many stretches (see `OdometryCalibration`) the errors of the position are learned.
+        Number of stretches (see `OdometryCalibration`) after which the errors of the position are learned.
     least_m : float, m
         The standard deviation of the position counts as this at least.
     certain_share : float
