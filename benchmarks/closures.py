@@ -14,8 +14,8 @@ from gridslam.evaluation import false_closures
 from gridslam.geometry.se2 import between
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import full_slam
-from gridslam.slam.ties import Source
 from gridslam.types import FloatArray
 from report import Report, Target, table
 
@@ -59,7 +59,7 @@ def _driven(drive: Drive) -> _Run:
     cpu_s, truth = time.process_time() - began, np.asarray(stream.truth.poses)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     assert state.memory is not None
-    ties = [tie for tie in state.memory.graph.ties if tie.source is Source.RECOGNIZED]
+    ties = [tie for tie in state.memory.graph.ties if tie.source is ConstraintSource.RECOGNIZED]
     ends = np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
     found = false_closures(truth[keys], ends, np.array([tie.measurement for tie in ties]).reshape(-1, 3))
     joint = np.arange(len(said.graph.edges)) >= len(keys) - 1

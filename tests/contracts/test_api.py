@@ -117,7 +117,7 @@ def test_bad_calls_are_told(log, options, message):
     [
         "tracker.kind=OdometryTracker", "motion.kind=OdometryMotion", "motion.kind=GMappingMotion",
         "sensor.kind=EndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
-        "proposal.kind=Prior", "proposal.kind=Gaussian", "proposal.matcher.kind=HillClimbing",
+        "proposal.kind=MotionModelProposal", "proposal.kind=ImprovedProposal", "proposal.matcher.kind=HillClimbing",
         "when_to_resample.kind=Always", "when_to_resample.kind=Never", "resampler=wheel", "resampler=stratified",
         "resampler=residual", "resampler=multinomial", "resolution_m=0.1", "tracker.map_scans=5",
     ],

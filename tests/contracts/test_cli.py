@@ -31,7 +31,7 @@ from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_trajectory_csv, read_tum, write_tum
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.memory import Rejection
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.types import Trajectory
 
 FILES = {
@@ -118,7 +118,7 @@ def test_run_json_tells_of_loop_closure(closed, mapped):
         assert closure["stamps_ns"] == [stamps[earlier], stamps[later]]
     assert loops["corrections"] > 0
     assert loops["ties"]["recognized"] == len(loops["closures"]) + loops["doubted"]
-    assert set(loops["rejected"]) <= {reason.value for reason in Rejection}
+    assert set(loops["rejected"]) <= {reason.value for reason in RejectionReason}
     assert (loops["moved_m"] > 0) == (loops["chosen"] != "filter")
     best = max(score["log_likelihood"] for score in loops["candidates"].values())
     assert loops["candidates"][loops["chosen"]]["log_likelihood"] == best

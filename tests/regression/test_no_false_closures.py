@@ -14,9 +14,9 @@ from gridslam.evaluation import absolute_errors, closure_errors, false_closures
 from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import FullSlam, full_slam
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.ties import Source
 from gridslam.types import Trajectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -25,6 +25,7 @@ from closure_worlds import DECEPTIVE, deceptive
 
 CONFIG = Configuration()
 PARTICLES = 10
+
 
 @dataclass(frozen=True)
 class Driven:
@@ -54,7 +55,9 @@ def driven(request) -> tuple[str, Driven]:
 def test_nothing_false_is_recognized_or_known(driven):
     """Not while the robot drives. The filter's mere belief, which is told as such, is judged by the next test."""
     _, drive = driven
-    ties = [tie for tie in drive.state.memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]
+    ties = [
+        tie for tie in drive.state.memory.graph.ties if tie.source is not ConstraintSource.BELIEVED and tie.determined
+    ]
     edges, measured = [(tie.from_, tie.to) for tie in ties], [tie.measurement for tie in ties]
     assert not false_closures(drive.key_truth, edges, measured).any()
 

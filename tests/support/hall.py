@@ -13,16 +13,16 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.sim.floor_plan import box, join
-from gridslam.slam.drift import Drift
-from gridslam.slam.memory import Memory
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition import PlaceRecognition
-from gridslam.slam.ties import Source, Tie
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
 EAGER = PlaceRecognition(gap=3, near_m=10.0, overlap=0.6, share=0.75, every=2, query=10, confirmations=3)
 """Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
-DOUBTFUL = Drift(m=0.06, rad_of_way=0.005)
+DOUBTFUL = DriftModel(m=0.06, rad_of_way=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
 
 
@@ -77,14 +77,14 @@ def tracked(truth: np.ndarray, bias_rad_per_m: float = 0.0, scale: float = 1.0) 
 
 
 def remember(
-    memory: Memory,
+    memory: LoopClosureState,
     seen: Seen,
     poses: np.ndarray,
     *,
-    drift: Drift = DOUBTFUL,
+    drift: DriftModel = DOUBTFUL,
     recognition: PlaceRecognition = EAGER,
     until: int | None = None,
-) -> list[tuple[int, Tie]]:
+) -> list[tuple[int, Constraint]]:
     """Go on with a memory as loop closure would, up to key scan `until`; what was recognized, and at which key scan.
 
     The filter believes what was tracked.
@@ -99,12 +99,12 @@ def remember(
     return told
 
 
-def errors(truth: np.ndarray, ties: Sequence[Tie]) -> np.ndarray:
+def errors(truth: np.ndarray, ties: Sequence[Constraint]) -> np.ndarray:
     """By how many m and rad (K, 2) ties are wrong."""
     ends = [(tie.from_, tie.to) for tie in ties]
     return np.column_stack(closure_errors(truth, ends, [tie.measurement for tie in ties]))
 
 
-def trusted(memory: Memory) -> list[Tie]:
+def trusted(memory: LoopClosureState) -> list[Constraint]:
     """Ties that are more than the filter's belief."""
-    return [tie for tie in memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]
+    return [tie for tie in memory.graph.ties if tie.source is not ConstraintSource.BELIEVED and tie.determined]

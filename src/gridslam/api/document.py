@@ -16,9 +16,9 @@ from gridslam.config.tables import to_table
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
-from gridslam.slam.full_slam import Loops
-from gridslam.slam.memory import Rejection
-from gridslam.slam.ties import Source
+from gridslam.slam.constraints import ConstraintSource
+from gridslam.slam.full_slam import LoopClosureSummary
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.slam.tracker import Tracker, TrackerState
 from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import IntArray
@@ -140,15 +140,15 @@ def _filter(result: MapResult) -> dict[str, Any]:
     }
 
 
-def _loop_closure(loops: Loops, key_stamps_ns: IntArray, corrections: int) -> dict[str, Any]:
+def _loop_closure(loops: LoopClosureSummary, key_stamps_ns: IntArray, corrections: int) -> dict[str, Any]:
     return {
         "closures": [
             {"key_scans": pair, "stamps_ns": key_stamps_ns[pair].tolist()} for pair in loops.closures.tolist()
         ],
         "doubted": loops.doubted,
-        "rejected": {reason.value: loops.rejected[reason] for reason in Rejection if loops.rejected[reason]},
+        "rejected": {reason.value: loops.rejected[reason] for reason in RejectionReason if loops.rejected[reason]},
         "corrections": corrections,
-        "ties": {source.name.lower(): loops.ties[source] for source in Source},
+        "ties": {source.name.lower(): loops.ties[source] for source in ConstraintSource},
         "joint_ties": loops.joint_ties,
         "chi2": loops.chi2,
         "moved_m": loops.moved_m,

@@ -23,7 +23,7 @@ from gridslam.pipeline import Stopwatch
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
@@ -159,7 +159,7 @@ def _by_particles(
 
 
 def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> Estimate:
-    robust = None if _noise_is_told(steps) else Cauchy()
+    robust = None if _noise_is_told(steps) else CauchyEstimator()
     found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
     figures = {
         "chi2": found.solution.chi2_after,

@@ -22,7 +22,7 @@ from gridslam.io.record import RecordWriter
 from gridslam.io.trajectory import write_trajectory_csv, write_tum
 from gridslam.observers import RunStatistics
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.full_slam import Loops
+from gridslam.slam.full_slam import LoopClosureSummary
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
@@ -55,7 +55,7 @@ class MapResult:
         The map, drawn from the trajectory.
     graph : PoseGraph
         The key scans and what was measured between them.
-    loops : Loops or None
+    loops : LoopClosureSummary or None
         What loop closure made of the run; None for the filter alone.
     key_stamps_ns : (T,) int64, ns
         Stamps of the key scans, the nodes of the graph.
@@ -88,7 +88,7 @@ class MapResult:
     online_trajectory: Trajectory
     drawn: TiledGrid
     graph: PoseGraph
-    loops: Loops | None
+    loops: LoopClosureSummary | None
     key_stamps_ns: IntArray
     state: GridFastSlamState
     maps_bytes: int
@@ -184,7 +184,7 @@ class MapResult:
 
         return encode_png(self.picture())
 
-    def _drawn(self, loops: Loops) -> FloatArray:
+    def _drawn(self, loops: LoopClosureSummary) -> FloatArray:
         """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""
         recognized = loops.closures[:: -(-len(loops.closures) // _MOST_DRAWN) or 1]
         known = loops.revisits[np.flatnonzero(np.diff(loops.revisits[:, 1] // _APART, prepend=-1))]

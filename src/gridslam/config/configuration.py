@@ -19,13 +19,13 @@ from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
-from gridslam.slam.confidence import Confidence
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam import GridFastSlam
-from gridslam.slam.joint_matching import JointMatching
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Gaussian, Peak, Prior
+from gridslam.slam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
+from gridslam.slam.report_builder import ReportBuilder
 from gridslam.slam.tracker import Tracker
 from gridslam.types import Resampler
 
@@ -83,7 +83,7 @@ class Configuration:
         Whether old places are recognized and the past is corrected; False for the filter alone.
     closure : LoopClosure
         How, while the robot drives.
-    last_word : JointMatching
+    last_word : GlobalScanRefinement
         How, at the end of the log.
     """
 
@@ -94,15 +94,15 @@ class Configuration:
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
     sensor: CauchyAgreement | EndPoint | LikelihoodField | BeamRangeFinder = CauchyAgreement()
-    proposal: Peak | Prior | Gaussian = Peak()
+    proposal: ScanMatchedProposal | MotionModelProposal | ImprovedProposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     when_to_update: MovedAtLeast = MovedAtLeast()
     when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: Confidence = Confidence()
+    confidence: ReportBuilder = ReportBuilder()
     loop_closure: bool = True
     closure: LoopClosure = LoopClosure()
-    last_word: JointMatching = JointMatching()
+    last_word: GlobalScanRefinement = GlobalScanRefinement()
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:

@@ -14,25 +14,25 @@ from gridslam.geometry.se2 import between
 from gridslam.grid.tiled_grid import TiledGrid
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.drift import Drift
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.full_trajectory import full_trajectory
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.graph_robust import scaled
-from gridslam.slam.joint_matching import JointMatching, LastWord
 from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["FullSlam", "Loops", "full_slam"]
+__all__ = ["FullSlam", "LoopClosureSummary", "full_slam"]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Loops:
+class LoopClosureSummary:
     """What loop closure made of a run.
 
     Attributes
@@ -43,9 +43,9 @@ class Loops:
         Key scans that were matched to an older place without search, the way to it being certain; older one first.
     doubted : int
         Recognized ones that it does not.
-    rejected : Counter of Rejection
+    rejected : Counter of RejectionReason
         Places that were found but not believed, by reason.
-    ties : Counter of Source
+    ties : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
     joint_ties : int
         Key scans matched to submaps of another time in the last word, besides the recognized ones.
@@ -62,8 +62,8 @@ class Loops:
     closures: IntArray
     revisits: IntArray
     doubted: int
-    rejected: Counter[Rejection]
-    ties: Counter[Source]
+    rejected: Counter[RejectionReason]
+    ties: Counter[ConstraintSource]
     joint_ties: int
     chi2: float
     moved_m: float
@@ -72,7 +72,8 @@ class Loops:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"Loops({len(self.closures)} places recognized, {len(self.revisits)} known again, chosen: {self.chosen})"
+        closures, revisits = len(self.closures), len(self.revisits)
+        return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.chosen})"
 
 
 @final
@@ -88,7 +89,7 @@ class FullSlam:
         The T key scans and what was measured between them, the information as it was weighed in the end.
     drawn : TiledGrid
         The map, drawn from the key scans at these poses.
-    loops : Loops or None
+    loops : LoopClosureSummary or None
         What loop closure made of the run; None for the filter alone.
     """
 
@@ -96,7 +97,7 @@ class FullSlam:
     covariances: FloatArray
     graph: PoseGraph
     drawn: TiledGrid
-    loops: Loops | None
+    loops: LoopClosureSummary | None
 
     @property
     def map(self) -> OccupancyGrid:
@@ -110,7 +111,7 @@ def full_slam(
     key_from_base: FloatArray,
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    last_word: JointMatching,
+    last_word: GlobalScanRefinement,
     tick: Callable[[], None] = lambda: None,
 ) -> FullSlam:
     """Tell the answer as the scans so far have it; `state` is not changed, so that the run may go on.
@@ -154,7 +155,7 @@ def _marginals(graph: PoseGraph) -> FloatArray:
     return marginal_covariances(graph)
 
 
-def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift) -> PoseGraph:
+def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel) -> PoseGraph:
     """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
@@ -164,13 +165,15 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 
 
-def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
+def _loops(
+    driven: LoopClosureState, memory: LoopClosureState, said: RefinementResult, trajectory: FloatArray
+) -> LoopClosureSummary:
     """Sum up what was remembered while the robot drove, and in the last word."""
-    closures = [tie for tie in said.best.believed if tie.source is Source.RECOGNIZED]
+    closures = [tie for tie in said.best.believed if tie.source is ConstraintSource.RECOGNIZED]
     recognized = len(said.best.recognized)
-    return Loops(
+    return LoopClosureSummary(
         closures=_ends(closures),
-        revisits=_ends([tie for tie in driven.graph.ties if tie.source is Source.KNOWN]),
+        revisits=_ends([tie for tie in driven.graph.ties if tie.source is ConstraintSource.KNOWN]),
         doubted=recognized - len(closures),
         rejected=memory.rejected,
         ties=Counter(tie.source for tie in driven.graph.ties),
@@ -182,6 +185,6 @@ def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArra
     )
 
 
-def _ends(ties: list[Tie]) -> IntArray:
+def _ends(ties: list[Constraint]) -> IntArray:
     """Key scans (K, 2) that ties join."""
     return np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)

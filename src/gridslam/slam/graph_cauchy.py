@@ -10,19 +10,19 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
 from gridslam.slam.graph_linear import BlockSystem
 from gridslam.slam.graph_robust import RobustEstimate
+from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
-__all__ = ["Cauchy"]
+__all__ = ["CauchyEstimator"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Cauchy:
+class CauchyEstimator:
     """Cauchy's M-estimator, by iteratively reweighted least squares from the graph's poses.
 
     A measurement whose error is s standard deviations counts 1 / (1 + (s / scale)^2). Thousands of matches against
@@ -47,14 +47,14 @@ class Cauchy:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> Work[RobustEstimate]:
+    ) -> Computation[RobustEstimate]:
         """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
         poses = next(iter(starts))
         system = BlockSystem(graph.edges, len(graph.poses), 3)
         weights, iterations = self.weights(graph, poses), 0
         for _ in range(self.passes):
             weighted, passes = _weighted(graph, weights), min(2, max_iterations)
-            found: Descent = yield from descend(weighted, poses, system, passes, tolerance)
+            found: DescentResult = yield from descend(weighted, poses, system, passes, tolerance)
             iterations += found.iterations
             moved = float(np.abs(found.poses - poses)[:, :2].max())
             poses, weights = found.poses, self.weights(graph, found.poses)

@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, is_connected
 from gridslam.slam.graph_marginals import Marginals
+from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
@@ -41,7 +41,7 @@ _SAME = 1e-4
 class RobustEstimate:
     """A solution, its weights (M,), 0 or 1, and its truncated cost."""
 
-    solution: Descent
+    solution: DescentResult
     weights: FloatArray
     cost: float
 
@@ -81,10 +81,10 @@ class GraduatedNonConvexity:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> Work[RobustEstimate]:
+    ) -> Computation[RobustEstimate]:
         """Find poses and weights from one or more guesses (N, 3); the rest is as for `descend`."""
         search = _Search(graph, self.bound, self.growth)
-        best = RobustEstimate(Descent(graph.poses, np.inf, 0, False), np.ones(len(graph.edges)), np.inf)
+        best = RobustEstimate(DescentResult(graph.poses, np.inf, 0, False), np.ones(len(graph.edges)), np.inf)
         for start in starts:
             found = yield from search.round(start)
             agreed = abs(found.cost - best.cost) <= _SAME * found.cost
@@ -108,12 +108,12 @@ class _Search:
         self.graph, self.bound, self.growth = graph, bound, growth
         self.iterations = 0
 
-    def round(self, poses: FloatArray) -> Work[RobustEstimate]:
+    def round(self, poses: FloatArray) -> Computation[RobustEstimate]:
         """Graduate from poses (N, 3), then fit what is held for true until the cost falls no more."""
         poses, weights = yield from self._graduate(poses)
         return (yield from self._settle(weights, poses))
 
-    def readmit(self, best: RobustEstimate) -> Work[RobustEstimate]:
+    def readmit(self, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Take back what was rejected but can be followed at less than c^2, all or the likeliest, if the cost falls."""
         while True:
             yield
@@ -138,9 +138,9 @@ class _Search:
         graph = self.graph
         return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
-    def _settle(self, weights: FloatArray, poses: FloatArray) -> Work[RobustEstimate]:
+    def _settle(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
         """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""
-        best = RobustEstimate(Descent(poses, np.inf, 0, False), weights, np.inf)
+        best = RobustEstimate(DescentResult(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
             found = yield from self._refit(weights, best)
             if found.cost >= best.cost:
@@ -151,7 +151,7 @@ class _Search:
                 break
         return best
 
-    def _refit(self, weights: FloatArray, best: RobustEstimate) -> Work[RobustEstimate]:
+    def _refit(self, weights: FloatArray, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Fit what is held for true, from its own first guess; from the best poses yet where that does not help."""
         found = best
         for start in (initial_guess(scaled(self.graph, weights)), best.solution.poses):
@@ -161,12 +161,12 @@ class _Search:
                 break
         return found
 
-    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> Work[RobustEstimate]:
+    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> Computation[RobustEstimate]:
         """Descend to the minimum, with the weights as they are."""
         solution = yield from self._fit(found.weights, found.solution.poses, max_iterations, tolerance)
         return replace(found, solution=replace(solution, iterations=self.iterations))
 
-    def _graduate(self, poses: FloatArray) -> Work[tuple[FloatArray, FloatArray]]:
+    def _graduate(self, poses: FloatArray) -> Computation[tuple[FloatArray, FloatArray]]:
         """Return poses (N, 3) and weights (M,), almost all 0 or 1, at the end of the family of costs."""
         doubted, weights = ~self.graph.trusted, np.ones(len(self.graph.edges))
         squared = self._squared(poses)[doubted]
@@ -182,7 +182,9 @@ class _Search:
             degree *= self.growth
         return poses, weights
 
-    def _fit(self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float) -> Work[Descent]:
+    def _fit(
+        self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float
+    ) -> Computation[DescentResult]:
         yield
         counted = scaled(self.graph, weights)
         found = yield from descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)

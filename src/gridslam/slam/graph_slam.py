@@ -12,13 +12,13 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.slam.graph_cauchy import Cauchy
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_cauchy import CauchyEstimator
+from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, require_connected
 from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.incremental import Computation, done
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work, done
 from gridslam.types import FloatArray
 
 __all__ = ["GraphSlam", "GraphSolution"]
@@ -76,7 +76,7 @@ class GraphSlam:
         iterations, one if `max_iterations` is 1), at `initial_guess` (for poses that mean nothing), or where chi2 is
         less, and again from the other where the first answer is doubtful: it turned some pose by more than a right
         angle from the computed guess, or its chi2 is greater than the measurements' noise explains.
-    robust : GraduatedNonConvexity, Cauchy or None
+    robust : GraduatedNonConvexity, CauchyEstimator or None
         Estimates which of the measurements that are not trusted are false, or how good each is; None believes all.
     max_iterations : int
         Linear systems solved at most from one guess.
@@ -88,7 +88,7 @@ class GraphSlam:
     """
 
     first_guess: Literal["given", "computed", "either"] = "either"
-    robust: GraduatedNonConvexity | Cauchy | None = None
+    robust: GraduatedNonConvexity | CauchyEstimator | None = None
     max_iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-6, gt=0, lt=1)
 
@@ -108,7 +108,7 @@ class GraphSlam:
         smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
         self.solve(replace(smallest, trusted=np.array([True, False, False])))
 
-    def solving(self, graph: PoseGraph) -> Work[GraphSolution]:
+    def solving(self, graph: PoseGraph) -> Computation[GraphSolution]:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
         weights = np.ones(len(graph.edges))
@@ -124,7 +124,7 @@ class GraphSlam:
         before = float((weights * squared_errors(graph, graph.errors())).sum())
         return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
 
-    def _least_squares(self, graph: PoseGraph) -> Work[Descent]:
+    def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
         """Return the least chi2 met from the guesses there are."""
         system = BlockSystem(graph.edges, len(graph.poses), 3)
         if self.first_guess == "given":
@@ -149,7 +149,7 @@ class GraphSlam:
                 yield initial_guess(scaled(graph, np.where(graph.trusted, 1.0, weight)))
 
 
-def _doubtful(found: Descent, computed: FloatArray, measurements: int) -> bool:
+def _doubtful(found: DescentResult, computed: FloatArray, measurements: int) -> bool:
     """Whether another guess may lead lower: see `GraphSlam`."""
     turned = np.abs(wrap(found.poses[:, 2] - computed[:, 2])).max()
     freedom = 3 * (measurements - len(computed) + 1)

@@ -24,14 +24,14 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import at_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Peak, Proposal
+from gridslam.slam.proposals import Proposal, ScanMatchedProposal
+from gridslam.slam.report_builder import ReportBuilder
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import Tracked, Tracker
+from gridslam.slam.tracker import TrackedScan, Tracker
 from gridslam.slam.tracker_velocity import widened
 from gridslam.types import (
     Beams,
@@ -76,7 +76,7 @@ class GridFastSlam:
         When resampling is worth its loss of diversity.
     map_limit : MapLimit
         How much the particles' maps may take.
-    confidence : Confidence
+    confidence : ReportBuilder
         How poses' covariances and the lost flag are told.
     loop_closure : LoopClosure or None
         Recognizes old places and corrects the past; None for the filter alone.
@@ -94,13 +94,13 @@ class GridFastSlam:
     tracker: Tracker | OdometryTracker = Tracker()
     motion: MotionModel = DiffusionMotion()
     sensor: SensorModel = CauchyAgreement()
-    proposal: Proposal = Peak()
+    proposal: Proposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     resampler: Resampler = Systematic()
     when_to_update: UpdatePolicy = MovedAtLeast()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: Confidence = Confidence()
+    confidence: ReportBuilder = ReportBuilder()
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
@@ -186,7 +186,7 @@ class GridFastSlam:
 
     def _track(
         self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
-    ) -> tuple[Tracked, OdometryNoise | None]:
+    ) -> tuple[TrackedScan, OdometryNoise | None]:
         """Track a scan, by odometry unless that is told to be of no use; and what is told of its noise."""
         tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
         if odometry is not None and isinstance(tracker, Tracker):
@@ -196,7 +196,7 @@ class GridFastSlam:
         state.odometry_covariance = None if noise is None else noise.covariance
         return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
 
-    def _predict(self, state: GridFastSlamState, tracked: Tracked, noise: OdometryNoise | None) -> MotionSampler:
+    def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
         motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)
         return motion if noise is None else noise.added(motion, state.key_pose, tracked.predicted)

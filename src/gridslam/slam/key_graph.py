@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, compose, inverse
-from gridslam.slam.nearby import Moments, Nearby, covariances, moments_of
+from gridslam.slam.constraints import Constraint, ConstraintSource, constraints_from_arrays, constraints_to_arrays
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
+from gridslam.slam.submap_distance import Moments, SubmapDistance, covariances, moments_of
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["BLOCK", "KeyGraph", "Nearby"]
+__all__ = ["BLOCK", "KeyGraph", "SubmapDistance"]
 
 _Crossing = tuple[int, FloatArray] | None
 """The block that a tie leads from, and its first key scan seen from that of the block that it leads to."""
@@ -46,7 +46,7 @@ class KeyGraph:
         self.tracked: list[FloatArray] = []  # (3,) each, in the tracker's frame
         self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
         self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
-        self.ties: list[Tie] = []
+        self.ties: list[Constraint] = []
         self._gaps: list[int] = []  # blind stretches of way up to each key scan
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
         self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
@@ -72,7 +72,7 @@ class KeyGraph:
         self._sums.append(moments + self._sums[-1] if self._sums else moments)
         self._add_steps()
 
-    def add(self, tie: Tie) -> None:
+    def add(self, tie: Constraint) -> None:
         """Add a measurement between two key scans."""
         self.ties.append(tie)
         self._link(tie)
@@ -104,14 +104,14 @@ class KeyGraph:
         frame = self.tracked if abs(anchor - key) <= 3 * BLOCK else self.poses
         return between(frame[anchor], frame[key])
 
-    def nearby(self, key: int, limit_m: float, most: int) -> list[Nearby]:
+    def nearby(self, key: int, limit_m: float, most: int) -> list[SubmapDistance]:
         """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
 
         The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
         """
         return self._seen(key, self._ways(key, limit_m, most))
 
-    def way_to(self, block: int, key: int, limit_m: float, most: int) -> Nearby | None:
+    def way_to(self, block: int, key: int, limit_m: float, most: int) -> SubmapDistance | None:
         """Give the one of `nearby` that is a submap; None if it is not among them."""
         found = self._ways(key, limit_m, most, last=block)
         return self._seen(key, {block: found[block]})[0] if block in found else None
@@ -152,12 +152,12 @@ class KeyGraph:
                     heapq.heappush(queue, (spread, pushed, other, total, end, way))
         return done
 
-    def _seen(self, key: int, ways: Mapping[int, tuple[Moments, FloatArray]]) -> list[Nearby]:
+    def _seen(self, key: int, ways: Mapping[int, tuple[Moments, FloatArray]]) -> list[SubmapDistance]:
         """Where a key scan is as seen from submaps, by the ways there."""
         firsts = np.array([self.tracked[block * BLOCK] for block in ways])
         poses = between(firsts, np.array([end for _, end in ways.values()]))
         spreads = covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
-        return [Nearby(*found) for found in zip(ways, poses, spreads, strict=True)]
+        return [SubmapDistance(*found) for found in zip(ways, poses, spreads, strict=True)]
 
     def pieces(self) -> IntArray:
         """For each key scan the rigid piece (T,) that it belongs to, by number.
@@ -169,7 +169,7 @@ class KeyGraph:
             return labels
         roots = np.arange(labels[-1] + 1)
         for tie in self.ties:
-            if tie.determined and tie.source is not Source.BELIEVED:
+            if tie.determined and tie.source is not ConstraintSource.BELIEVED:
                 a, b = roots[labels[tie.from_]], roots[labels[tie.to]]
                 if a != b:
                     roots[roots == max(a, b)] = min(a, b)
@@ -221,7 +221,7 @@ class KeyGraph:
             "poses": np.array(self.poses, np.float64).reshape(-1, 3),
             "variances": np.array(self.variances, np.float64).reshape(-1, 2),
             "sums": np.array(self._sums, np.float64).reshape(-1, 7),
-            **{f"ties.{name}": array for name, array in ties_to_arrays(ties).items()},
+            **{f"ties.{name}": array for name, array in constraints_to_arrays(ties).items()},
             "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
             "links": np.array([[*p, *m] for ls in self._links.values() for p, m in ls.values()]).reshape(-1, 10),
         }
@@ -234,7 +234,7 @@ class KeyGraph:
         self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
         self._count_gaps()
         self._add_steps()
-        self.ties = ties_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
+        self.ties = constraints_from_arrays({name[5:]: a for name, a in arrays.items() if name.startswith("ties.")})
         for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
             self._links.setdefault(a, {})[b] = moments[:3], tuple(moments[3:].tolist())
         return self
@@ -262,7 +262,7 @@ class KeyGraph:
         for first in range(len(self._steps) * BLOCK, len(sums) - BLOCK, BLOCK):
             self._steps.append(tuple((sums[first + BLOCK] - sums[first]).tolist()))
 
-    def _link(self, tie: Tie) -> None:
+    def _link(self, tie: Constraint) -> None:
         """Note the way that a tie opens between two submaps, if it is the best so far."""
         if not tie.determined:
             return

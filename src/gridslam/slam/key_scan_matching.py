@@ -13,10 +13,10 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam.constraints import Constraint, ConstraintSource, surveyed
 from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Memory
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.submaps import ROW, anchor_of, drawn, keys_of
-from gridslam.slam.ties import Source, Tie, surveyed
 from gridslam.types import FloatArray
 
 __all__ = ["KeyScanMatching"]
@@ -60,8 +60,8 @@ class KeyScanMatching:
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
-        self, memory: Memory, poses: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
-    ) -> Iterator[Tie]:
+        self, memory: LoopClosureState, poses: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None]
+    ) -> Iterator[Constraint]:
         """Match key scans to the submaps about them."""
         wanted = self._wanted(memory, poses)
         loose = np.full((1, 3, 3), 1e-6) * np.eye(3)
@@ -82,9 +82,11 @@ class KeyScanMatching:
                 score = float(match.score[0])
                 if score < max(self.share * len(beams), 1.0) or np.hypot(moved[0], moved[1]) > self.most_m:
                     continue
-                yield Tie.of(anchor, key, guess, match, self.beam_sigma_m, self.least_information, Source.BELIEVED)
+                yield Constraint.of(
+                    anchor, key, guess, match, self.beam_sigma_m, self.least_information, ConstraintSource.BELIEVED
+                )
 
-    def _wanted(self, memory: Memory, poses: FloatArray) -> list[list[int]]:
+    def _wanted(self, memory: LoopClosureState, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""
         from scipy.spatial import cKDTree  # only who closes loops pays for its import
 

@@ -13,16 +13,16 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.drift import Drift
+from gridslam.slam.constraints import Constraint
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
+from gridslam.slam.incremental import worked
 from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Correction, Memory, Rejection, Weighing
+from gridslam.slam.loop_closure_state import Correction, LoopClosureState, PendingConstraints, RejectionReason
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import draw
-from gridslam.slam.ties import Tie
-from gridslam.slam.work import worked
 from gridslam.types import BeamEnds, StepReport
 
 __all__ = ["LoopClosure"]
@@ -50,7 +50,7 @@ class LoopClosure:
         Which places are recognized.
     solver : GraphSlam
         How the graph is solved.
-    drift : Drift
+    drift : DriftModel
         How uncertain tracked motion is.
     disagree_m, disagree_rad : float
         Where the filter has the recognized places within this it closed the loop itself, and is left alone.
@@ -62,7 +62,7 @@ class LoopClosure:
 
     recognition: PlaceRecognition = PlaceRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
-    drift: Drift = Drift()
+    drift: DriftModel = DriftModel()
     disagree_m: float = Field(default=0.3, gt=0)
     disagree_rad: float = Field(default=0.05, gt=0)
     scans_per_step: int = Field(default=60, ge=2)
@@ -70,7 +70,7 @@ class LoopClosure:
 
     def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
         """Begin with the filter's first scan."""
-        state.memory = memory = Memory()
+        state.memory = memory = LoopClosureState()
         memory.scans.append(beams, state.tracker.pose, is_key=True)
         memory.said.append(state.poses[state.best])
         memory.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
@@ -78,7 +78,7 @@ class LoopClosure:
     def __call__(
         self,
         state: GridFastSlamState,
-        memory: Memory,
+        memory: LoopClosureState,
         report: StepReport,
         beams: BeamEnds,
         mapper: OccupancyGridMapping,
@@ -94,13 +94,13 @@ class LoopClosure:
             Thread(target=self.solver.prepare).start()
         found = self.recognition(memory, mapper)
         if found and memory.weighing is None and memory.correction is None and self._disagrees(memory, found, state):
-            memory.weighing = Weighing(len(memory.graph), len(memory.graph.ties), len(found))
+            memory.weighing = PendingConstraints(len(memory.graph), len(memory.graph.ties), len(found))
         else:
             ties = ties + found
         corrected = memory.correction is not None and self._draw(memory, memory.correction, state)
         return replace(report, pose=state.poses[state.best], closures=_ends(ties), corrected=corrected)
 
-    def _remember(self, memory: Memory, state: GridFastSlamState) -> None:
+    def _remember(self, memory: LoopClosureState, state: GridFastSlamState) -> None:
         """Add the newest key scan, where it was tracked to."""
         graph = memory.graph
         moved = between(graph.tracked[-1], state.key_pose)
@@ -112,7 +112,7 @@ class LoopClosure:
         graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
         memory.said.append(state.poses[state.best])
 
-    def _disagrees(self, memory: Memory, ties: list[Tie], state: GridFastSlamState) -> bool:
+    def _disagrees(self, memory: LoopClosureState, ties: list[Constraint], state: GridFastSlamState) -> bool:
         """Whether the filter's best trajectory contradicts what was recognized."""
         trajectory = state.ancestry.trajectory(state.best)
         has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
@@ -120,7 +120,9 @@ class LoopClosure:
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
-    def _weigh(self, memory: Memory, weighing: Weighing, mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
+    def _weigh(
+        self, memory: LoopClosureState, weighing: PendingConstraints, mapper: OccupancyGridMapping, threads: int
+    ) -> list[Constraint]:
         """Solve the graph a little more; at the end begin to draw the corrected past, and return the new ties.
 
         None are returned before the end, and none if the graph doubts them.
@@ -139,7 +141,7 @@ class LoopClosure:
         new = slice(weighing.ties - weighing.new, weighing.ties)
         true = solution.weights[-weighing.new :] >= 0.5
         ties = [tie for tie, is_true in zip(graph.ties[new], true.tolist(), strict=True) if is_true]
-        memory.rejected[Rejection.IMPLAUSIBLE] += weighing.new - len(ties)
+        memory.rejected[RejectionReason.IMPLAUSIBLE] += weighing.new - len(ties)
         if 2 * len(ties) <= weighing.new:  # what else is known speaks against the closure
             ties = []
         graph.ties[new] = ties
@@ -148,7 +150,7 @@ class LoopClosure:
         memory.correct(poses)
         return ties
 
-    def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
+    def _draw(self, memory: LoopClosureState, correction: Correction, state: GridFastSlamState) -> bool:
         """Draw on; when all is drawn, merge. Returns whether it was merged."""
         correction.poses = poses = memory.graph.continued(correction.poses)
         last = min(correction.drawn + self.scans_per_step, len(poses))
@@ -163,5 +165,5 @@ class LoopClosure:
         return True
 
 
-def _ends(ties: list[Tie]) -> tuple[tuple[int, int], ...]:
+def _ends(ties: list[Constraint]) -> tuple[tuple[int, int], ...]:
     return tuple((tie.from_, tie.to) for tie in ties)

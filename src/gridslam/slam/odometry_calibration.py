@@ -15,14 +15,14 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
 
-__all__ = ["LearnedOdometry", "OdometryCalibration"]
+__all__ = ["OdometryCalibration", "OdometryErrorModel"]
 
 _EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 @final
 @dataclass(slots=True, eq=False)
-class LearnedOdometry:
+class OdometryErrorModel:
     """What is known of the odometry; arrays in it are replaced, never written to.
 
     Attributes
@@ -65,7 +65,7 @@ class LearnedOdometry:
         turn = math.remainder(g * theta + b * x, math.tau)
         return np.array([a * x - c * y + p * theta, c * x + a * y + q * theta, turn])
 
-    def snapshot(self) -> LearnedOdometry:
+    def snapshot(self) -> OdometryErrorModel:
         """Keep a copy for later."""
         return replace(self)
 
@@ -76,7 +76,7 @@ class LearnedOdometry:
         return arrays | {"flags": np.array([self.trusted, self.determined])}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LearnedOdometry:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> OdometryErrorModel:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         trusted, determined = arrays["flags"].tolist()
         own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
@@ -91,9 +91,10 @@ _ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", 
 class OdometryCalibration:
     """Learns from what the tracker makes of the odometry, stretch by stretch.
 
-    The six factors of `LearnedOdometry` are the least squares solution over past stretches, of which older ones count
-    less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which the
-    scans did not determine the position teach the heading alone, as the tracker has the rest from the odometry itself.
+    The six factors of `OdometryErrorModel` are the least squares solution over past stretches, of which older ones
+    count less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which
+    the scans did not determine the position teach the heading alone, as the tracker has the rest from the odometry
+    itself.
 
     Parameters
     ----------
@@ -120,18 +121,18 @@ class OdometryCalibration:
     known_sigma_m: float = Field(default=0.05, gt=0)
     useless: float = Field(default=0.6, gt=0)
 
-    def is_known(self, learned: LearnedOdometry) -> bool:
+    def is_known(self, learned: OdometryErrorModel) -> bool:
         """Whether enough was learned, and the odometry keeps to it."""
         return learned.stretches >= self.known_stretches and learned.variances[0] < self.known_sigma_m**2
 
     def learn(
-        self, learned: LearnedOdometry, pose: FloatArray, odometry: FloatArray, believed: bool, determined: bool
+        self, learned: OdometryErrorModel, pose: FloatArray, odometry: FloatArray, believed: bool, determined: bool
     ) -> None:
         """Take note of a scan that was matched.
 
         Parameters
         ----------
-        learned : LearnedOdometry
+        learned : OdometryErrorModel
             Updated at the end of a stretch.
         pose, odometry : (3,) float64
             Of the scan, in the tracker's frame and in the odometry's; NaN where there is no odometry.
@@ -155,7 +156,7 @@ class OdometryCalibration:
         x, y, turn = difference.tolist()
         return math.hypot(x, y) >= self.stretch_m or abs(math.remainder(turn, math.tau)) >= self.stretch_rad
 
-    def _judge(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+    def _judge(self, learned: OdometryErrorModel, moved: FloatArray, told: FloatArray) -> None:
         """Whether the odometry, as corrected, explains the motion."""
         (x, y, turn), (dx, dy, left) = moved.tolist(), between(learned.corrected(told), moved).tolist()
         new = [math.hypot(dx, dy), math.hypot(x, y), abs(left), abs(turn)]
@@ -165,7 +166,7 @@ class OdometryCalibration:
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
         learned.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
-    def _fit(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+    def _fit(self, learned: OdometryErrorModel, moved: FloatArray, told: FloatArray) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
         (x, y, theta), (mx, my, turned) = told.tolist(), moved.tolist()
         left = between(learned.corrected(told), moved)

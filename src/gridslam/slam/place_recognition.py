@@ -10,21 +10,21 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.known_places import tie_known_place
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_parameters import PlaceParameters
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint
+from gridslam.slam.key_graph import BLOCK, KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
 from gridslam.slam.place_search import candidate_pieces, search_place
 from gridslam.slam.submaps import anchor_of
-from gridslam.slam.ties import Tie
+from gridslam.slam.tracked_revisits import tie_known_place
 
 __all__ = ["PlaceRecognition"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class PlaceRecognition(PlaceParameters):
+class PlaceRecognition(PlaceRecognitionParameters):
     """Ties key scans to older submaps: those it still knows its way to, and those it recognizes.
 
     A place is recognized when the points of the last key scans fit the old map somewhere within what the drift allows
@@ -32,7 +32,7 @@ class PlaceRecognition(PlaceParameters):
     other searches nearby say the same.
     """
 
-    def __call__(self, memory: Memory, mapper: OccupancyGridMapping) -> list[Tie]:
+    def __call__(self, memory: LoopClosureState, mapper: OccupancyGridMapping) -> list[Constraint]:
         """Look at the newest key scan; returns the ties of a place just recognized, which are in the graph, too."""
         graph = memory.graph
         newest = len(graph) - 1
@@ -50,7 +50,7 @@ class PlaceRecognition(PlaceParameters):
         found = search_place(self, memory, mapper, newest, pieces[memory.failures % len(pieces)])
         if found is None:
             return []
-        if isinstance(found, Rejection):
+        if isinstance(found, RejectionReason):
             self._reject(memory, found)
             return []
         memory.failures, memory.next_search = 0, newest + self.every
@@ -58,7 +58,7 @@ class PlaceRecognition(PlaceParameters):
         agreeing = [h for h in recent if self._agree(graph, h, found)]
         memory.hypotheses = recent
         if len(agreeing) < len(recent):
-            memory.rejected[Rejection.INCONSISTENT] += 1
+            memory.rejected[RejectionReason.INCONSISTENT] += 1
         if not self._convinces(agreeing, recent):
             return []
         memory.hypotheses = []
@@ -67,8 +67,12 @@ class PlaceRecognition(PlaceParameters):
         return agreeing
 
     def search_all(
-        self, memory: Memory, mapper: OccupancyGridMapping, known: Sequence[Tie], tick: Callable[[], None]
-    ) -> list[Tie]:
+        self,
+        memory: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        known: Sequence[Constraint],
+        tick: Callable[[], None],
+    ) -> list[Constraint]:
         """Search the whole log for places that `known` ties do not tell of yet.
 
         Returns ties of groups that agree with each other and with the motion between them: each is one place seen
@@ -76,7 +80,7 @@ class PlaceRecognition(PlaceParameters):
         """
         graph, near = memory.graph, range(-self.every, self.every + 1)
         tied, labels = {tie.to + k for tie in known for k in near}, graph.pieces()
-        groups: list[list[Tie]] = []
+        groups: list[list[Constraint]] = []
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
             if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
                 continue
@@ -85,7 +89,7 @@ class PlaceRecognition(PlaceParameters):
                     continue  # key scans are matched to it without search; another piece is aligned as a whole
                 found = self._searched(memory, mapper, key, piece)
                 tick()
-                if isinstance(found, Rejection):
+                if isinstance(found, RejectionReason):
                     memory.rejected[found] += 1
                 elif found is not None:
                     self._group(graph, groups, found)
@@ -93,15 +97,15 @@ class PlaceRecognition(PlaceParameters):
         return [tie for group in groups if self._convinces(group, found_all) for tie in group]
 
     def _searched(
-        self, memory: Memory, mapper: OccupancyGridMapping, key: int, piece: list[Nearby]
-    ) -> Tie | Rejection | None:
+        self, memory: LoopClosureState, mapper: OccupancyGridMapping, key: int, piece: list[SubmapDistance]
+    ) -> Constraint | RejectionReason | None:
         """Search at a key scan to the end: maps are drawn when they are needed."""
         found = None
         for _ in range(3):
             found = found or search_place(self, memory, mapper, key, piece)
         return found
 
-    def _group(self, graph: KeyGraph, groups: list[list[Tie]], found: Tie) -> None:
+    def _group(self, graph: KeyGraph, groups: list[list[Constraint]], found: Constraint) -> None:
         """Add a tie to the group that it agrees with, or begin one."""
         for group in reversed(groups):
             if found.to - group[-1].to <= 6 * self.every and self._agree(graph, group[-1], found):
@@ -109,18 +113,18 @@ class PlaceRecognition(PlaceParameters):
                 return
         groups.append([found])
 
-    def _convinces(self, group: list[Tie], found: list[Tie]) -> bool:
+    def _convinces(self, group: list[Constraint], found: list[Constraint]) -> bool:
         """Whether a group has enough members, and more than twice as many as contradict it meanwhile."""
         meanwhile = sum(group[0].to <= tie.to <= group[-1].to for tie in found)
         return len(group) >= max(self.confirmations, 2 * (meanwhile - len(group)) + 1)
 
-    def _reject(self, memory: Memory, reason: Rejection) -> None:
+    def _reject(self, memory: LoopClosureState, reason: RejectionReason) -> None:
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
         memory.rejected[reason] += 1
-        memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
+        memory.failures = memory.failures + 1 if reason is RejectionReason.POOR else 0
         memory.next_search = len(memory.graph) - 1 + self.every * 2 ** min(max(memory.failures - 1, 0), 3)
 
-    def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
+    def _agree(self, graph: KeyGraph, earlier: Constraint, later: Constraint) -> bool:
         """Whether the motion between two key scans leads from the one place to the other."""
-        missed = evidence.disagreement(graph, earlier, later)
+        missed = checks.disagreement(graph, earlier, later)
         return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad

@@ -10,12 +10,12 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Found, thinned
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_parameters import PlaceParameters
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.key_graph import BLOCK, KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
 from gridslam.slam.submaps import anchor_of
-from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray
 
 __all__ = ["candidate_pieces", "search_place"]
@@ -25,8 +25,12 @@ _FEW, _MOST_SUBMAPS = 12, 24
 
 
 def search_place(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, candidates: list[Nearby]
-) -> Tie | Rejection | None:
+    places: PlaceRecognitionParameters,
+    memory: LoopClosureState,
+    mapper: OccupancyGridMapping,
+    key: int,
+    candidates: list[SubmapDistance],
+) -> Constraint | RejectionReason | None:
     """Search what was seen up to a key scan in old submaps where the robot may have been: one of `candidate_pieces`.
 
     Where the map to search in has to be drawn first, that is all for now, and None is returned: no scan shall wait for
@@ -35,10 +39,10 @@ def search_place(
     graph, oldest = memory.graph, key // BLOCK - places.gap
     way, blocks = candidates[0], tuple(n.block for n in candidates)
     guess = compose(graph.poses[way.block * BLOCK], way.pose)
-    points = thinned(evidence.recent_points(memory, key, places.query), places.search.points)
+    points = thinned(checks.recent_points(memory, key, places.query), places.search.points)
     if set(blocks[:_FEW]) <= set(memory.wide):
         found = _told_apart(places, memory, mapper, key, guess, way.covariance, points)
-        memory.wide = () if isinstance(found, Rejection) else memory.wide
+        memory.wide = () if isinstance(found, RejectionReason) else memory.wide
         return found
     near = [n.block for n in candidates if _away(places, n) < places.search.gate][:_FEW]
     if not set(near[:6]) <= set(memory.area):
@@ -50,16 +54,16 @@ def search_place(
     maps = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
     near_place = places.search.search(pyramid, guess, way.covariance, points)
     if near_place is None or not places.agrees(maps, near_place.pose, points):
-        return Rejection.POOR
+        return RejectionReason.POOR
     memory.wide = tuple(sorted(blocks))
     memory.submaps.joint(memory.wide, mapper, memory.scans, graph)
     return None
 
 
 def _told_apart(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int,
+    places: PlaceRecognitionParameters, memory: LoopClosureState, mapper: OccupancyGridMapping, key: int,
     guess: FloatArray, spread: FloatArray, points: FloatArray,
-) -> Tie | Rejection:  # fmt: skip
+) -> Constraint | RejectionReason:  # fmt: skip
     """Search in all the places that the one found must be told from."""
     graph, blocks = memory.graph, memory.wide
     pyramid = memory.submaps.pyramid(blocks, mapper, memory.scans, graph)
@@ -67,26 +71,26 @@ def _told_apart(
     beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / places.search.gate)
     found = places.search.search(pyramid, guess, spread + beyond, points)
     if found is None:
-        return Rejection.POOR
+        return RejectionReason.POOR
     if not places.is_plausible(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
-        return Rejection.IMPLAUSIBLE
+        return RejectionReason.IMPLAUSIBLE
     if rejection := _judged(places, found, maps, points, memory, key):
         return rejection
     anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
     block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
     anchor = graph.poses[anchor_of(block)]
     seen, most_m = between(anchor, found.pose), 3 * places.known_m
-    tie = places.match_to(maps, anchor, memory, key, block, seen, most_m, Source.RECOGNIZED)
-    return tie if isinstance(tie, Rejection) or tie.determined else Rejection.UNDETERMINED
+    tie = places.match_to(maps, anchor, memory, key, block, seen, most_m, ConstraintSource.RECOGNIZED)
+    return tie if isinstance(tie, RejectionReason) or tie.determined else RejectionReason.UNDETERMINED
 
 
-def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list[list[Nearby]]:
+def candidate_pieces(places: PlaceRecognitionParameters, graph: KeyGraph, key: int) -> list[list[SubmapDistance]]:
     """Old submaps that the robot may be in, by rigid piece; those that it would have to be moved least for first.
 
     Submaps between which the robot went on blindly make no map together, and are searched one piece at a time.
     """
     oldest, labels = key // BLOCK - places.gap, graph.pieces()
-    found: dict[int, list[tuple[float, Nearby]]] = {}
+    found: dict[int, list[tuple[float, SubmapDistance]]] = {}
     for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
         if nearby.block > oldest:
             continue
@@ -99,18 +103,23 @@ def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list
     return [[nearby for _, nearby in piece[:_MOST_SUBMAPS]] for piece in near]
 
 
-def _away(places: PlaceParameters, nearby: Nearby) -> float:
+def _away(places: PlaceRecognitionParameters, nearby: SubmapDistance) -> float:
     """By how many standard deviations the robot would have to be elsewhere to be in a submap."""
     return max(math.hypot(nearby.pose[0], nearby.pose[1]) - places.near_m, 0.0) / nearby.sigma_m
 
 
 def _judged(
-    places: PlaceParameters, found: Found, maps: TileMaps, points: FloatArray, memory: Memory, key: int
-) -> Rejection | None:
+    places: PlaceRecognitionParameters,
+    found: Found,
+    maps: TileMaps,
+    points: FloatArray,
+    memory: LoopClosureState,
+    key: int,
+) -> RejectionReason | None:
     """What speaks against a place that was found."""
     if not places.agrees(maps, found.pose, points):
-        return Rejection.POOR
+        return RejectionReason.POOR
     if found.other_share > places.other_share * found.share:
-        return Rejection.AMBIGUOUS
-    through = evidence.through_walls(maps, found.pose, memory.scans.key(key))
-    return Rejection.THROUGH_WALLS if through > places.through else None
+        return RejectionReason.AMBIGUOUS
+    through = checks.through_walls(maps, found.pose, memory.scans.key(key))
+    return RejectionReason.THROUGH_WALLS if through > places.through else None

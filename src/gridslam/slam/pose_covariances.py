@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridslam.slam.drift import Drift
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.full_trajectory import shares_of_way
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -35,7 +35,7 @@ def drift_covariances(graph: PoseGraph) -> FloatArray:
 
 
 def scan_covariances(
-    graph: PoseGraph, of_keys: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift
+    graph: PoseGraph, of_keys: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
 ) -> FloatArray:
     """Covariances (N, 3, 3) of all scans; an upper bound where they are not key scans.
 
@@ -51,7 +51,7 @@ def scan_covariances(
         Covariances of the key scans.
     keys, key_from_base : (N,) int64, (N, 3) float64
         As for `full_trajectory`.
-    drift : Drift
+    drift : DriftModel
         How uncertain tracking is.
     """
     share = shares_of_way(keys, key_from_base)[:, None, None]

@@ -14,8 +14,8 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.weights import normalize
-from gridslam.slam.memory import Memory
-from gridslam.slam.proposals import Proposed
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.proposals import ProposedPoses
 from gridslam.slam.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
@@ -51,7 +51,7 @@ class GridFastSlamState:
         All particles' trajectories over the key scans.
     lost : bool
         Whether the last key scan agreed with the best map too little.
-    memory : Memory or None
+    memory : LoopClosureState or None
         What loop closure remembers, where it is at work.
     odometry_covariance : (3, 3) float64 or None
         What the log told of the odometry's noise since the pose from which it goes on (see `OdometryNoise`).
@@ -67,7 +67,7 @@ class GridFastSlamState:
     maps: TileMaps
     ancestry: Ancestry
     lost: bool = False
-    memory: Memory | None = None
+    memory: LoopClosureState | None = None
     odometry_covariance: FloatArray | None = None
     consumed: bool = False
 
@@ -92,7 +92,7 @@ class GridFastSlamState:
             self.covariance, self.maps, self.ancestry, self.lost, self.memory, self.odometry_covariance,
         )  # fmt: skip
 
-    def advance(self, proposed: Proposed, key_pose: FloatArray, sensor: str) -> None:
+    def advance(self, proposed: ProposedPoses, key_pose: FloatArray, sensor: str) -> None:
         """Give every particle its proposed pose and weight; `key_pose` (3,) is the tracker's, of a scan of `sensor`."""
         self.poses, self.key_pose = proposed.poses, key_pose
         self.sensor_key_poses = {**self.sensor_key_poses, sensor: key_pose}
@@ -170,7 +170,7 @@ class GridFastSlamState:
                 maps=mapper.restore(part("maps"), threads),
                 ancestry=Ancestry.from_arrays(part("ancestry")),
                 lost=bool(arrays["lost"]),
-                memory=Memory.from_arrays(memory, mapper, threads) if memory else None,
+                memory=LoopClosureState.from_arrays(memory, mapper, threads) if memory else None,
                 **own,
             )
         except KeyError as missing:

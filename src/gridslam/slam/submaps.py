@@ -15,7 +15,7 @@ from gridslam.slam.key_graph import BLOCK, KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "Submaps", "anchor_of", "draw", "drawn", "joint_map", "keys_of"]
+__all__ = ["ROW", "SubmapCache", "anchor_of", "draw", "drawn", "joint_map", "keys_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -50,9 +50,7 @@ def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, pose
     return maps
 
 
-def joint_map(
-    blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-) -> TileMaps:
+def joint_map(blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
     """Draw one map of several blocks, each where the graph has its anchor."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
     keys = [keys_of(block, graph)[::stride] for block in blocks]
@@ -61,7 +59,7 @@ def joint_map(
 
 
 @final
-class Submaps:
+class SubmapCache:
     """Draws the submap of a block in its anchor's frame, and keeps the last ones; what it keeps changes no result.
 
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.

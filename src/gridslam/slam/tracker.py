@@ -19,13 +19,21 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
 from gridslam.slam.odometry_calibration import OdometryCalibration
-from gridslam.slam.tracker_deskew import Deskew
+from gridslam.slam.tracker_deskew import TrackerDeskew
 from gridslam.slam.tracker_search import OdometrySearch
-from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, is_within, pose_of
+from gridslam.slam.tracker_state import (
+    PoseEstimate,
+    Prediction,
+    SensorTrack,
+    TrackedScan,
+    TrackerState,
+    is_within,
+    pose_of,
+)
 from gridslam.slam.tracker_velocity import ConstantVelocity
 from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
-__all__ = ["Tracked", "Tracker", "TrackerState"]
+__all__ = ["TrackedScan", "Tracker", "TrackerState"]
 
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
@@ -79,7 +87,7 @@ class Tracker:
         Without odometry, a scan is inserted although it fits nowhere after so many others that did not.
     search : OdometrySearch
         How a scan is searched for around the odometry where scans are far apart.
-    deskew : Deskew or None
+    deskew : TrackerDeskew or None
         How scans with beam times are deskewed; None: they are taken as they are.
     calibration : OdometryCalibration or None
         How the odometry's errors are learned; None: it is taken as it is.
@@ -104,7 +112,7 @@ class Tracker:
     search_share: float = Field(default=0.7, ge=0, le=1)
     patience: int = Field(default=3, ge=1)
     search: OdometrySearch = OdometrySearch()
-    deskew: Deskew | None = Deskew()
+    deskew: TrackerDeskew | None = TrackerDeskew()
     calibration: OdometryCalibration | None = OdometryCalibration()
 
     def init(
@@ -115,7 +123,7 @@ class Tracker:
         state.maps.update(state.row, state.pose[None], beams)
         return state
 
-    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
+    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> TrackedScan:
         """Track one scan; updates `state`."""
         at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
         predicted, spread = self._predicted(state, at, stamp_ns, seconds), state.spread
@@ -136,9 +144,9 @@ class Tracker:
             self._learn(state, found)
             self._insert(state, found, beams)
         if not found.predicted.by_odometry:
-            return Tracked(found.pose, found.predicted.pose, beams, joint, spread)
+            return TrackedScan(found.pose, found.predicted.pose, beams, joint, spread)
         control, widening = self.search.control(state, found)
-        return Tracked(found.pose, control, beams, joint, widening)
+        return TrackedScan(found.pose, control, beams, joint, widening)
 
     def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
         told = between(state.matched_odometry, at)
@@ -162,18 +170,18 @@ class Tracker:
         far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
         return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
 
-    def _found(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
+    def _found(self, state: TrackerState, predicted: Prediction, beams: Beams) -> PoseEstimate:
         """Where a scan was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         if seen is None:  # the other lasers may look elsewhere
-            return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
+            return PoseEstimate(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
         joint = self._joined(state, predicted.pose, predicted, beams)
         if not len(beams) or len(joint) < self.matcher.least_beams:
-            return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
+            return PoseEstimate(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
         if not predicted.by_odometry:
             return self._searched(state, predicted, joint)
         if self._still(state, seen, predicted, joint):
-            return Found(predicted.pose, predicted, matched=False, poor=False)
+            return PoseEstimate(predicted.pose, predicted, matched=False, poor=False)
         found = self._matched(state, predicted, joint)
         if found.share < self.search_share:  # it may be the odometry that is wrong: a reading came late
             other = self._found_elsewhere(state, predicted, joint)
@@ -181,7 +189,7 @@ class Tracker:
             found = other if convinces else found
         return found
 
-    def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search around the velocity's prediction; around the odometry's where velocities tell nothing."""
         if self.search.is_far(state, predicted):
             return self.search(state, predicted, beams)
@@ -192,14 +200,14 @@ class Tracker:
         trusted = 1.0 if predicted.by_odometry else 0.05
         return state.joined(beams, pose, trusted * self.join_m, trusted * self.join_rad)
 
-    def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: BeamEnds) -> bool:
+    def _still(self, state: TrackerState, seen: SensorTrack, predicted: Prediction, beams: BeamEnds) -> bool:
         """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
         if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return False
         share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
         return bool(share > seen.share - self.slip_gain)
 
-    def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self.calibration is not None and self.calibration.is_known(state.learned)
         matcher = self.steady_matcher if known else self.matcher
@@ -207,16 +215,16 @@ class Tracker:
         best, score = match.poses[0], float(match.score[0])
         pose = best
         if score < self.poor_share * len(beams):
-            return Found(predicted.pose, predicted, matched=True, poor=True)
+            return PoseEstimate(predicted.pose, predicted, matched=True, poor=True)
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
         determined = pose is best and self._determined(match)
-        return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
+        return PoseEstimate(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
 
-    def _searched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _searched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         maps, row, count = state.maps, state.row, len(beams)
         match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
@@ -228,13 +236,13 @@ class Tracker:
                 convinces = other.score[0] - match.score[0] > self.slip_gain * count
                 match = other if convinces and other.score[0] >= self.search_share * count else match
         if match.score[0] < self.poor_share * count:
-            return Found(predicted.pose, predicted, matched=True, poor=True)
+            return PoseEstimate(predicted.pose, predicted, matched=True, poor=True)
         pose, score = match.poses[0], float(match.score[0])
         stands = is_within(state.pose, pose, self.still_m, self.still_rad)
         determined = self._determined(match)
-        return Found(state.pose if stands else pose, predicted, True, False, score / count, determined)
+        return PoseEstimate(state.pose if stands else pose, predicted, True, False, score / count, determined)
 
-    def _advance(self, state: TrackerState, found: Found) -> None:
+    def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.predicted
         if found.poor or self.search.was_blind(state, predicted):
@@ -250,7 +258,7 @@ class Tracker:
         state.blind_scans = state.blind_scans + 1 if blind else 0
         state.pose = found.pose
 
-    def _learn(self, state: TrackerState, found: Found) -> None:
+    def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
         """Learn what the odometry's errors are, from where the scan was taken."""
         if self.calibration is not None:
             believed = found.share >= self.search_share
@@ -265,7 +273,7 @@ class Tracker:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
         return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
 
-    def _insert(self, state: TrackerState, found: Found, beams: Beams) -> None:
+    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
         seen = state.sensors.get(beams.scan.sensor)
         state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
@@ -274,7 +282,7 @@ class Tracker:
             due = due and (self.search.is_far(state, found.predicted) or found.predicted.turned_rad <= self.insert_rad)
         elif found.poor:  # what is seen is new, but one scan does not decide that
             due = state.blind_scans >= self.patience
-        last = seen or Seen.first(state.stamp_ns, found.pose)
+        last = seen or SensorTrack.first(state.stamp_ns, found.pose)
         ends = beams.ends if len(state.sensors) > 1 else last.ends
         last = last._replace(stamp_ns=state.stamp_ns, matched_pose=found.pose, share=found.share, ends=ends)
         state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)

@@ -9,17 +9,17 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.tracker_state import Found, Prediction, Seen, TrackerState
+from gridslam.slam.tracker_state import PoseEstimate, Prediction, SensorTrack, TrackerState
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["Deskew"]
+__all__ = ["TrackerDeskew"]
 
 _ORDERS = (1, 0, -1)
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Deskew:
+class TrackerDeskew:
     """Deskews a scan by the motion that its match tells.
 
     A scan goes on after its stamp, so its beams tell the twist to come: that of the motion up to the stamp, by the
@@ -43,7 +43,7 @@ class Deskew:
     doubt: float = Field(default=0.005, ge=0)
     scans: int = Field(default=20, ge=1)
 
-    def order(self, seen: Seen | None) -> int:
+    def order(self, seen: SensorTrack | None) -> int:
         """Order of the beams of a laser: 1 as told, 0 if none fits, -1 backward."""
         if seen is None:
             return 1
@@ -57,8 +57,8 @@ class Deskew:
         predicted: Prediction,
         twist_to: Callable[[FloatArray], FloatArray],
         beams: Beams,
-        find: Callable[[Beams], Found],
-    ) -> tuple[Found, Beams]:
+        find: Callable[[Beams], PoseEstimate],
+    ) -> tuple[PoseEstimate, Beams]:
         """Find where a scan was taken, and how its beams are seen from there at its stamp; `state` learns the order.
 
         Parameters
@@ -88,7 +88,9 @@ class Deskew:
         self._learn(state, twist, beams, find)
         return best, sharp
 
-    def _learn(self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], Found]) -> None:
+    def _learn(
+        self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], PoseEstimate]
+    ) -> None:
         """Keep the number of scans that tell the order, and the sums of what the other orders gain in agreement."""
         seen, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:

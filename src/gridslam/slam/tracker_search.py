@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
-from gridslam.slam.tracker_state import Found, Prediction, TrackerState, is_within
+from gridslam.slam.tracker_state import PoseEstimate, Prediction, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["OdometrySearch"]
@@ -90,7 +90,7 @@ class OdometrySearch:
     def _comes_seldom(self, state: TrackerState) -> bool:
         return state.period_s > self.seldom_s or state.stride > self.seldom_way
 
-    def control(self, state: TrackerState, found: Found) -> tuple[FloatArray, FloatArray | None]:
+    def control(self, state: TrackerState, found: PoseEstimate) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
 
         It must not come from the scan that weighs them, so it is the prediction. Where that errs by more than a
@@ -104,9 +104,12 @@ class OdometrySearch:
         follows = is_within(found.pose, predicted.pose, self.follow_m, self.follow_rad)
         return (predicted.pose if follows else found.pose), None
 
-    def __call__(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def __call__(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search the local map for a scan around where the odometry predicts it."""
-        pyramid, best = Pyramid.of(state.maps, state.active), Found(predicted.pose, predicted, matched=True, poor=True)
+        pyramid, best = (
+            Pyramid.of(state.maps, state.active),
+            PoseEstimate(predicted.pose, predicted, matched=True, poor=True),
+        )
         learned_m, learned_rad = np.sqrt(state.learned.variances).tolist()
         sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
         for gate, gain in zip(self.gates, self.gains, strict=True):
@@ -124,7 +127,7 @@ class OdometrySearch:
         found = self._refined(state, place.pose, predicted, beams)
         return found if found.share >= max(self.anywhere_share, best.share + self.anywhere_gain) else best
 
-    def _refined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _refined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""
         maps, row, least = state.maps, state.row, self.steady_matcher.min_information
         match = self.matcher(maps, row, pose[None], _NO_PRIOR, beams)
@@ -138,4 +141,4 @@ class OdometrySearch:
         away = maps.distances(row, at[None], beams.ends)[0, known]
         agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
         share = agreeing / max(len(away), self.overlap * len(beams))
-        return Found(at, predicted, matched=True, poor=False, share=share, determined=weak is None)
+        return PoseEstimate(at, predicted, matched=True, poor=False, share=share, determined=weak is None)

@@ -13,28 +13,28 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.odometry_calibration import LearnedOdometry
+from gridslam.slam.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, EndPoints, FloatArray, Odometry
 
-__all__ = ["Found", "Prediction", "Seen", "Tracked", "TrackerState", "is_within", "pose_of"]
+__all__ = ["PoseEstimate", "Prediction", "SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 
 
 @final
-class Seen(NamedTuple):
+class SensorTrack(NamedTuple):
     """The last of one laser; several take turns, told apart by their scans' `sensor`."""
 
     stamp_ns: int  # of its last scan that was matched
     matched_pose: FloatArray  # (3,), of that scan
     share: float  # of the beams that agreed with the map then; 0 where it was not believed
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
-    orders: FloatArray  # (3,), what its scans told of the order of their beams; see `Deskew`
+    orders: FloatArray  # (3,), what its scans told of the order of their beams; see `TrackerDeskew`
     ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
 
     @classmethod
-    def first(cls, stamp_ns: int, pose: FloatArray) -> Seen:
+    def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
         """After its first scan, from `pose` (3,)."""
         return cls(stamp_ns, pose, 1.0, pose, np.zeros(3))
 
@@ -56,9 +56,9 @@ class TrackerState:
         Of the last scan; NaN where it had none.
     matched_pose, matched_odometry : (3,) float64
         Of the last scan that was matched, from which odometry goes on.
-    sensors : dict of str to Seen
+    sensors : dict of str to SensorTrack
         The last of each laser.
-    learned : LearnedOdometry
+    learned : OdometryErrorModel
         What the odometry's errors are.
     twist : (3,) float64
         Velocity of the base in its own frame, m/s and rad/s.
@@ -88,8 +88,8 @@ class TrackerState:
     odometry: FloatArray
     matched_pose: FloatArray
     matched_odometry: FloatArray
-    sensors: dict[str, Seen]
-    learned: LearnedOdometry = field(default_factory=LearnedOdometry)
+    sensors: dict[str, SensorTrack]
+    learned: OdometryErrorModel = field(default_factory=OdometryErrorModel)
     twist: FloatArray = field(default_factory=lambda: np.zeros(3))
     spread: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
     period_s: float = 0.1
@@ -106,14 +106,14 @@ class TrackerState:
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
         """Begin at the origin of the tracker's frame."""
         pose, at = np.zeros(3), pose_of(odometry)
-        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: Seen.first(stamp_ns, pose)})
+        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: SensorTrack.first(stamp_ns, pose)})
 
     @property
     def row(self) -> NDArray[np.int32]:
         """The local map that is matched against, (1,)."""
         return _ROWS[self.active]
 
-    def note(self, sensor: str, seen: Seen) -> None:
+    def note(self, sensor: str, seen: SensorTrack) -> None:
         """Keep the last of a laser; copies that were made before do not change."""
         self.sensors = {**self.sensors, sensor: seen}
 
@@ -164,13 +164,15 @@ class TrackerState:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
-        learned = LearnedOdometry.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
+        learned = OdometryErrorModel.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
         stamp_ns, active, first, second, blind, overruled, even = (int(v) for v in arrays["counters"])
         doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
         period_s, stride = arrays["rates"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
         ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
-        last = [Seen(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, ends, strict=True)]
+        last = [
+            SensorTrack(int(s), pose, float(share), *rest) for s, pose, share, *rest in zip(*parts, ends, strict=True)
+        ]
         return cls(
             maps, stamp_ns=stamp_ns, learned=learned,
             sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
@@ -216,7 +218,7 @@ class Prediction(NamedTuple):
 
 
 @final
-class Found(NamedTuple):
+class PoseEstimate(NamedTuple):
     """Where a scan was taken."""
 
     pose: FloatArray  # (3,)
@@ -229,7 +231,7 @@ class Found(NamedTuple):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracked:
+class TrackedScan:
     """What the tracker says of one scan.
 
     Attributes

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.matching.branch_and_bound import BranchAndBound
-from gridslam.slam.tracker_state import Seen, TrackerState
+from gridslam.slam.tracker_state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
 
 __all__ = ["ConstantVelocity", "widened"]
@@ -93,7 +93,7 @@ class ConstantVelocity:
         blended: FloatArray = (self.blend_s * state.twist + moved) / (self.blend_s + seconds)
         return blended
 
-    def doubts_stamps(self, seen: Seen, stamp_ns: int, pose: FloatArray) -> bool:
+    def doubts_stamps(self, seen: SensorTrack, stamp_ns: int, pose: FloatArray) -> bool:
         """Whether a laser's stamps cannot be true, as its scan at `stamp_ns` was taken from `pose` (3,).
 
         They go backward, or the robot went too far: the scans were stamped when they arrived, in bursts, or the clock
@@ -114,7 +114,7 @@ class ConstantVelocity:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _Widened:
+class _WidenedMotion:
     """A motion sampler with noise of these variances (2,) beside its own, m^2 (each of x and y) and rad^2."""
 
     sampler: MotionSampler
@@ -133,4 +133,4 @@ class _Widened:
 
 def widened(sampler: MotionSampler, variances: FloatArray | None) -> MotionSampler:
     """Motion whose control is uncertain by variances (2,), m^2 and rad^2, beside the model's own noise, if not None."""
-    return sampler if variances is None else _Widened(sampler, variances)
+    return sampler if variances is None else _WidenedMotion(sampler, variances)

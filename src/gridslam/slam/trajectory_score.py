@@ -19,7 +19,7 @@ from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import ROW
 from gridslam.types import FloatArray
 
-__all__ = ["JointMapScore", "TrajectoryScore", "ways"]
+__all__ = ["TrajectoryScore", "TrajectoryScorer", "ways"]
 
 
 @final
@@ -47,7 +47,7 @@ class TrajectoryScore:
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class JointMapScore:
+class TrajectoryScorer:
     """Scores trajectories: log p(z_1:t | x_1:t) + log p(x_1:t | u_1:t), tempered, up to a constant.
 
     The map is drawn scan by scan, and each scan is compared with what was mapped of the places around it long before,

@@ -10,9 +10,9 @@ from gridslam.config import build, override
 from gridslam.evaluation import absolute_errors, false_closures
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import full_slam
-from gridslam.slam.memory import Rejection
-from gridslam.slam.ties import Source
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.types import Trajectory
 
 OFF = override(PROVOKED, "loop_closure=false")
@@ -61,10 +61,10 @@ def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
 def test_closures_are_recognized_ties_and_true(loop, closed):
     _, recorder, answer = closed
     loops = answer.loops
-    assert len(loops.closures) == loops.ties[Source.RECOGNIZED] > 0
+    assert len(loops.closures) == loops.ties[ConstraintSource.RECOGNIZED] > 0
     assert loops.doubted == 0
     assert loops.joint_ties == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
-    assert set(loops.rejected) <= set(Rejection)
+    assert set(loops.rejected) <= set(RejectionReason)
     key_scans = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     tied = {tuple(edge): z for edge, z in zip(answer.graph.edges.tolist(), answer.graph.measurements, strict=True)}
     measured = [tied[tuple(pair)] for pair in loops.closures.tolist()]

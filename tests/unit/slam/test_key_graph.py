@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift import Drift
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.key_graph import BLOCK, KeyGraph
-from gridslam.slam.nearby import covariances
-from gridslam.slam.ties import Source, Tie
+from gridslam.slam.submap_distance import covariances
 
-DRIFT = Drift()
+DRIFT = DriftModel()
 
 
 def steps(count, seed=0):
@@ -40,7 +40,7 @@ def chain(count, seed=0, start=(300.0, 200.0, 0.7)):
 def tie(graph, from_, to, information=1e6, off=(0.0, 0.0, 0.0)):
     """One that says what was tracked, or that and `off`."""
     measured = compose(between(graph.tracked[from_], graph.tracked[to]), np.array(off))
-    return Tie(from_, to, measured, information * np.eye(3), Source.RECOGNIZED, determined=True)
+    return Constraint(from_, to, measured, information * np.eye(3), ConstraintSource.RECOGNIZED, determined=True)
 
 
 def propagated(graph, keys):

@@ -15,18 +15,18 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam import GridFastSlam
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Prior
+from gridslam.slam.proposals import MotionModelProposal
 from gridslam.slam.submaps import drawn
-from gridslam.slam.ties import Source
 from gridslam.types import Odometry, StepReport
 
 SLIPS = slice(70, 150)
 RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
 """A filter that is lost by a metre is not believed."""
 CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
-SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=Prior(), loop_closure=CLOSURE)
+SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=MotionModelProposal(), loop_closure=CLOSURE)
 RNG = np.random.default_rng(0)
 RUNS = [(2, 5), (3, 5)]
 """Seeds of the hall, and numbers of particles."""
@@ -47,9 +47,7 @@ def slipped(seed):
         if SLIPS.start <= k < SLIPS.stop:
             increment = increment * [1.02, 1.02, 1.0] + [0.0, 0.0, 0.003 * math.hypot(*increment[:2])]
         poses.append(compose(poses[-1], increment))
-    read = [
-        (Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)
-    ]
+    read = [(Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)]
     return Slipped(read, between(log.truth.poses[0], log.truth.poses))
 
 
@@ -142,8 +140,8 @@ def test_the_past_is_right_as_far_as_the_closure_knows(closed):
 def test_what_was_recognized_is_told_once(closed):
     log, state, reports, _, _, _ = closed
     pairs = [pair for report in reports for pair in report.closures]
-    assert pairs == [(t.from_, t.to) for t in state.memory.graph.ties if t.source is Source.RECOGNIZED]
-    recognized = [t for t in state.memory.graph.ties if t.source is Source.RECOGNIZED]
+    assert pairs == [(t.from_, t.to) for t in state.memory.graph.ties if t.source is ConstraintSource.RECOGNIZED]
+    recognized = [t for t in state.memory.graph.ties if t.source is ConstraintSource.RECOGNIZED]
     assert (hall.errors(log.truth[state.memory.scans.keys], recognized) < [0.1, 0.02]).all()
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.odometry_calibration import LearnedOdometry, OdometryCalibration
+from gridslam.slam.odometry_calibration import OdometryCalibration, OdometryErrorModel
 
 LEARN = OdometryCalibration()
 PERIOD_M = 0.05
@@ -40,7 +40,7 @@ def walk(increments):
 
 def taught(true, told, *, determined=True, learned=None):
     """What is learned along a drive of increments (N, 3), of which every scan is matched exactly."""
-    learned = learned or LearnedOdometry()
+    learned = learned or OdometryErrorModel()
     for pose, odometry in zip(walk(true), walk(told), strict=True):
         LEARN.learn(learned, pose, odometry, True, determined)
     return learned
@@ -113,7 +113,7 @@ def test_scans_that_leave_a_direction_open_teach_the_heading_alone():
 @pytest.mark.parametrize("times", [(0, 0, 0), (1, 1, -1), (-1, -1, 1)], ids=["frozen", "reflected", "backward"])
 def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
     true = drive(1000, np.random.default_rng(8))
-    learned = LearnedOdometry()
+    learned = OdometryErrorModel()
     poses, odometry = walk(true), walk(true * times)
     for pose, told in zip(poses[:200], odometry[:200], strict=True):  # 10 m
         LEARN.learn(learned, pose, told, True, True)
@@ -125,11 +125,11 @@ def test_odometry_that_helps_nothing_is_not_trusted_until_it_does(times):
 
 def test_a_scan_that_is_not_believed_or_has_no_odometry_begins_a_stretch():
     told = drive(30, np.random.default_rng(9))
-    learned, poses = LearnedOdometry(), walk(told)
+    learned, poses = OdometryErrorModel(), walk(told)
     for k, pose in enumerate(poses):
         LEARN.learn(learned, pose, np.full(3, np.nan) if k % 5 == 0 else pose, True, True)
     assert learned.stretches == 0
-    learned = LearnedOdometry()
+    learned = OdometryErrorModel()
     for k, pose in enumerate(poses):
         LEARN.learn(learned, pose, pose, k % 5 != 0, True)
     assert learned.stretches == 0
@@ -139,7 +139,7 @@ def test_a_copy_goes_on_to_the_same_bytes():
     told = drive(600, np.random.default_rng(10))
     true = true_of(told, FACTORS)
     learned = taught(true[:310], told[:310])
-    twin, kept = LearnedOdometry.from_arrays(learned.to_arrays()), learned.snapshot()
+    twin, kept = OdometryErrorModel.from_arrays(learned.to_arrays()), learned.snapshot()
     before = {name: array.tobytes() for name, array in kept.to_arrays().items()}
     for one in (learned, twin):
         taught(true, told, learned=one)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.drift import Drift
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.full_trajectory import full_trajectory, shares_of_way
 from gridslam.slam.graph_marginals import marginal_covariances
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
@@ -49,14 +49,14 @@ def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
     from_key = steps[before] * at[:, None]
     from_key[0], from_key[-1] = 0.0, (0.4, 0.0, 0.1)
     assert shares_of_way(keys, from_key)[[0, 3, 5, 7]].tolist() == [0, 0, 0, 0]
-    found = scan_covariances(graph, of_keys, keys, from_key, Drift())
+    found = scan_covariances(graph, of_keys, keys, from_key, DriftModel())
     assert np.array_equal(found[[0, 3, 5, 7]], of_keys)
     for scan in (1, 2, 4, 6):
         k, share = keys[scan], shares_of_way(keys, from_key)[scan]
         drifted = (1 - share) * of_keys[k] + share * of_keys[k + 1]  # of a random walk, exactly
         assert np.linalg.eigvalsh(found[scan] - drifted).min() >= -1e-12
         assert np.linalg.eigvalsh(found[scan]).min() > 0
-    position, heading = Drift().variances(0.4, 0.1)
+    position, heading = DriftModel().variances(0.4, 0.1)
     assert np.allclose(found[8], of_keys[3] + np.diag([position, position, heading]))
 
 

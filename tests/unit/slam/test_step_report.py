@@ -14,7 +14,7 @@ from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spre
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
-from gridslam.slam.proposals import Peak
+from gridslam.slam.proposals import ScanMatchedProposal
 from gridslam.slam.tracker import Tracker
 from gridslam.types import LaserScan, SkipReason
 
@@ -168,7 +168,7 @@ def corridor_drive(seed):
 
 def played_bare(play, sparse_m):
     matcher, runs = GaussNewton(sparse_m=sparse_m), []
-    slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=Peak(matcher=matcher))
+    slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=ScanMatchedProposal(matcher=matcher))
     for log in map(corridor_drive, range(3)):
         reports, odometry = play(slam, log.measurements, particles=PARTICLES)[1], log.odometry.poses
         driven = np.hypot(*(reports[-1].pose - reports[0].pose)[:2])

@@ -8,8 +8,8 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Memory
-from gridslam.slam.submaps import ROW, Submaps, anchor_of, drawn, keys_of
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.submaps import ROW, SubmapCache, anchor_of, drawn, keys_of
 
 COUNT = 65
 
@@ -17,7 +17,7 @@ COUNT = 65
 @pytest.fixture(scope="module")
 def memory():
     """65 key scans, tracked in a frame that drifts against that of the map."""
-    seen, made = hall.key_scans(hall.drive(0)), Memory()
+    seen, made = hall.key_scans(hall.drive(0)), LoopClosureState()
     hall.remember(made, seen, hall.tracked(seen.truth, 0.002), until=COUNT)
     return made
 
@@ -38,15 +38,15 @@ def test_a_submap_is_drawn_as_tracked_about_its_anchor(memory):
         maps = hall.MAPPER.empty(1)
         for key in keys_of(block, memory.graph):
             maps.update(ROW, between(poses[anchor_of(block)], poses[key])[None], memory.scans.key(key))
-        assert contents(Submaps()(block, hall.MAPPER, memory.scans, memory.graph)) == contents(maps)
+        assert contents(SubmapCache()(block, hall.MAPPER, memory.scans, memory.graph)) == contents(maps)
 
 
 def test_what_is_kept_changes_nothing(memory):
     """Asked for in any order, with room for one or for many, before and after a correction."""
-    many, one = Submaps(), Submaps(most=1)
+    many, one = SubmapCache(), SubmapCache(most=1)
     order = np.random.default_rng(0).integers(0, 6, 20).tolist()
     graph = memory.graph.snapshot()
-    once = {block: contents(Submaps()(block, hall.MAPPER, memory.scans, graph)) for block in range(6)}
+    once = {block: contents(SubmapCache()(block, hall.MAPPER, memory.scans, graph)) for block in range(6)}
     for k, block in enumerate(order):
         if k == 10:
             graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)) * [1.01, 1.0, 1.0])
@@ -56,7 +56,7 @@ def test_what_is_kept_changes_nothing(memory):
 
 
 def test_room_is_made_by_dropping_what_was_not_used_for_longest(memory):
-    submaps = Submaps(most=2)
+    submaps = SubmapCache(most=2)
     drawn_first = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 1, 0, 2)]
     again = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 2, 1)]
     assert again[0] is drawn_first[0]
@@ -66,9 +66,9 @@ def test_room_is_made_by_dropping_what_was_not_used_for_longest(memory):
 
 def test_large_submaps_are_kept_only_as_far_as_they_fit(memory, monkeypatch):
     parts = hall.MAPPER, memory.scans, memory.graph
-    sizes = [Submaps()(block, *parts).nbytes for block in range(4)]
+    sizes = [SubmapCache()(block, *parts).nbytes for block in range(4)]
     monkeypatch.setattr("gridslam.slam.submaps._MOST_BYTES", sizes[2] + sizes[3])
-    submaps = Submaps()
+    submaps = SubmapCache()
     drawn_first = [submaps(block, *parts) for block in range(4)]
     assert submaps.nbytes == sizes[2] + sizes[3]
     assert submaps(3, *parts) is drawn_first[3]
@@ -80,7 +80,7 @@ def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
     """One block alone is every other of its scans, moved to the anchor's pose in the map."""
     graph = memory.graph.snapshot()
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
-    submaps, parts = Submaps(), (hall.MAPPER, memory.scans, graph)
+    submaps, parts = SubmapCache(), (hall.MAPPER, memory.scans, graph)
     maps, pyramid = submaps.joint((3,), *parts), submaps.pyramid((3,), *parts)
     keys, anchor = keys_of(3, graph)[::2], anchor_of(3)
     local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
@@ -91,7 +91,7 @@ def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
 
 
 def test_joint_maps_are_drawn_once_until_they_are_forgotten(memory):
-    submaps, graph = Submaps(), memory.graph.snapshot()
+    submaps, graph = SubmapCache(), memory.graph.snapshot()
     parts = (hall.MAPPER, memory.scans, graph)
     first, pyramid = submaps.joint((1, 2), *parts), submaps.pyramid((1, 2), *parts)
     assert contents(submaps.joint((1, 3), *parts)) != contents(first)

@@ -10,14 +10,14 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift import Drift
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import drawn
-from gridslam.slam.trajectory_score import JointMapScore, ways
+from gridslam.slam.trajectory_score import TrajectoryScorer, ways
 
-SCORE = JointMapScore()
-DRIFT = Drift()
+SCORE = TrajectoryScorer()
+DRIFT = DriftModel()
 
 
 class Log:
@@ -105,19 +105,19 @@ def test_the_map_is_that_of_all_key_scans(returning, offset):
 
 
 def test_where_no_place_is_seen_again_only_the_motion_is_scored(leaving):
-    own, maps = leaving.score(leaving.truth, JointMapScore(gap=18.0))
+    own, maps = leaving.score(leaving.truth, TrajectoryScorer(gap=18.0))
     assert own.beams == 0
     assert math.isnan(own.agreement)
     assert own.log_likelihood == own.motion == 0
     assert maps.occupancy(0).known.any()
-    bent, _ = leaving.score(shifted(leaving.truth, (0.3, 0.0, 0.0)), JointMapScore(gap=18.0))
+    bent, _ = leaving.score(shifted(leaving.truth, (0.3, 0.0, 0.0)), TrajectoryScorer(gap=18.0))
     assert bent.beams == 0
     assert bent.log_likelihood == bent.motion < 0
 
 
 def test_what_was_mapped_within_the_gap_is_the_scans_own_time(returning):
     """Longer gaps leave fewer beams to compare; one longer than the drive leaves none."""
-    beams = [returning.score(returning.truth, JointMapScore(gap=gap))[0].beams for gap in (5.0, 15.0, 60.0, 1000.0)]
+    beams = [returning.score(returning.truth, TrajectoryScorer(gap=gap))[0].beams for gap in (5.0, 15.0, 60.0, 1000.0)]
     assert beams == sorted(set(beams), reverse=True)
     assert beams[-1] == 0
 

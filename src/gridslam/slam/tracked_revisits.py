@@ -8,18 +8,18 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam import place_evidence as evidence
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.key_graph import BLOCK, KeyGraph
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_parameters import PlaceParameters
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
 from gridslam.slam.submaps import anchor_of
-from gridslam.slam.ties import Source
 from gridslam.types import FloatArray
 
 __all__ = ["tie_known_place"]
 
 
-def tie_known_place(places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping) -> bool:
+def tie_known_place(places: PlaceRecognitionParameters, memory: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
     """Tie the newest key scan to an old submap where it is certain, or believed, to be; whether it is certain."""
     graph = memory.graph
     newest = len(graph) - 1
@@ -29,28 +29,30 @@ def tie_known_place(places: PlaceParameters, memory: Memory, mapper: OccupancyGr
     if guess is None:
         return False
     most_m = 3 * places.known_m if followed is None else places.follow_m
-    tie = places.match(memory, mapper, newest, *guess, most_m, Source.KNOWN)
-    if isinstance(tie, Rejection):
+    tie = places.match(memory, mapper, newest, *guess, most_m, ConstraintSource.KNOWN)
+    if isinstance(tie, RejectionReason):
         return False
     if followed is None:
         way = graph.way_to(guess[0], newest, places.search.window_m, 256)
         if way is None:
             return False
-        missed, far = evidence.missed_by(graph, way, tie), places.believed_m
+        missed, far = checks.missed_by(graph, way, tie), places.believed_m
         if math.hypot(missed[0], missed[1]) > far or not places.is_plausible(way.covariance, missed):
             return False
         if way.sigma_m > places.known_m:
             if not tie.determined and way.sigma_m > 2 * places.known_m:
                 return False
-            tie = tie._replace(source=Source.BELIEVED)
+            tie = tie._replace(source=ConstraintSource.BELIEVED)
     graph.add(tie)
-    return tie.source is Source.KNOWN
+    return tie.source is ConstraintSource.KNOWN
 
 
-def _followed(places: PlaceParameters, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
+def _followed(places: PlaceRecognitionParameters, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
     """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
     newest = len(graph) - 1
-    known = (t for t in reversed(graph.ties[-places.follow :]) if t.determined and t.source is not Source.BELIEVED)
+    known = (
+        t for t in reversed(graph.ties[-places.follow :]) if t.determined and t.source is not ConstraintSource.BELIEVED
+    )
     last = next(known, None)
     if last is None or newest - last.to > places.follow:
         return None
@@ -63,7 +65,9 @@ def _followed(places: PlaceParameters, graph: KeyGraph, oldest: int) -> tuple[in
     return (near[best], poses[best]) if away[best] < places.near_m else None
 
 
-def _believed(places: PlaceParameters, memory: Memory, oldest: int) -> tuple[int, FloatArray] | None:
+def _believed(
+    places: PlaceRecognitionParameters, memory: LoopClosureState, oldest: int
+) -> tuple[int, FloatArray] | None:
     """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
     anchors, here = np.array(memory.said[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK]), memory.said[-1]
     away = np.hypot(*(anchors[:, :2] - here[:2]).T)

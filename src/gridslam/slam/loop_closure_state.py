@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.constraints import Constraint, constraints_from_arrays, constraints_to_arrays
 from gridslam.slam.graph_slam import GraphSolution
+from gridslam.slam.incremental import Computation
 from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
-from gridslam.slam.submaps import Submaps
-from gridslam.slam.ties import Tie, ties_from_arrays, ties_to_arrays
-from gridslam.slam.work import Work
+from gridslam.slam.submaps import SubmapCache
 from gridslam.types import FloatArray
 
-__all__ = ["Correction", "Memory", "Rejection", "Weighing"]
+__all__ = ["Correction", "LoopClosureState", "PendingConstraints", "RejectionReason"]
 
 
-class Rejection(Enum):
+class RejectionReason(Enum):
     """Why a recognized place was not believed."""
 
     POOR = "too few beams agree"
@@ -47,7 +47,7 @@ class Correction:
 
 @final
 @dataclass(slots=True, eq=False)
-class Weighing:
+class PendingConstraints:
     """New ties that the graph is being solved with.
 
     Attributes
@@ -58,7 +58,7 @@ class Weighing:
         The last so many of these ties are in question.
     steps : int
         Steps of work done.
-    work : Work of GraphSolution or None
+    work : Computation of GraphSolution or None
         What does them; None where it has to be begun again, up to `steps`.
     """
 
@@ -66,12 +66,12 @@ class Weighing:
     ties: int
     new: int
     steps: int = 0
-    work: Work[GraphSolution] | None = None
+    work: Computation[GraphSolution] | None = None
 
 
 @final
 @dataclass(slots=True, eq=False)
-class Memory:
+class LoopClosureState:
     """What loop closure remembers of a run.
 
     Attributes
@@ -80,7 +80,7 @@ class Memory:
         All scans.
     graph : KeyGraph
         The key scans and how they hang together.
-    hypotheses : list of Tie
+    hypotheses : list of Constraint
         Places recognized lately that wait for others to agree.
     rejected : Counter
         How often which reason spoke against a place.
@@ -93,7 +93,7 @@ class Memory:
     area, wide : tuple of int
         Submaps in which was searched last, and from which the place found there must be told; while they are the ones
         to search in, their map is drawn once.
-    weighing : Weighing or None
+    weighing : PendingConstraints or None
         Places just recognized, of which is not known yet what the graph says.
     correction : Correction or None
         A corrected past on its way into the filter.
@@ -101,8 +101,8 @@ class Memory:
 
     scans: ScanArchive = field(default_factory=ScanArchive)
     graph: KeyGraph = field(default_factory=KeyGraph)
-    hypotheses: list[Tie] = field(default_factory=list)
-    rejected: Counter[Rejection] = field(default_factory=Counter)
+    hypotheses: list[Constraint] = field(default_factory=list)
+    rejected: Counter[RejectionReason] = field(default_factory=Counter)
     correction: Correction | None = None
     said: list[FloatArray] = field(default_factory=list)
     doubts: tuple[float, float] = (0.0, 0.0)
@@ -110,8 +110,8 @@ class Memory:
     next_search: int = 0
     area: tuple[int, ...] = ()
     wide: tuple[int, ...] = ()
-    weighing: Weighing | None = None
-    submaps: Submaps = field(default_factory=Submaps)
+    weighing: PendingConstraints | None = None
+    submaps: SubmapCache = field(default_factory=SubmapCache)
 
     def correct(self, poses: FloatArray) -> None:
         """Let the key scans be at poses (T, 3): what was drawn from others is drawn anew."""
@@ -119,12 +119,12 @@ class Memory:
         self.area = self.wide = ()
         self.submaps.forget()
 
-    def snapshot(self) -> Memory:
+    def snapshot(self) -> LoopClosureState:
         """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
         pending = self.correction
         if pending is not None:
             pending = replace(pending, maps=pending.maps.snapshot())
-        return Memory(
+        return LoopClosureState(
             self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending,
             self.said.copy(), self.doubts, self.failures, self.next_search, self.area, self.wide,
             None if self.weighing is None else replace(self.weighing, work=None),
@@ -137,10 +137,10 @@ class Memory:
             "doubts": np.array(self.doubts),
             "search": np.array([self.failures, self.next_search, *self.area], np.int64),
             "wide": np.array(self.wide, np.int64),
-            "rejected": np.array([self.rejected[reason] for reason in Rejection], np.int64),
+            "rejected": np.array([self.rejected[reason] for reason in RejectionReason], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
-            ("hypotheses", ties_to_arrays(self.hypotheses)),
+            ("hypotheses", constraints_to_arrays(self.hypotheses)),
             ("scans", self.scans.to_arrays()),
             ("graph", self.graph.to_arrays()),
         ]  # fmt: skip
@@ -153,13 +153,15 @@ class Memory:
         return arrays | {f"{name}.{key}": array for name, part in parts for key, array in part.items()}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1) -> Memory:
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
+    ) -> LoopClosureState:
         """Rebuild from `to_arrays`; raises KeyError where an array is missing."""
 
         def part(prefix: str) -> dict[str, NDArray[Any]]:
             return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
-        counts = zip(Rejection, arrays["rejected"].tolist(), strict=True)
+        counts = zip(RejectionReason, arrays["rejected"].tolist(), strict=True)
         failures, next_search, *area = arrays["search"].tolist()
         correction = None
         if "correction.drawn" in arrays:
@@ -168,7 +170,7 @@ class Memory:
         return cls(
             ScanArchive.from_arrays(part("scans")),
             KeyGraph.from_arrays(part("graph")),
-            ties_from_arrays(part("hypotheses")),
+            constraints_from_arrays(part("hypotheses")),
             Counter({reason: n for reason, n in counts if n}),
             correction,
             list(arrays["said"]),
@@ -177,5 +179,5 @@ class Memory:
             next_search,
             tuple(area),
             tuple(arrays["wide"].tolist()),
-            Weighing(*arrays["weighing"].tolist()) if "weighing" in arrays else None,
+            PendingConstraints(*arrays["weighing"].tolist()) if "weighing" in arrays else None,
         )

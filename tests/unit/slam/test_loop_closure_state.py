@@ -6,7 +6,7 @@ import hall
 import numpy as np
 import pytest
 
-from gridslam.slam.memory import Correction, Memory, Rejection
+from gridslam.slam.loop_closure_state import Correction, LoopClosureState, RejectionReason
 from gridslam.slam.submaps import ROW
 
 
@@ -23,7 +23,7 @@ def poses(seen):
 @pytest.fixture(scope="module")
 def whole(seen, poses):
     """The memory of two laps, and how many places waited for others to agree after each key scan."""
-    memory, waiting = Memory(), []
+    memory, waiting = LoopClosureState(), []
     for k in range(len(poses)):
         hall.remember(memory, seen, poses, until=k + 1)
         waiting.append(len(memory.hypotheses))
@@ -35,7 +35,7 @@ def contents(memory):
 
 
 def copies(memory):
-    return memory.snapshot(), Memory.from_arrays(memory.to_arrays(), hall.MAPPER)
+    return memory.snapshot(), LoopClosureState.from_arrays(memory.to_arrays(), hall.MAPPER)
 
 
 def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
@@ -44,7 +44,7 @@ def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
     cuts = [30, *(waiting.index(n) for n in (1, 2))]
     recognized = next(k for k in range(1, len(poses)) if waiting[k] < waiting[k - 1] and end.graph.ties)
     for cut in [*cuts, recognized]:
-        memory = Memory()
+        memory = LoopClosureState()
         hall.remember(memory, seen, poses, until=cut + 1)
         before = contents(memory)
         for twin in copies(memory):
@@ -56,14 +56,14 @@ def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
-    memory = Memory()
+    memory = LoopClosureState()
     hall.remember(memory, seen, poses, until=40)
     maps = hall.MAPPER.empty(1)
     memory.correction = Correction(seen.truth[:40], maps, drawn=10)
     for key in range(10):
         maps.update(ROW, seen.truth[key][None], memory.scans.key(key))
     before = contents(memory)
-    kept, read = memory.snapshot(), Memory.from_arrays(memory.to_arrays(), hall.MAPPER, threads)
+    kept, read = memory.snapshot(), LoopClosureState.from_arrays(memory.to_arrays(), hall.MAPPER, threads)
     for twin in (memory, kept, read):
         assert contents(twin) == before
         twin.correction.maps.update(ROW, seen.truth[10][None], twin.scans.key(10))
@@ -75,20 +75,20 @@ def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
 
 
 def test_rejections_are_counted_by_reason(seen, poses):
-    memory = Memory()
+    memory = LoopClosureState()
     hall.remember(memory, seen, poses, until=20)
-    memory.rejected.update({Rejection.POOR: 3, Rejection.THROUGH_WALLS: 1})
+    memory.rejected.update({RejectionReason.POOR: 3, RejectionReason.THROUGH_WALLS: 1})
     for twin in copies(memory):
-        assert twin.rejected == {Rejection.POOR: 3, Rejection.THROUGH_WALLS: 1}
-        twin.rejected[Rejection.POOR] += 1
-    assert memory.rejected[Rejection.POOR] == 3
+        assert twin.rejected == {RejectionReason.POOR: 3, RejectionReason.THROUGH_WALLS: 1}
+        twin.rejected[RejectionReason.POOR] += 1
+    assert memory.rejected[RejectionReason.POOR] == 3
 
 
 @pytest.mark.parametrize("name", ["search", "said", "rejected", "doubts", "graph.tracked", "scans.ends"])
 def test_a_missing_array_is_told(seen, poses, name):
-    memory = Memory()
+    memory = LoopClosureState()
     hall.remember(memory, seen, poses, until=5)
     arrays = memory.to_arrays()
     assert isinstance(arrays.pop(name), np.ndarray)
     with pytest.raises(KeyError, match=name.rpartition(".")[2]):
-        Memory.from_arrays(arrays, hall.MAPPER)
+        LoopClosureState.from_arrays(arrays, hall.MAPPER)

@@ -15,22 +15,22 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thinned
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.memory import Memory
-from gridslam.slam.place_parameters import PlaceParameters
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.key_graph import BLOCK, KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
 from gridslam.slam.submaps import ROW, anchor_of, drawn
-from gridslam.slam.ties import Source, Tie
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["PieceAlignment"]
+__all__ = ["ComponentAlignment"]
 
 _LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Hit:
+class _SearchHit:
     """Where a search found a key scan in the map of another piece."""
 
     key: int
@@ -42,7 +42,7 @@ class _Hit:
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Alignment:
+class _AlignmentHypothesis:
     """A piece followed through the map of another one from the best of the hits that agree.
 
     `poses` (K, 3) are those of all its key scans, `nats` what they say for being there; `alone` hits had no other
@@ -57,13 +57,13 @@ class _Alignment:
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class PieceAlignment:
+class ComponentAlignment:
     """Finds where a piece of the drive lies in the map of another one, by all of its key scans together.
 
     Within a piece the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
     other piece's map, and the two best places of each search are kept. Hits that the tracked motion joins are one
     hypothesis, which is followed through the whole piece from scan to scan. It is judged by the score by which
-    trajectories are compared (see `JointMapScore`): a single scan may fit two places, a whole drive seldom does.
+    trajectories are compared (see `TrajectoryScorer`): a single scan may fit two places, a whole drive seldom does.
     The best hypothesis is accepted if it says enough, next to nothing speaks for any other one, the drift explains it,
     and the piece does not look alike in itself: then the place where it fits may look like one never seen.
 
@@ -78,7 +78,7 @@ class PieceAlignment:
     follow_sigma : float
         A match farther from the motion since the last one than this many standard deviations is not followed.
     neutral, scale_m, tempering
-        As in `JointMapScore`.
+        As in `TrajectoryScorer`.
     least_nats : float, nats
         What the best hypothesis must say at least.
     rival : float
@@ -118,10 +118,14 @@ class PieceAlignment:
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
-        self, memory: Memory, mapper: OccupancyGridMapping, places: PlaceParameters, tick: Callable[[], None]
-    ) -> list[Tie]:
+        self,
+        memory: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        places: PlaceRecognitionParameters,
+        tick: Callable[[], None],
+    ) -> list[Constraint]:
         """Align all pieces with the older ones; returns the constraints of those that are certain."""
-        labels, found = memory.graph.pieces(), list[Tie]()
+        labels, found = memory.graph.pieces(), list[Constraint]()
         pieces = [np.flatnonzero(labels == label) for label in np.unique(labels)]
         for later, keys in enumerate(pieces):
             own: Pyramid | None = None
@@ -141,16 +145,16 @@ class PieceAlignment:
                     found += ties if len(ties) >= self.least else []
         return found
 
-    def _ways(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, Nearby]:
+    def _ways(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, SubmapDistance]:
         """For key scans of a piece the submap of an older one that they would have to be moved least for."""
-        ways, members = dict[int, Nearby](), set((old // BLOCK).tolist())
+        ways, members = dict[int, SubmapDistance](), set((old // BLOCK).tolist())
         for key in keys[self.every - 1 :: self.every].tolist():
             near = [n for n in graph.nearby(key, self.reach_m, len(graph)) if n.block in members]
             if near:
                 ways[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
         return ways
 
-    def _near(self, graph: KeyGraph, old: IntArray, ways: dict[int, Nearby]) -> IntArray:
+    def _near(self, graph: KeyGraph, old: IntArray, ways: dict[int, SubmapDistance]) -> IntArray:
         """Those key scans of an older piece that may show where the searched ones are."""
         guesses = np.array([self._guess(graph, way) for way in ways.values()])
         poses = np.array([graph.poses[key] for key in old.tolist()])
@@ -158,12 +162,17 @@ class PieceAlignment:
         near: IntArray = old[away < 2 * self.search.window_m]
         return near
 
-    def _guess(self, graph: KeyGraph, way: Nearby) -> FloatArray:
+    def _guess(self, graph: KeyGraph, way: SubmapDistance) -> FloatArray:
         return compose(graph.poses[way.block * BLOCK], way.pose)
 
     def _best(
-        self, memory: Memory, places: PlaceParameters, maps: TileMaps, keys: IntArray, ways: dict[int, Nearby]
-    ) -> _Alignment | None:
+        self,
+        memory: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        maps: TileMaps,
+        keys: IntArray,
+        ways: dict[int, SubmapDistance],
+    ) -> _AlignmentHypothesis | None:
         """Give the hypothesis that is certain, if one is."""
         groups = self._grouped(memory.graph, self._hits(memory, places, Pyramid.of(maps, 0), ways))
         groups.sort(key=lambda group: -sum(hit.share for hit in group))
@@ -176,12 +185,16 @@ class PieceAlignment:
         rival = self.rival_alone if best.alone >= self.least else self.rival
         return best if max(rivals, default=0.0) <= rival * best.nats else None
 
-    def _same(self, one: _Alignment, other: _Alignment) -> bool:
+    def _same(self, one: _AlignmentHypothesis, other: _AlignmentHypothesis) -> bool:
         return float(np.median(np.hypot(*(one.poses - other.poses)[:, :2].T))) < self.same_m
 
     def _hits(
-        self, memory: Memory, places: PlaceParameters, pyramid: Pyramid, ways: dict[int, Nearby]
-    ) -> list[_Hit]:
+        self,
+        memory: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        pyramid: Pyramid,
+        ways: dict[int, SubmapDistance],
+    ) -> list[_SearchHit]:
         """Search key scans; keep the best place of each and the next best one."""
         hits = []
         beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / self.search.gate)
@@ -195,15 +208,15 @@ class PieceAlignment:
             for pose, share, alone in two:
                 if pose is not None:
                     missed = np.append((pose - guess)[:2], between(guess, pose)[2])
-                    hits.append(_Hit(key, pose, share, places.is_plausible(way.covariance, missed), alone))
+                    hits.append(_SearchHit(key, pose, share, places.is_plausible(way.covariance, missed), alone))
         return hits
 
-    def _points(self, memory: Memory, places: PlaceParameters, key: int) -> FloatArray:
-        return thinned(evidence.recent_points(memory, key, places.query), self.search.points)
+    def _points(self, memory: LoopClosureState, places: PlaceRecognitionParameters, key: int) -> FloatArray:
+        return thinned(checks.recent_points(memory, key, places.query), self.search.points)
 
-    def _grouped(self, graph: KeyGraph, hits: list[_Hit]) -> list[list[_Hit]]:
+    def _grouped(self, graph: KeyGraph, hits: list[_SearchHit]) -> list[list[_SearchHit]]:
         """Put together hits that the tracked motion joins."""
-        groups: list[list[_Hit]] = []
+        groups: list[list[_SearchHit]] = []
         for hit in hits:
             for group in groups:
                 last = group[-1]
@@ -216,7 +229,9 @@ class PieceAlignment:
                 groups.append([hit])
         return groups
 
-    def _followed(self, memory: Memory, maps: TileMaps, keys: IntArray, group: list[_Hit]) -> _Alignment:
+    def _followed(
+        self, memory: LoopClosureState, maps: TileMaps, keys: IntArray, group: list[_SearchHit]
+    ) -> _AlignmentHypothesis:
         """Follow a piece from the best hit to both of its ends: as tracked, put right wherever a scan matches."""
         begin = max(group, key=lambda hit: hit.share)
         poses, nats, at = np.empty((len(keys), 3)), 0.0, int(np.searchsorted(keys, begin.key))
@@ -228,10 +243,10 @@ class PieceAlignment:
                 spread = np.array(memory.graph.variances[max(key, last)]) + np.square([0.02, 0.01])
                 pose, said = self._matched(memory, maps, key, guess, spread)
                 poses[index], last, nats = pose, key, nats + said
-        return _Alignment(poses, nats, any(hit.plausible for hit in group), sum(hit.alone for hit in group))
+        return _AlignmentHypothesis(poses, nats, any(hit.plausible for hit in group), sum(hit.alone for hit in group))
 
     def _matched(
-        self, memory: Memory, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
+        self, memory: LoopClosureState, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
     ) -> tuple[FloatArray, float]:
         """Match a key scan if the motion allows it, and tell in nats what its beams say for being there."""
         beams, pose = memory.scans.key(key), guess
@@ -247,7 +262,9 @@ class PieceAlignment:
         agreeing = float(np.sum(1 / (1 + np.square(away / self.scale_m))))
         return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
 
-    def _looks_alike(self, memory: Memory, places: PlaceParameters, own: Pyramid, keys: IntArray) -> bool:
+    def _looks_alike(
+        self, memory: LoopClosureState, places: PlaceRecognitionParameters, own: Pyramid, keys: IntArray
+    ) -> bool:
         """Whether a piece fits its own map elsewhere as well: there its like may stand where nobody has been."""
         within = replace(self.search, window_m=self.search.window_m / 2, window_rad=0.35)
         ratios = []
@@ -257,10 +274,16 @@ class PieceAlignment:
         return float(np.quantile(ratios, 0.75)) >= self.alike
 
     def _ties(
-        self, memory: Memory, places: PlaceParameters, maps: TileMaps, keys: IntArray, old: IntArray, best: _Alignment
-    ) -> list[Tie]:
+        self,
+        memory: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        maps: TileMaps,
+        keys: IntArray,
+        old: IntArray,
+        best: _AlignmentHypothesis,
+    ) -> list[Constraint]:
         """Constraints from every few key scans of an aligned piece to the submaps that they lie in."""
-        graph, lenient, found = memory.graph, replace(places, share=self.share), list[Tie]()
+        graph, lenient, found = memory.graph, replace(places, share=self.share), list[Constraint]()
         blocks = np.unique(old // BLOCK)
         blocks = blocks[np.isin(anchor_of(0) + blocks * BLOCK, old)]
         anchors = np.array([graph.poses[anchor_of(block)] for block in blocks.tolist()]).reshape(-1, 3)
@@ -270,7 +293,7 @@ class PieceAlignment:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             seen, anchor, block = between(anchors[nearest], pose), anchors[nearest], int(blocks[nearest])
-            tie = lenient.match_to(maps, anchor, memory, key, block, seen, places.known_m, Source.RECOGNIZED)
-            if isinstance(tie, Tie) and tie.determined:
+            tie = lenient.match_to(maps, anchor, memory, key, block, seen, places.known_m, ConstraintSource.RECOGNIZED)
+            if isinstance(tie, Constraint) and tie.determined:
                 found.append(tie)
         return found

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.candidates import Candidate, Contest
+from gridslam.slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import TrajectoryScore
 
 MAPPER = OccupancyGridMapping()
@@ -37,7 +37,7 @@ class Judge:
 
 def contest(likelihoods):
     judge = Judge(likelihoods)
-    held, all_ = Contest(judge), [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
+    held, all_ = CandidateSelection(judge), [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
     told = [held.add(one) for one in all_]
     return held, judge, all_, told
 
@@ -67,7 +67,7 @@ def test_each_candidate_is_scored_once_by_its_poses_and_all_scores_are_kept():
 def test_the_best_and_its_map_belong_together_after_every_candidate():
     likelihoods = np.random.default_rng(0).integers(-20, 0, 40).astype(float).tolist()
     judge = Judge(likelihoods)
-    held = Contest(judge)
+    held = CandidateSelection(judge)
     for k in range(40):
         held.add(candidate(f"closed {k}", float(k)))
         place = int(np.argmax(likelihoods[: k + 1]))  # the first of equals
@@ -78,8 +78,13 @@ def test_the_best_and_its_map_belong_together_after_every_candidate():
 
 def test_believed_ties_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
     ties = [
-        Tie(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)
-        for source in (Source.RECOGNIZED, Source.KNOWN, Source.BELIEVED, Source.RECOGNIZED)
+        Constraint(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)
+        for source in (
+            ConstraintSource.RECOGNIZED,
+            ConstraintSource.KNOWN,
+            ConstraintSource.BELIEVED,
+            ConstraintSource.RECOGNIZED,
+        )
     ]
     one = candidate("refined", 0.0, ties, [0.0, 0.9, 0.49, 0.5, 0.0])
     assert one.recognized == [ties[0], ties[3]]

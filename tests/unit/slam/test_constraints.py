@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
+from gridslam.slam.constraints import Constraint, ConstraintSource, constraints_from_arrays, constraints_to_arrays
 from gridslam.types import Match
 
 SIGMA_M = 0.3
@@ -26,8 +26,8 @@ def test_a_tie_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(3, 3))
     information, pose = 100 * (factor @ factor.T + np.eye(3)), np.array([2.0, -1.0, heading])
-    tie = Tie.of(3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, Source.KNOWN)
-    assert (tie.from_, tie.to, tie.source, tie.determined) == (3, 40, Source.KNOWN, True)
+    tie = Constraint.of(3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.KNOWN)
+    assert (tie.from_, tie.to, tie.source, tie.determined) == (3, 40, ConstraintSource.KNOWN, True)
     np.testing.assert_array_equal(tie.measurement, pose)
     for away in rng.normal(scale=0.1, size=(5, 3)):
         error = between(pose, pose + away)
@@ -45,7 +45,7 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
     information[:2, :2] = np.outer(along, along) + 40 * np.outer(across, across)
     information[2, 2] = 500.0
     guess, pose = np.array([1.0, 2.0, heading - 0.02]), np.array([1.3, 1.9, heading])
-    tie = Tie.of(5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, Source.BELIEVED)
+    tie = Constraint.of(5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.BELIEVED)
     assert not tie.determined
     assert tie.measurement[2] == heading
     assert along @ tie.measurement[:2] == pytest.approx(along @ guess[:2])
@@ -62,10 +62,12 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
 def test_arrays_hold_every_tie(count):
     rng = np.random.default_rng(count)
     ties = [
-        Tie(k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), Source(k % 3), determined=bool(k % 2))
+        Constraint(
+            k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), ConstraintSource(k % 3), determined=bool(k % 2)
+        )
         for k in range(count)
     ]
-    read = ties_from_arrays(ties_to_arrays(ties))
+    read = constraints_from_arrays(constraints_to_arrays(ties))
     assert len(read) == count
     for one, other in zip(read, ties, strict=True):
         assert (one.from_, one.to, one.source, one.determined) == (
@@ -74,13 +76,13 @@ def test_arrays_hold_every_tie(count):
         assert type(one.determined) is bool
         np.testing.assert_array_equal(one.measurement, other.measurement)
         np.testing.assert_array_equal(one.information, other.information)
-    again = ties_to_arrays(read)
-    for name, array in ties_to_arrays(ties).items():
+    again = constraints_to_arrays(read)
+    for name, array in constraints_to_arrays(ties).items():
         assert (again[name].dtype, again[name].tobytes()) == (array.dtype, array.tobytes())
 
 
 def test_a_missing_array_is_told():
-    arrays = ties_to_arrays([])
+    arrays = constraints_to_arrays([])
     del arrays["information"]
     with pytest.raises(KeyError, match="information"):
-        ties_from_arrays(arrays)
+        constraints_from_arrays(arrays)

@@ -7,12 +7,12 @@ from typing import final
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-__all__ = ["Drift"]
+__all__ = ["DriftModel"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Drift:
+class DriftModel:
     """How uncertain a tracked increment is: a random walk, and a leap wherever the tracker did not believe its match.
 
     Parameters

@@ -13,17 +13,17 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint, ConstraintSource, seen_from, surveyed
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.submaps import ROW, anchor_of
-from gridslam.slam.ties import Source, Tie, seen_from, surveyed
 from gridslam.types import FloatArray
 
-__all__ = ["PlaceParameters"]
+__all__ = ["PlaceRecognitionParameters"]
 
 
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class PlaceParameters:
+class PlaceRecognitionParameters:
     """What `PlaceRecognition` goes by.
 
     Parameters
@@ -94,17 +94,17 @@ class PlaceParameters:
     matcher: GaussNewton = GaussNewton()
 
     def match(
-        self, memory: Memory, mapper: OccupancyGridMapping, key: int, block: int, guess: FloatArray, most_m: float,
-        source: Source,
-    ) -> Tie | Rejection:  # fmt: skip
+        self, memory: LoopClosureState, mapper: OccupancyGridMapping, key: int, block: int, guess: FloatArray,
+        most_m: float, source: ConstraintSource,
+    ) -> Constraint | RejectionReason:  # fmt: skip
         """Match a key scan to a submap, within `most_m` of a guess (3,) in its frame."""
         maps = memory.submaps(block, mapper, memory.scans, memory.graph)
         return self.match_to(maps, np.zeros(3), memory, key, block, guess, most_m, source)
 
     def match_to(
-        self, maps: TileMaps, anchor: FloatArray, memory: Memory, key: int, block: int, guess: FloatArray,
-        most_m: float, source: Source,
-    ) -> Tie | Rejection:  # fmt: skip
+        self, maps: TileMaps, anchor: FloatArray, memory: LoopClosureState, key: int, block: int, guess: FloatArray,
+        most_m: float, source: ConstraintSource,
+    ) -> Constraint | RejectionReason:  # fmt: skip
         """Match a key scan to a map in which a submap's frame is at `anchor` (3,), from a guess (3,) in that frame."""
         beams = memory.scans.key(key)
         begin = compose(anchor, guess)
@@ -113,14 +113,14 @@ class PlaceParameters:
         pose = match.poses[0]
         moved = between(begin, pose)
         if math.hypot(moved[0], moved[1]) > most_m or not self.agrees(maps, pose, beams.ends):
-            return Rejection.POOR
+            return RejectionReason.POOR
         seen = seen_from(anchor, match)
-        return Tie.of(anchor_of(block), key, guess, seen, self.beam_sigma_m, self.least_information, source)
+        return Constraint.of(anchor_of(block), key, guess, seen, self.beam_sigma_m, self.least_information, source)
 
     def agrees(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
-        return evidence.agreement(maps, pose, points, self.overlap, self.matcher.cauchy_m) >= self.share
+        return checks.agreement(maps, pose, points, self.overlap, self.matcher.cauchy_m) >= self.share
 
     def is_plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
         """Whether the drift explains what a match differs by (3,)."""
-        return evidence.plausible(covariance, missed, self.search.gate)
+        return checks.plausible(covariance, missed, self.search.gate)

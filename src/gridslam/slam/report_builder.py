@@ -13,11 +13,11 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.matching.gauss_newton import undetermined
 from gridslam.particles.weights import effective_sample_size
-from gridslam.slam.proposals import Proposed
+from gridslam.slam.proposals import ProposedPoses
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepReport
 
-__all__ = ["Confidence"]
+__all__ = ["ReportBuilder"]
 
 
 _LEAST_INFORMATION = 1e-2 * np.eye(3)
@@ -26,7 +26,7 @@ _LEAST_INFORMATION = 1e-2 * np.eye(3)
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Confidence:
+class ReportBuilder:
     """Builds the reports of the filter.
 
     The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
@@ -72,7 +72,12 @@ class Confidence:
         )  # fmt: skip
 
     def key_scan(
-        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, proposed: Proposed, beams: BeamEnds
+        self,
+        state: GridFastSlamState,
+        scan: LaserScan,
+        key_from_base: FloatArray,
+        proposed: ProposedPoses,
+        beams: BeamEnds,
     ) -> StepReport:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match

@@ -8,10 +8,10 @@ import numpy as np
 
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.memory import Memory
+from gridslam.slam.constraints import Constraint
+from gridslam.slam.key_graph import BLOCK, KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.submaps import ROW, anchor_of
-from gridslam.slam.ties import Tie
 from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["agreement", "disagreement", "missed_by", "plausible", "recent_points", "through_walls"]
@@ -23,7 +23,7 @@ _WALL_M = 0.3
 """A beam that ends so much behind what the map knows has passed through it."""
 
 
-def recent_points(memory: Memory, key: int, scans: int) -> FloatArray:
+def recent_points(memory: LoopClosureState, key: int, scans: int) -> FloatArray:
     """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
 
     None from before the robot went on blindly.
@@ -60,7 +60,7 @@ def through_walls(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:
     return float(np.mean(seen < ranges - _WALL_M))
 
 
-def missed_by(graph: KeyGraph, way: Nearby, tie: Tie) -> FloatArray:
+def missed_by(graph: KeyGraph, way: SubmapDistance, tie: Constraint) -> FloatArray:
     """What a tie (3,) differs by from the way to its submap, turned to the map frame."""
     expected = between(between(graph.tracked[way.block * BLOCK], graph.tracked[anchor_of(way.block)]), way.pose)
     turn = graph.poses[-1][2] - expected[2]
@@ -69,7 +69,7 @@ def missed_by(graph: KeyGraph, way: Nearby, tie: Tie) -> FloatArray:
     return np.array([c * x - s * y, s * x + c * y, between(expected, tie.measurement)[2]])
 
 
-def disagreement(graph: KeyGraph, earlier: Tie, later: Tie) -> FloatArray:
+def disagreement(graph: KeyGraph, earlier: Constraint, later: Constraint) -> FloatArray:
     """What the place of a later tie differs by (3,) from where the motion leads from the place of an earlier one."""
     reached = compose(earlier.measurement, between(graph.tracked[earlier.to], graph.tracked[later.to]))
     return between(reached, compose(graph.local(earlier.from_, later.from_), later.measurement))

@@ -16,16 +16,16 @@ from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
 from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.joint_matching import JointMatching, LastWord
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.memory import Memory
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.submaps import drawn
 from gridslam.types import Trajectory
 
 CLOSURE = LoopClosure()
 SLAM = GridFastSlam(loop_closure=CLOSURE)
-WORD = JointMatching()
+WORD = GlobalScanRefinement()
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Told:
     log: SimulatedLog
     state: GridFastSlamState
     recorder: TrajectoryRecorder
-    memory: Memory
-    word: LastWord
+    memory: LoopClosureState
+    word: RefinementResult
 
 
-def told(log: SimulatedLog, scans: int | None = None, word: JointMatching = WORD, tick=lambda: None) -> Told:
+def told(log: SimulatedLog, scans: int | None = None, word: GlobalScanRefinement = WORD, tick=lambda: None) -> Told:
     recorder = TrajectoryRecorder()
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
     memory = state.memory.snapshot()

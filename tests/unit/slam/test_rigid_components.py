@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.key_graph import BLOCK, GAP_M, GAP_RAD, KeyGraph
-from gridslam.slam.memory import Memory
-from gridslam.slam.place_evidence import recent_points
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.place_checks import recent_points
 from gridslam.slam.submaps import anchor_of, keys_of
-from gridslam.slam.ties import Source, Tie
 from gridslam.types import EndPoints
 
 SURE = (0.02**2, 0.01**2)
@@ -27,8 +27,8 @@ def chain(count, gaps=(), blind=BLIND):
     return graph
 
 
-def tie(graph, from_, to, source=Source.RECOGNIZED, *, determined=True):
-    return Tie(from_, to, between(graph.tracked[from_], graph.tracked[to]), 1e4 * np.eye(3), source, determined)
+def tie(graph, from_, to, source=ConstraintSource.RECOGNIZED, *, determined=True):
+    return Constraint(from_, to, between(graph.tracked[from_], graph.tracked[to]), 1e4 * np.eye(3), source, determined)
 
 
 def told(graph):
@@ -40,7 +40,7 @@ def told(graph):
 def test_without_a_gap_there_is_one_piece_whatever_is_tied():
     graph = chain(40)
     assert told(graph) == [list(range(40))]
-    graph.add(tie(graph, 3, 35, Source.BELIEVED))
+    graph.add(tie(graph, 3, 35, ConstraintSource.BELIEVED))
     assert told(graph) == [list(range(40))]
 
 
@@ -65,12 +65,12 @@ def test_a_gap_is_where_the_position_or_the_heading_is_next_to_unknown(variances
     assert len(told(chain(20, [9], variances))) == pieces
 
 
-@pytest.mark.parametrize("source", Source)
+@pytest.mark.parametrize("source", ConstraintSource)
 @pytest.mark.parametrize("determined", [True, False])
 def test_only_a_tie_that_is_known_and_determined_joins_two_pieces(source, determined):
     graph = chain(40, [20])
     graph.add(tie(graph, 5, 33, source, determined=determined))
-    joined = determined and source in (Source.KNOWN, Source.RECOGNIZED)
+    joined = determined and source in (ConstraintSource.KNOWN, ConstraintSource.RECOGNIZED)
     assert len(told(graph)) == (1 if joined else 2)
 
 
@@ -130,7 +130,7 @@ def test_a_submap_ends_at_a_gap_and_keeps_its_anchor(within):
 @pytest.mark.parametrize(("key", "scans", "first"), [(29, 10, 25), (29, 3, 27), (24, 10, 15), (3, 10, 0), (25, 10, 25)])
 def test_recent_points_are_none_from_before_a_gap(key, scans, first):
     """Each scan has one point, as far ahead as its number tells; an archive's steps are a 32767th of the farthest."""
-    memory = Memory()
+    memory = LoopClosureState()
     memory.graph = chain(40, [25])
     for k in range(40):
         memory.scans.append(EndPoints(np.array([[1.0 + k, 0.5]]), np.zeros(2)), memory.graph.tracked[k], is_key=True)

@@ -9,14 +9,14 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["Moments", "Nearby", "covariances", "moments_of"]
+__all__ = ["Moments", "SubmapDistance", "covariances", "moments_of"]
 
 Moments = tuple[float, ...]
 """The sums along a way of what `moments_of` tells of its steps."""
 
 
 @final
-class Nearby(NamedTuple):
+class SubmapDistance(NamedTuple):
     """A submap, and where a key scan is as seen from its first one, by the most certain way there."""
 
     block: int

@@ -14,26 +14,26 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.candidates import Candidate, Contest
+from gridslam.slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.component_alignment import ComponentAlignment
+from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.piece_alignment import PieceAlignment
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.submaps import ROW
-from gridslam.slam.ties import Source, Tie
-from gridslam.slam.trajectory_score import JointMapScore, TrajectoryScore
+from gridslam.slam.trajectory_score import TrajectoryScore, TrajectoryScorer
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["JointMatching", "LastWord"]
+__all__ = ["GlobalScanRefinement", "RefinementResult"]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class LastWord:
+class RefinementResult:
     """What the end of a log tells of all of it.
 
     Attributes
@@ -56,7 +56,7 @@ class LastWord:
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class JointMatching:
+class GlobalScanRefinement:
     """Match, solve, and match again, until nothing moves; choose; then match every scan to the map of all key scans.
 
     Key scans are matched to the older and later submaps about them, drawn anew from the current trajectory. Matched to
@@ -94,11 +94,11 @@ class JointMatching:
         it.
     other_share, confirmations
         As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
-    pieces : PieceAlignment
+    pieces : ComponentAlignment
         How pieces between which the robot went on blindly are aligned.
-    robust : Cauchy
+    robust : CauchyEstimator
         How the graph is solved, and what a measurement counts that is off.
-    score : JointMapScore
+    score : TrajectoryScorer
         How candidates are compared.
     """
 
@@ -117,9 +117,9 @@ class JointMatching:
     searches: int = Field(default=3, ge=0)
     other_share: float = Field(default=0.85, gt=0, le=1)
     confirmations: int = Field(default=3, ge=1)
-    pieces: PieceAlignment = PieceAlignment()
-    robust: Cauchy = Cauchy()
-    score: JointMapScore = JointMapScore()
+    pieces: ComponentAlignment = ComponentAlignment()
+    robust: CauchyEstimator = CauchyEstimator()
+    score: TrajectoryScorer = TrajectoryScorer()
 
     @property
     def _solver(self) -> GraphSlam:
@@ -127,14 +127,14 @@ class JointMatching:
 
     def __call__(
         self,
-        memory: Memory,
+        memory: LoopClosureState,
         trajectory: FloatArray,
         keys: IntArray,
         key_from_base: FloatArray,
         mapper: OccupancyGridMapping,
         closure: LoopClosure,
         tick: Callable[[], None] = lambda: None,
-    ) -> LastWord:
+    ) -> RefinementResult:
         """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
         Parameters
@@ -151,7 +151,7 @@ class JointMatching:
             Called now and then, so that progress can be shown and the work be interrupted.
         """
         graph, scans = memory.graph, memory.scans
-        contest = Contest(lambda poses: self.score(graph, scans, poses, mapper, tick))
+        contest = CandidateSelection(lambda poses: self.score(graph, scans, poses, mapper, tick))
         candidates = list(self._candidates(memory, trajectory, closure, mapper, tick))
         for candidate in candidates:
             contest.add(candidate)
@@ -160,11 +160,11 @@ class JointMatching:
             self._search(contest, begin, memory, closure, mapper, tick)
         bent = full_trajectory(contest.best.graph.poses, keys, key_from_base)
         poses = self._matched(memory, bent, contest.maps, tick)
-        return LastWord(contest.best, poses, contest.maps, contest.scores)
+        return RefinementResult(contest.best, poses, contest.maps, contest.scores)
 
     def _search(
-        self, contest: Contest, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
-        tick: Callable[[], None],
+        self, contest: CandidateSelection, begin: Candidate, memory: LoopClosureState, closure: LoopClosure,
+        mapper: OccupancyGridMapping, tick: Callable[[], None],
     ) -> None:  # fmt: skip
         """Search the whole log for places seen again, from a candidate on, as long as that makes it better."""
         best, reached = begin, contest.scores[begin.name].log_likelihood
@@ -176,7 +176,7 @@ class JointMatching:
             best, reached = found, score
 
     def _closed(
-        self, name: str, begin: Candidate, memory: Memory, closure: LoopClosure, mapper: OccupancyGridMapping,
+        self, name: str, begin: Candidate, memory: LoopClosureState, closure: LoopClosure, mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Candidate | None:  # fmt: skip
         """Add the places that are found to a candidate; None if there is none.
@@ -196,7 +196,7 @@ class JointMatching:
         solution = solver.solve(known.graph(begin.increments))
         true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
         recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
-        memory.rejected[Rejection.IMPLAUSIBLE] += len(new) - len(recognized)
+        memory.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
         recognized += begin.recognized
@@ -205,12 +205,16 @@ class JointMatching:
         return self._refined(name, memory, recognized, ties, begin.increments, mapper, tick)
 
     def _candidates(
-        self, memory: Memory, trajectory: FloatArray, closure: LoopClosure, mapper: OccupancyGridMapping,
+        self,
+        memory: LoopClosureState,
+        trajectory: FloatArray,
+        closure: LoopClosure,
+        mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Iterator[Candidate]:
         """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
         known, found = memory.graph, memory.graph.ties
-        recognized = [tie for tie in found if tie.source is Source.RECOGNIZED]
+        recognized = [tie for tie in found if tie.source is ConstraintSource.RECOGNIZED]
         tracked = self._increments(memory, trajectory)
         ties = [*recognized, *self.key_scans(memory, trajectory, mapper, tick)]
         known.poses, known.ties = list(trajectory), ties
@@ -233,8 +237,8 @@ class JointMatching:
         return ties > 0 and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.settled_m)) > self.settled_share
 
     def _refined(
-        self, name: str, memory: Memory, recognized: list[Tie], ties: list[Tie], increments: FloatArray,
-        mapper: OccupancyGridMapping, tick: Callable[[], None],
+        self, name: str, memory: LoopClosureState, recognized: list[Constraint], ties: list[Constraint],
+        increments: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None],
     ) -> Candidate:  # fmt: skip
         """Solve the graph with ties found at its poses, find them anew at the solution, and so on."""
         known = memory.graph
@@ -248,7 +252,7 @@ class JointMatching:
             ties = [*recognized, *self.key_scans(memory, solution.poses, mapper, tick)]
         return Candidate(name, graph.with_poses(solution.poses), ties, solution.weights)
 
-    def _increments(self, memory: Memory, trajectory: FloatArray) -> FloatArray:
+    def _increments(self, memory: LoopClosureState, trajectory: FloatArray) -> FloatArray:
         """Increments (T - 1, 3) as the filter has them; where its map drew it off the track, as tracked."""
         tracked = np.array(memory.graph.tracked)
         moved, driven = between(tracked[:-1], tracked[1:]), between(trajectory[:-1], trajectory[1:])
@@ -258,7 +262,9 @@ class JointMatching:
         )
         return np.where(drawn_off[:, None], moved, driven)
 
-    def _matched(self, memory: Memory, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]) -> FloatArray:
+    def _matched(
+        self, memory: LoopClosureState, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]
+    ) -> FloatArray:
         """Match every scan to the map of all; one of which nothing was kept moves with the last one before it."""
         matched, last = poses.copy(), 0
         prior = self.scan_prior * np.eye(3)[None]

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import TypeVar
 
-__all__ = ["Work", "done", "worked"]
+__all__ = ["Computation", "done", "worked"]
 
 T = TypeVar("T")
 
-Work = Generator[None, None, T]
+Computation = Generator[None, None, T]
 """Yields after each of its steps, and returns its result."""
 
 
-def worked(work: Work[T], steps: int) -> T | None:
+def worked(work: Computation[T], steps: int) -> T | None:
     """Do so many more steps; returns the result if that was enough, else None (which no result may be)."""
     try:
         for _ in range(steps):
@@ -24,7 +24,7 @@ def worked(work: Work[T], steps: int) -> T | None:
     return None
 
 
-def done(work: Work[T]) -> T:
+def done(work: Computation[T]) -> T:
     """Do all that is left."""
     while True:
         try:

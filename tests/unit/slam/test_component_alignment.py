@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift import Drift
-from gridslam.slam.memory import Memory
-from gridslam.slam.piece_alignment import PieceAlignment
+from gridslam.slam.component_alignment import ComponentAlignment
+from gridslam.slam.constraints import ConstraintSource
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition import PlaceRecognition
-from gridslam.slam.ties import Source
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 
@@ -35,30 +35,32 @@ def seen():
 
 def interrupted(seen, at, *, wrong=BLIND, until=None):
     """Remember a drive whose increment to key scan `at` is wrong, and known to be uncertain."""
-    memory, poses = Memory(), [seen.truth[0]]
+    memory, poses = LoopClosureState(), [seen.truth[0]]
     for k, increment in enumerate(between(seen.truth[:-1], seen.truth[1:]), start=1):
         poses.append(compose(poses[-1], compose(increment, wrong) if k == at else increment))
     for k, pose in enumerate(poses[:until]):
         memory.scans.append(seen.beams[k], pose, is_key=True)
-        memory.graph.extend(pose, pose, (1.5**2, 0.3**2) if k == at else Drift().variances(0.4, 0.1))
+        memory.graph.extend(pose, pose, (1.5**2, 0.3**2) if k == at else DriftModel().variances(0.4, 0.1))
     return memory
 
 
 def aligned(memory, alignment=None):
-    return (alignment or PieceAlignment())(memory, hall.MAPPER, PlaceRecognition(), lambda: None)
+    return (alignment or ComponentAlignment())(memory, hall.MAPPER, PlaceRecognition(), lambda: None)
 
 
 def test_a_piece_is_laid_where_its_key_scans_fit(seen):
     ties = aligned(interrupted(seen, LAP + 5))
     assert len(ties) >= 10
-    assert all(tie.from_ < LAP + 5 <= tie.to and tie.source is Source.RECOGNIZED and tie.determined for tie in ties)
+    assert all(
+        tie.from_ < LAP + 5 <= tie.to and tie.source is ConstraintSource.RECOGNIZED and tie.determined for tie in ties
+    )
     assert (hall.errors(seen.truth, ties) < [0.1, 0.02]).all()
 
 
 def test_without_a_blind_stretch_there_is_nothing_to_align(seen):
     memory = interrupted(seen, LAP + 5)
-    memory.graph.variances[LAP + 5] = Drift().variances(0.4, 0.1)
-    whole = Memory(scans=memory.scans)
+    memory.graph.variances[LAP + 5] = DriftModel().variances(0.4, 0.1)
+    whole = LoopClosureState(scans=memory.scans)
     for pose, spread in zip(memory.graph.poses, memory.graph.variances, strict=True):
         whole.graph.extend(pose, pose, spread)
     assert aligned(whole) == []
@@ -92,12 +94,12 @@ def test_a_rival_that_says_as_much_refutes(seen):
     truth = seen.truth[:half]
     shifted = truth + np.array([12.0, 12.0, 0.0])
     twice = np.concatenate([truth, shifted, truth])
-    memory, beams = Memory(), [*seen.beams[:half]] * 3
+    memory, beams = LoopClosureState(), [*seen.beams[:half]] * 3
     for k, pose in enumerate(twice):
         memory.scans.append(beams[k], pose, is_key=True)
-        memory.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else Drift().variances(0.4, 0.1))
+        memory.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else DriftModel().variances(0.4, 0.1))
     assert aligned(memory) == []
-    assert aligned(memory, PieceAlignment(rival=0.99, rival_alone=0.99, alike=1.0)) == []
+    assert aligned(memory, ComponentAlignment(rival=0.99, rival_alone=0.99, alike=1.0)) == []
     once = interrupted(hall.Seen(np.concatenate([truth, truth]), beams[: 2 * half]), half, wrong=np.zeros(3))
     assert len(aligned(once)) >= 3
 
@@ -105,7 +107,7 @@ def test_a_rival_that_says_as_much_refutes(seen):
 def test_too_few_constraints_are_no_alignment(seen):
     memory = interrupted(seen, LAP + 5, until=LAP + 45)
     assert len(aligned(memory)) >= 3
-    assert aligned(memory, PieceAlignment(least=math.ceil(40 / 3) + 1)) == []
+    assert aligned(memory, ComponentAlignment(least=math.ceil(40 / 3) + 1)) == []
 
 
 def test_a_scan_without_a_beam_is_passed_over(seen):

@@ -17,7 +17,14 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["Source", "Tie", "seen_from", "surveyed", "ties_from_arrays", "ties_to_arrays"]
+__all__ = [
+    "Constraint",
+    "ConstraintSource",
+    "constraints_from_arrays",
+    "constraints_to_arrays",
+    "seen_from",
+    "surveyed",
+]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
@@ -28,7 +35,7 @@ _CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
 
 
 @final
-class Source(IntEnum):
+class ConstraintSource(IntEnum):
     """How it is known which old submap a key scan sees."""
 
     BELIEVED = 0
@@ -42,7 +49,7 @@ class Source(IntEnum):
 
 
 @final
-class Tie(NamedTuple):
+class Constraint(NamedTuple):
     """The pose (3,) of a key scan `to` seen from another, `from_`, and its information (3, 3), of g2o's error.
 
     A match that leaves a direction open (a corridor's axis) says nothing along it: there the measurement is the guess,
@@ -53,13 +60,20 @@ class Tie(NamedTuple):
     to: int
     measurement: FloatArray
     information: FloatArray
-    source: Source
+    source: ConstraintSource
     determined: bool
 
     @classmethod
     def of(
-        cls, from_: int, to: int, guess: FloatArray, match: Match, sigma_m: float, least: float, source: Source
-    ) -> Tie:
+        cls,
+        from_: int,
+        to: int,
+        guess: FloatArray,
+        match: Match,
+        sigma_m: float,
+        least: float,
+        source: ConstraintSource,
+    ) -> Constraint:
         """Tie from a match in the frame of `from_`.
 
         Parameters
@@ -102,7 +116,7 @@ def seen_from(frame: FloatArray, match: Match) -> Match:
     return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
 
 
-def ties_to_arrays(ties: Sequence[Tie]) -> dict[str, NDArray[Any]]:
+def constraints_to_arrays(ties: Sequence[Constraint]) -> dict[str, NDArray[Any]]:
     """Plain arrays: `ends` (K, 4) int64 (from, to, source, determined), `measurements` and `information`."""
     return {
         "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in ties], np.int64).reshape(-1, 4),
@@ -111,7 +125,9 @@ def ties_to_arrays(ties: Sequence[Tie]) -> dict[str, NDArray[Any]]:
     }
 
 
-def ties_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Tie]:
-    """Rebuild from `ties_to_arrays`; raises KeyError where an array is missing."""
+def constraints_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Constraint]:
+    """Rebuild from `constraints_to_arrays`; raises KeyError where an array is missing."""
     rows = zip(arrays["ends"].tolist(), arrays["measurements"], arrays["information"], strict=True)
-    return [Tie(a, b, z, omega, Source(source), bool(known)) for (a, b, source, known), z, omega in rows]
+    return [
+        Constraint(a, b, z, omega, ConstraintSource(source), bool(known)) for (a, b, source, known), z, omega in rows
+    ]
