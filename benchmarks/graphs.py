@@ -104,7 +104,7 @@ def _gtsam() -> Iterator[Solver]:
         for place, pose in enumerate(graph.poses):
             values.insert(place, gtsam.Pose2(*pose))
         for (first, second), z, omega in zip(graph.edges.tolist(), graph.measurements, graph.information, strict=True):
-            noise = gtsam.noiseModel.ImprovedProposal.Information(omega)
+            noise = gtsam.noiseModel.Gaussian.Information(omega)
             factors.add(gtsam.BetweenFactorPose2(first, second, gtsam.Pose2(*z), noise))
         held = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
         factors.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*graph.poses[0]), held))

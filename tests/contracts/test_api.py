@@ -62,7 +62,7 @@ def test_five_lines_from_a_log_to_a_map(log, tmp_path):
     assert np.hypot(*(result.trajectory.poses[-1] - result.online_trajectory.poses[-1])[:2]) < 0.1
     assert result.covariances.shape == (120, 3, 3)
     assert len(result.graph.poses) == len(result.key_stamps_ns) == result.statistics.key_scans
-    assert result.loops is not None
+    assert result.loop_summary is not None
     assert result.map.known.any()
     assert result.statistics.scans == 120
     assert len(result.state.poses) == 3

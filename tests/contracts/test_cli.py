@@ -65,7 +65,7 @@ def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
 
 def test_run_json_tells_all_of_the_run(mapped, log):
     run = json.loads((mapped / "run.json").read_text())
-    assert run["schema"] == "gridslam.run/2"
+    assert run["schema"] == "gridslam.run/3"
     assert (run["version"], run["seed"], run["threads"]) == (__version__, 5, 1)
     assert run["kernels"] in ("compiled", "reference")
     assert run["input"]["sha256"] == sha256_of(log)
@@ -117,13 +117,13 @@ def test_run_json_tells_of_loop_closure(closed, mapped):
         assert earlier < later
         assert closure["stamps_ns"] == [stamps[earlier], stamps[later]]
     assert loops["corrections"] > 0
-    assert loops["ties"]["recognized"] == len(loops["closures"]) + loops["doubted"]
+    assert loops["constraints"]["recognized"] == len(loops["closures"]) + loops["removed"]
     assert set(loops["rejected"]) <= {reason.value for reason in RejectionReason}
-    assert (loops["moved_m"] > 0) == (loops["chosen"] != "filter")
+    assert (loops["max_correction_m"] > 0) == (loops["selected"] != "filter")
     best = max(score["log_likelihood"] for score in loops["candidates"].values())
-    assert loops["candidates"][loops["chosen"]]["log_likelihood"] == best
+    assert loops["candidates"][loops["selected"]]["log_likelihood"] == best
     assert "filter" in loops["candidates"]
-    assert run["time"]["stages"]["last word"]["wall_s"] > 0
+    assert run["time"]["stages"]["final refinement"]["wall_s"] > 0
     assert json.loads((mapped / "run.json").read_text())["loop_closure"] is False
 
 
@@ -147,7 +147,7 @@ def test_graph_holds_the_key_scans_and_solves_to_itself(closed, mapped, call, tm
         assert status == 0
         solved = json.loads(out)
         assert solved["chi2_after"] <= solved["chi2_before"] * (1 + 1e-9) + 1e-9
-        if not ties or run["loop_closure"]["chosen"] != "filter":  # the best particle's past minimizes nothing
+        if not ties or run["loop_closure"]["selected"] != "filter":  # the best particle's past minimizes nothing
             assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
 
 
@@ -167,7 +167,7 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_during_the_last_word_leaves_nothing(call, log, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(progress_module.Progress, "last_word", lambda _: os.kill(os.getpid(), number))
+    monkeypatch.setattr(progress_module.Progress, "show_refinement", lambda _: os.kill(os.getpid(), number))
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
     assert not list(tmp_path.iterdir())
@@ -187,7 +187,7 @@ def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
     monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     with progress_module.progress(LogStatistics) as show:
         for _ in range(5):
-            show.last_word()
+            show.show_refinement()
     assert capsys.readouterr().err == (
         "100%  0 scans; the last word, for 5 s\n100%  0 scans; the last word, for 10 s\n"
     )

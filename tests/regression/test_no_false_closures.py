@@ -39,7 +39,7 @@ class Driven:
     @property
     def key_truth(self) -> np.ndarray:
         """True poses (T, 3) of the key scans."""
-        return self.truth.poses[self.state.memory.scans.keys]
+        return self.truth.poses[self.state.closure_state.scans.keys]
 
 
 @pytest.fixture(scope="module", params=DECEPTIVE)
@@ -47,7 +47,7 @@ def driven(request) -> tuple[str, Driven]:
     stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
-    parts = CONFIG.mapper, CONFIG.closure, CONFIG.last_word
+    parts = CONFIG.mapper, CONFIG.closure, CONFIG.final_refinement
     answer = full_slam(state, recorder.keys, recorder.from_key, *parts)
     return request.param, Driven(stream.truth, stream.odometry, state, answer)
 
@@ -55,10 +55,15 @@ def driven(request) -> tuple[str, Driven]:
 def test_nothing_false_is_recognized_or_known(driven):
     """Not while the robot drives. The filter's mere belief, which is told as such, is judged by the next test."""
     _, drive = driven
-    ties = [
-        tie for tie in drive.state.memory.graph.ties if tie.source is not ConstraintSource.BELIEVED and tie.determined
+    constraints = [
+        constraint
+        for constraint in drive.state.closure_state.graph.constraints
+        if constraint.source is not ConstraintSource.PROXIMITY and constraint.determined
     ]
-    edges, measured = [(tie.from_, tie.to) for tie in ties], [tie.measurement for tie in ties]
+    edges, measured = (
+        [(constraint.from_, constraint.to) for constraint in constraints],
+        [constraint.measurement for constraint in constraints],
+    )
     assert not false_closures(drive.key_truth, edges, measured).any()
 
 
@@ -66,8 +71,8 @@ def test_nothing_in_the_final_graph_is_false(driven):
     """Of all its ties; of those in a bare corridor, which may say nothing along it, the heading."""
     kind, drive = driven
     graph = drive.answer.graph
-    ties = slice(len(graph.poses) - 1, None)
-    edges, measured = graph.edges[ties], graph.measurements[ties]
+    constraints = slice(len(graph.poses) - 1, None)
+    edges, measured = graph.edges[constraints], graph.measurements[constraints]
     if kind == "bare_corridors":
         assert (closure_errors(drive.key_truth, edges, measured)[1] < FALSE_CLOSURE_RAD).all()
     else:

@@ -49,8 +49,8 @@ def test_without_loop_closure_the_filter_is_alone():
 
 
 def test_loop_closure_is_built_as_configured():
-    config = override(Configuration(), "closure.recognition.gap=5", "closure.scans_per_step=7")
-    assert build(config).loop_closure == LoopClosure(PlaceRecognition(gap=5), scans_per_step=7)
+    config = override(Configuration(), "closure.recognition.recent_submaps=5", "closure.scans_per_step=7")
+    assert build(config).loop_closure == LoopClosure(PlaceRecognition(recent_submaps=5), scans_per_step=7)
 
 
 def test_a_part_may_be_none():

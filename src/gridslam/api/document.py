@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RUN_SCHEMA", "run_document"]
 
-RUN_SCHEMA = "gridslam.run/2"
+RUN_SCHEMA = "gridslam.run/3"
 _ORDERS = {1: "as told", 0: "none", -1: "backward"}
 
 
@@ -46,8 +46,8 @@ def run_document(result: MapResult) -> dict[str, Any]:
         "scans": _scans(statistics, result.log),
         "tracker": _tracker(result),
         "filter": _filter(result),
-        "loop_closure": result.loops is not None
-        and _loop_closure(result.loops, result.key_stamps_ns, statistics.corrections),
+        "loop_closure": result.loop_summary is not None
+        and _loop_closure(result.loop_summary, result.key_stamps_ns, statistics.corrections),
         "time": result.stopwatch.to_dict(),
         "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
         "peak_memory_bytes": _peak_memory_bytes(),
@@ -127,7 +127,7 @@ def _learned(state: TrackerState) -> dict[str, Any]:
 
 
 def _filter(result: MapResult) -> dict[str, Any]:
-    statistics, grid = result.statistics, result.drawn
+    statistics, grid = result.statistics, result.tiled_map
     height, width = (side * grid.resolution_m for side in grid.shape)
     return {
         "particles": result.configuration.particles,
@@ -145,15 +145,15 @@ def _loop_closure(loops: LoopClosureSummary, key_stamps_ns: IntArray, correction
         "closures": [
             {"key_scans": pair, "stamps_ns": key_stamps_ns[pair].tolist()} for pair in loops.closures.tolist()
         ],
-        "doubted": loops.doubted,
+        "removed": loops.removed,
         "rejected": {reason.value: loops.rejected[reason] for reason in RejectionReason if loops.rejected[reason]},
         "corrections": corrections,
-        "ties": {source.name.lower(): loops.ties[source] for source in ConstraintSource},
-        "joint_ties": loops.joint_ties,
+        "constraints": {source.name.lower(): loops.constraints[source] for source in ConstraintSource},
+        "refinement_constraints": loops.refinement_constraints,
         "chi2": loops.chi2,
-        "moved_m": loops.moved_m,
+        "max_correction_m": loops.max_correction_m,
         "candidates": {name: _score(score) for name, score in loops.candidates.items()},
-        "chosen": loops.chosen,
+        "selected": loops.selected,
     }
 
 

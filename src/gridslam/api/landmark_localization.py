@@ -43,7 +43,7 @@ def localize_by_landmarks(
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
     motion: MotionModel = MOTION,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkLocalizationResult:
     """Find the robot's way in a map of landmarks that is known, by EKF localization.
@@ -67,7 +67,7 @@ def localize_by_landmarks(
         Measurement model; that of the log's kind of sightings if not given.
     motion : MotionModel
         For a log that does not tell how noisy its odometry is.
-    tick : callable
+    on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
         To go on with.
@@ -95,7 +95,7 @@ def localize_by_landmarks(
         seen = step.sightings.anonymous() if unknown else step.sightings
         belief, report = ekf.step(belief, step.motion(motion), seen)
         reports.append(report)
-        tick()
+        on_progress()
     watch.lap("solve")
     if not any((report.landmarks >= 0).any() for report in reports):
         raise InputError(source.path, "expected sightings of the landmarks in the map, got none that fits")
@@ -122,9 +122,7 @@ def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> K
         raise InputError(landmarks, str(error)) from None
 
 
-def _start(
-    log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None
-) -> FloatArray:
+def _start(log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None) -> FloatArray:
     """Where the robot begins, where nothing is said."""
     if landmarks is not None:
         return np.zeros(3)

@@ -84,13 +84,13 @@ def map_shown(
             stop_if_interrupted()
             show(report, state, seconds)
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
-            show.last_word()
+            show.show_refinement()
 
         result = map_log(
-            source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
-            observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
+            source, configuration=configuration, seed=seed, threads=threads, on_progress=on_progress, stopwatch=watch,
+            repair=repair, observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
             keep_particles=page is not None,
         )  # fmt: skip
         for onlooker in (page, recording):
@@ -139,8 +139,8 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
     rejected = loops["rejected"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
     corrections = f"{loops['corrections']} correction{'s' * (loops['corrections'] != 1)} on the way"
-    moved = f"{loops['moved_m']:.2f} m"
-    tied = f"{loops['ties']['known']} key scans tied to known places"
+    moved = f"{loops['max_correction_m']:.2f} m"
+    tied = f"{loops['constraints']['tracked']} key scans tied to known places"
     yield f"{len(loops['closures'])} places recognized, {tied}, {corrections}; the last word moved by up to {moved}"
     if rejected:
         yield f"{sum(rejected.values())} places not believed: {reasons}"

@@ -76,7 +76,7 @@ def _bar() -> Iterator[Callable[[float, str], None]]:
 class Progress:
     """Observer that tells rate, effective sample size, size of the map and time left, now and then.
 
-    After the last scan `last_word` tells that the work goes on.
+    After the last scan `show_refinement` tells that the work goes on.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Progress:
             self._due = now + self._every_s
             self._tell(now - self._began, report, state)
 
-    def last_word(self) -> None:
+    def show_refinement(self) -> None:
         """Tell for how long the last word has been looked for, now and then."""
         now = time.perf_counter()
         self._ended = min(self._ended, now)

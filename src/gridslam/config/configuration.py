@@ -83,7 +83,7 @@ class Configuration:
         Whether old places are recognized and the past is corrected; False for the filter alone.
     closure : LoopClosure
         How, while the robot drives.
-    last_word : GlobalScanRefinement
+    final_refinement : GlobalScanRefinement
         How, at the end of the log.
     """
 
@@ -102,7 +102,7 @@ class Configuration:
     confidence: ReportBuilder = ReportBuilder()
     loop_closure: bool = True
     closure: LoopClosure = LoopClosure()
-    last_word: GlobalScanRefinement = GlobalScanRefinement()
+    final_refinement: GlobalScanRefinement = GlobalScanRefinement()
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:

@@ -21,6 +21,7 @@ from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
 
+
 @final
 class Doctor:
     """Sees every measurement of a log, in its order, and tells at any time what was found.
@@ -81,7 +82,7 @@ class Doctor:
 
 
 def diagnose(
-    log: LogSource, *, options: LogOptions | None = None, tick: Callable[[], None] = lambda: None
+    log: LogSource, *, options: LogOptions | None = None, on_progress: Callable[[], None] = lambda: None
 ) -> Diagnosis:
     """Read a log once and say what is in it and what is wrong with it.
 
@@ -91,7 +92,7 @@ def diagnose(
         The log, of any format that `open_log` knows.
     options : LogOptions, optional
         What to read of the log at a path.
-    tick : callable
+    on_progress : callable
         Called after each scan, to show how far the reading is.
 
     Raises
@@ -107,7 +108,7 @@ def diagnose(
         for measurement in source:
             doctor.take(measurement)
             scans += 1
-            tick()
+            on_progress()
     except InputError as error:
         if not scans:
             raise

@@ -228,7 +228,7 @@ def run_ros2(
     *,
     given: Mapping[str, Any] | None = None,
     watch: Watch = nullcontext,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
 
@@ -240,7 +240,7 @@ def run_ros2(
         Parameters that hold whatever ROS's say.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    tick : callable
+    on_progress : callable
         Called now and then; may raise KeyboardInterrupt.
 
     Raises
@@ -270,7 +270,7 @@ def run_ros2(
             ours.start()
             while rclpy.ok() and not ours.core.ended.is_set():
                 executor.spin_once(timeout_sec=_POLL_S)
-                tick()
+                on_progress()
         except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
             pass
         finally:
@@ -279,4 +279,3 @@ def run_ros2(
             rclpy.try_shutdown()
     if ours.core.failure is not None:
         raise GridslamError(f"the filter has ended: {ours.core.failure}") from ours.core.failure
-

@@ -28,7 +28,7 @@ class Candidate:
         places that were found in a search of the whole log.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
-    ties : list of Constraint
+    constraints : list of Constraint
         The last measurements in the graph: matches of key scans to submaps of another time.
     weights : (M,) float64
         How much each measurement is believed.
@@ -36,7 +36,7 @@ class Candidate:
 
     name: str
     graph: PoseGraph
-    ties: list[Constraint]
+    constraints: list[Constraint]
     weights: FloatArray
 
     @property
@@ -45,15 +45,15 @@ class Candidate:
         return self.graph.measurements[: len(self.graph.poses) - 1]
 
     @property
-    def recognized(self) -> list[Constraint]:
+    def recognized_constraints(self) -> list[Constraint]:
         """Ties of places that were searched for and found."""
-        return [tie for tie in self.ties if tie.source is ConstraintSource.RECOGNIZED]
+        return [constraint for constraint in self.constraints if constraint.source is ConstraintSource.RECOGNIZED]
 
     @property
-    def believed(self) -> list[Constraint]:
+    def accepted_constraints(self) -> list[Constraint]:
         """Ties that the trajectory follows."""
-        weights = self.weights[len(self.weights) - len(self.ties) :].tolist()
-        return [tie for tie, weight in zip(self.ties, weights, strict=True) if weight >= 0.5]
+        weights = self.weights[len(self.weights) - len(self.constraints) :].tolist()
+        return [constraint for constraint, weight in zip(self.constraints, weights, strict=True) if weight >= 0.5]
 
 
 @final

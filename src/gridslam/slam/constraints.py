@@ -22,15 +22,15 @@ __all__ = [
     "ConstraintSource",
     "constraints_from_arrays",
     "constraints_to_arrays",
-    "seen_from",
-    "surveyed",
+    "recompute_information",
+    "transform_match",
 ]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
 
 
-_CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
+_WALLS_ONLY = GaussNewton(max_passes=0, sparse_m=1e-3)
 """Looks only at what the ends of beams say across the wall they lie on."""
 
 
@@ -38,10 +38,10 @@ _CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
 class ConstraintSource(IntEnum):
     """How it is known which old submap a key scan sees."""
 
-    BELIEVED = 0
+    PROXIMITY = 0
     """The filter has the two at one place, which is no proof."""
 
-    KNOWN = 1
+    TRACKED = 1
     """The way from the one to the other is too short to be wrong."""
 
     RECOGNIZED = 2
@@ -64,7 +64,7 @@ class Constraint(NamedTuple):
     determined: bool
 
     @classmethod
-    def of(
+    def from_match(
         cls,
         from_: int,
         to: int,
@@ -99,29 +99,29 @@ class Constraint(NamedTuple):
         return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source, weak is None)
 
 
-def surveyed(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
+def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
     """Take a match for no more informed than what straight walls say across themselves, and corners in all directions.
 
     Ends that lie sparsely on a wall are mapped as dots, and dots hold the next scan where it happens to be: along a
     bare corridor that is no measurement, although matching is the better for it elsewhere.
     """
     loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
-    return replace(match, information=_CLOSE(maps, row, match.poses, loose, beams).information)
+    return replace(match, information=_WALLS_ONLY(maps, row, match.poses, loose, beams).information)
 
 
-def seen_from(frame: FloatArray, match: Match) -> Match:
+def transform_match(frame: FloatArray, match: Match) -> Match:
     """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
 
 
-def constraints_to_arrays(ties: Sequence[Constraint]) -> dict[str, NDArray[Any]]:
+def constraints_to_arrays(constraints: Sequence[Constraint]) -> dict[str, NDArray[Any]]:
     """Plain arrays: `ends` (K, 4) int64 (from, to, source, determined), `measurements` and `information`."""
     return {
-        "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in ties], np.int64).reshape(-1, 4),
-        "measurements": np.array([t.measurement for t in ties], np.float64).reshape(-1, 3),
-        "information": np.array([t.information for t in ties], np.float64).reshape(-1, 3, 3),
+        "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in constraints], np.int64).reshape(-1, 4),
+        "measurements": np.array([t.measurement for t in constraints], np.float64).reshape(-1, 3),
+        "information": np.array([t.information for t in constraints], np.float64).reshape(-1, 3, 3),
     }
 
 

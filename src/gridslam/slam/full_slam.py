@@ -39,41 +39,41 @@ class LoopClosureSummary:
     ----------
     closures : (K, 2) int64
         Key scans that were recognized to show one place, older and later one, and that the last word believes.
-    revisits : (R, 2) int64
+    tracked_revisits : (R, 2) int64
         Key scans that were matched to an older place without search, the way to it being certain; older one first.
-    doubted : int
+    removed : int
         Recognized ones that it does not.
     rejected : Counter of RejectionReason
         Places that were found but not believed, by reason.
-    ties : Counter of ConstraintSource
+    constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
-    joint_ties : int
+    refinement_constraints : int
         Key scans matched to submaps of another time in the last word, besides the recognized ones.
     chi2 : float
         Of the graph after the last word.
-    moved_m : float
+    max_correction_m : float
         How far the last word moved a key scan at most.
     candidates : dict of str to TrajectoryScore
         Trajectories that were compared in the last word, by name (see `Candidate`).
-    chosen : str
+    selected : str
         Name of the one that is the answer.
     """
 
     closures: IntArray
-    revisits: IntArray
-    doubted: int
+    tracked_revisits: IntArray
+    removed: int
     rejected: Counter[RejectionReason]
-    ties: Counter[ConstraintSource]
-    joint_ties: int
+    constraints: Counter[ConstraintSource]
+    refinement_constraints: int
     chi2: float
-    moved_m: float
+    max_correction_m: float
     candidates: dict[str, TrajectoryScore]
-    chosen: str
+    selected: str
 
     def __repr__(self) -> str:
         """Return one line."""
-        closures, revisits = len(self.closures), len(self.revisits)
-        return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.chosen})"
+        closures, revisits = len(self.closures), len(self.tracked_revisits)
+        return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.selected})"
 
 
 @final
@@ -87,22 +87,22 @@ class FullSlam:
         Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
     graph : PoseGraph
         The T key scans and what was measured between them, the information as it was weighed in the end.
-    drawn : TiledGrid
+    tiled_map : TiledGrid
         The map, drawn from the key scans at these poses.
-    loops : LoopClosureSummary or None
+    loop_summary : LoopClosureSummary or None
         What loop closure made of the run; None for the filter alone.
     """
 
     poses: FloatArray
     covariances: FloatArray
     graph: PoseGraph
-    drawn: TiledGrid
-    loops: LoopClosureSummary | None
+    tiled_map: TiledGrid
+    loop_summary: LoopClosureSummary | None
 
     @property
     def map(self) -> OccupancyGrid:
         """The map, unfolded anew at each access."""
-        return self.drawn.whole()
+        return self.tiled_map.whole()
 
 
 def full_slam(
@@ -111,8 +111,8 @@ def full_slam(
     key_from_base: FloatArray,
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    last_word: GlobalScanRefinement,
-    tick: Callable[[], None] = lambda: None,
+    final_refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> FullSlam:
     """Tell the answer as the scans so far have it; `state` is not changed, so that the run may go on.
 
@@ -125,23 +125,23 @@ def full_slam(
         The filter after the last scan.
     keys, key_from_base : (N,) int64, (N, 3) float64
         For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
-    mapper, closure, last_word
+    mapper, closure, final_refinement
         The parts of the run; of `closure` the filter alone needs the drift, for covariances.
     tick
         Called now and then while the last word is found.
     """
     trajectory = state.ancestry.trajectory(state.best)
-    if state.memory is None:
-        graph = _chain(trajectory, keys, key_from_base, closure.drift)
+    if state.closure_state is None:
+        graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)
         poses, key_covariances = full_trajectory(trajectory, keys, key_from_base), drift_covariances(graph)
         maps: TileMaps = state.maps
         row, loops = state.best, None
     else:
-        memory = state.memory.snapshot()  # the last word writes into it
-        said = last_word(memory, trajectory, keys, key_from_base, mapper, closure, tick)
-        graph, poses, maps, row = scaled(said.best.graph, said.best.weights), said.poses, said.maps, 0
+        closure_state = state.closure_state.snapshot()  # the last word writes into it
+        refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
+        graph, poses, maps, row = scaled(refined.best.graph, refined.best.weights), refined.poses, refined.maps, 0
         key_covariances = _marginals(graph)
-        loops = _loops(state.memory, memory, said, trajectory)
+        loops = _summarize(state.closure_state, closure_state, refined, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
     return FullSlam(poses, covariances, graph, maps.tiled(row), loops)
 
@@ -155,7 +155,9 @@ def _marginals(graph: PoseGraph) -> FloatArray:
     return marginal_covariances(graph)
 
 
-def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel) -> PoseGraph:
+def _build_odometry_graph(
+    trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
+) -> PoseGraph:
     """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
@@ -165,26 +167,32 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 
 
-def _loops(
-    driven: LoopClosureState, memory: LoopClosureState, said: RefinementResult, trajectory: FloatArray
+def _summarize(
+    driven: LoopClosureState, closure_state: LoopClosureState, refined: RefinementResult, trajectory: FloatArray
 ) -> LoopClosureSummary:
     """Sum up what was remembered while the robot drove, and in the last word."""
-    closures = [tie for tie in said.best.believed if tie.source is ConstraintSource.RECOGNIZED]
-    recognized = len(said.best.recognized)
+    closures = [
+        constraint
+        for constraint in refined.best.accepted_constraints
+        if constraint.source is ConstraintSource.RECOGNIZED
+    ]
+    recognized = len(refined.best.recognized_constraints)
     return LoopClosureSummary(
-        closures=_ends(closures),
-        revisits=_ends([tie for tie in driven.graph.ties if tie.source is ConstraintSource.KNOWN]),
-        doubted=recognized - len(closures),
-        rejected=memory.rejected,
-        ties=Counter(tie.source for tie in driven.graph.ties),
-        joint_ties=len(said.best.ties) - recognized,
-        chi2=scaled(said.best.graph, said.best.weights).chi2(),
-        moved_m=float(np.hypot(*(said.best.graph.poses - trajectory)[:, :2].T).max()),
-        candidates=said.scores,
-        chosen=said.best.name,
+        closures=_key_scan_pairs(closures),
+        tracked_revisits=_key_scan_pairs(
+            [constraint for constraint in driven.graph.constraints if constraint.source is ConstraintSource.TRACKED]
+        ),
+        removed=recognized - len(closures),
+        rejected=closure_state.rejected,
+        constraints=Counter(constraint.source for constraint in driven.graph.constraints),
+        refinement_constraints=len(refined.best.constraints) - recognized,
+        chi2=scaled(refined.best.graph, refined.best.weights).chi2(),
+        max_correction_m=float(np.hypot(*(refined.best.graph.poses - trajectory)[:, :2].T).max()),
+        candidates=refined.scores,
+        selected=refined.best.name,
     )
 
 
-def _ends(ties: list[Constraint]) -> IntArray:
+def _key_scan_pairs(constraints: list[Constraint]) -> IntArray:
     """Key scans (K, 2) that ties join."""
-    return np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
+    return np.array([(constraint.from_, constraint.to) for constraint in constraints], np.int64).reshape(-1, 2)

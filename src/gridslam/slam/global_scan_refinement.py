@@ -67,34 +67,34 @@ class GlobalScanRefinement:
 
     Parameters
     ----------
-    rounds : int
+    max_rounds : int
         At most so many times are the key scans matched and the graph solved.
     stop_m : float, m
         A round that moves no key scan farther is the last.
-    drawn_off_m, drawn_off_rad : float
+    map_jump_m, map_jump_rad : float
         A particle that its map moved by more than this in one step, off the track, has closed a loop, rightly or not:
         whether the two places are one is for the ties to say.
     key_scans : KeyScanMatching
         How key scans are matched to submaps.
-    scan_share : float
+    scan_inlier_ratio : float
         A scan with which fewer of its beams agree stays where the trajectory of the key scans has it.
-    scan_m : float, m
+    scan_max_correction_m : float, m
         So does one that would move farther.
-    scan_prior : float
+    scan_prior_information : float
         Information that holds a scan to that trajectory, beside residuals in m: 1/m^2 and 1/rad^2.
     matcher : GaussNewton
         How scans are matched.
-    another_m : float, m
+    distinct_candidate_m : float, m
         The constraints found on the way make a candidate of their own where they move a key scan farther.
-    settled_m, settled_share : float
+    converged_m, converged_ratio : float
         Where so large a share of the ties is nearer than this to where the filter's own past has them, and that past is
         the tracked one, nothing is refined.
-    searches : int
+    max_searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
     other_share, confirmations
         As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
-    pieces : ComponentAlignment
+    component_alignment : ComponentAlignment
         How pieces between which the robot went on blindly are aligned.
     robust : CauchyEstimator
         How the graph is solved, and what a measurement counts that is off.
@@ -102,22 +102,22 @@ class GlobalScanRefinement:
         How candidates are compared.
     """
 
-    rounds: int = Field(default=2, ge=1)
+    max_rounds: int = Field(default=2, ge=1)
     stop_m: float = Field(default=0.1, gt=0)
-    drawn_off_m: float = Field(default=0.1, gt=0)
-    drawn_off_rad: float = Field(default=0.03, gt=0)
+    map_jump_m: float = Field(default=0.1, gt=0)
+    map_jump_rad: float = Field(default=0.03, gt=0)
     key_scans: KeyScanMatching = KeyScanMatching()
-    scan_share: float = Field(default=0.6, gt=0, le=1)
-    scan_m: float = Field(default=0.15, gt=0)
-    scan_prior: float = Field(default=5.0, gt=0)
+    scan_inlier_ratio: float = Field(default=0.6, gt=0, le=1)
+    scan_max_correction_m: float = Field(default=0.15, gt=0)
+    scan_prior_information: float = Field(default=5.0, gt=0)
     matcher: GaussNewton = GaussNewton()
-    another_m: float = Field(default=0.3, gt=0)
-    settled_m: float = Field(default=0.03, ge=0)
-    settled_share: float = Field(default=0.9, gt=0, le=1)
-    searches: int = Field(default=3, ge=0)
-    other_share: float = Field(default=0.85, gt=0, le=1)
-    confirmations: int = Field(default=3, ge=1)
-    pieces: ComponentAlignment = ComponentAlignment()
+    distinct_candidate_m: float = Field(default=0.3, gt=0)
+    converged_m: float = Field(default=0.03, ge=0)
+    converged_ratio: float = Field(default=0.9, gt=0, le=1)
+    max_searches: int = Field(default=3, ge=0)
+    ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
+    min_confirmations: int = Field(default=3, ge=1)
+    component_alignment: ComponentAlignment = ComponentAlignment()
     robust: CauchyEstimator = CauchyEstimator()
     score: TrajectoryScorer = TrajectoryScorer()
 
@@ -127,13 +127,13 @@ class GlobalScanRefinement:
 
     def __call__(
         self,
-        memory: LoopClosureState,
+        closure_state: LoopClosureState,
         trajectory: FloatArray,
         keys: IntArray,
         key_from_base: FloatArray,
         mapper: OccupancyGridMapping,
         closure: LoopClosure,
-        tick: Callable[[], None] = lambda: None,
+        on_progress: Callable[[], None] = lambda: None,
     ) -> RefinementResult:
         """Refine the trajectory (T, 3) of the key scans and give every scan a pose.
 
@@ -150,134 +150,137 @@ class GlobalScanRefinement:
         tick
             Called now and then, so that progress can be shown and the work be interrupted.
         """
-        graph, scans = memory.graph, memory.scans
-        contest = CandidateSelection(lambda poses: self.score(graph, scans, poses, mapper, tick))
-        candidates = list(self._candidates(memory, trajectory, closure, mapper, tick))
+        graph, scans = closure_state.graph, closure_state.scans
+        selection = CandidateSelection(lambda poses: self.score(graph, scans, poses, mapper, on_progress))
+        candidates = list(self._candidates(closure_state, trajectory, closure, mapper, on_progress))
         for candidate in candidates:
-            contest.add(candidate)
-        begins = [contest.best, *(c for c in candidates if c.name == "constraints" and c is not contest.best)]
+            selection.add(candidate)
+        begins = [selection.best, *(c for c in candidates if c.name == "constraints" and c is not selection.best)]
         for begin in begins:
-            self._search(contest, begin, memory, closure, mapper, tick)
-        bent = full_trajectory(contest.best.graph.poses, keys, key_from_base)
-        poses = self._matched(memory, bent, contest.maps, tick)
-        return RefinementResult(contest.best, poses, contest.maps, contest.scores)
+            self._search(selection, begin, closure_state, closure, mapper, on_progress)
+        bent = full_trajectory(selection.best.graph.poses, keys, key_from_base)
+        poses = self._match_scans(closure_state, bent, selection.maps, on_progress)
+        return RefinementResult(selection.best, poses, selection.maps, selection.scores)
 
     def _search(
-        self, contest: CandidateSelection, begin: Candidate, memory: LoopClosureState, closure: LoopClosure,
-        mapper: OccupancyGridMapping, tick: Callable[[], None],
+        self, selection: CandidateSelection, begin: Candidate, closure_state: LoopClosureState, closure: LoopClosure,
+        mapper: OccupancyGridMapping, on_progress: Callable[[], None],
     ) -> None:  # fmt: skip
         """Search the whole log for places seen again, from a candidate on, as long as that makes it better."""
-        best, reached = begin, contest.scores[begin.name].log_likelihood
-        for _ in range(self.searches):
-            name = f"closed {sum(name.startswith('closed') for name in contest.scores) + 1}"
-            found = self._closed(name, best, memory, closure, mapper, tick)
-            if found is None or (score := contest.add(found)) < reached:
+        best, reached = begin, selection.scores[begin.name].log_likelihood
+        for _ in range(self.max_searches):
+            name = f"closed {sum(name.startswith('closed') for name in selection.scores) + 1}"
+            found = self._add_closures(name, best, closure_state, closure, mapper, on_progress)
+            if found is None or (score := selection.add(found)) < reached:
                 return
             best, reached = found, score
 
-    def _closed(
-        self, name: str, begin: Candidate, memory: LoopClosureState, closure: LoopClosure, mapper: OccupancyGridMapping,
-        tick: Callable[[], None],
+    def _add_closures(
+        self, name: str, begin: Candidate, closure_state: LoopClosureState, closure: LoopClosure,
+        mapper: OccupancyGridMapping, on_progress: Callable[[], None],
     ) -> Candidate | None:  # fmt: skip
         """Add the places that are found to a candidate; None if there is none.
 
         Which of them are true is decided by all together: by least squares that tell false measurements from true ones.
         """
-        known = memory.graph
-        known.ties = begin.believed
-        memory.correct(begin.graph.poses)
-        recognition = replace(closure.recognition, other_share=self.other_share, confirmations=self.confirmations)
-        new = recognition.search_all(memory, mapper, begin.believed, tick)
-        new += self.pieces(memory, mapper, closure.recognition, tick)
+        known = closure_state.graph
+        known.constraints = begin.accepted_constraints
+        closure_state.correct(begin.graph.poses)
+        recognition = replace(
+            closure.recognition, ambiguity_ratio=self.ambiguity_ratio, min_confirmations=self.min_confirmations
+        )
+        new = recognition.search_whole_log(closure_state, mapper, begin.accepted_constraints, on_progress)
+        new += self.component_alignment(closure_state, mapper, closure.recognition, on_progress)
         if not new:
             return None
-        known.ties = [*new, *begin.ties]
+        known.constraints = [*new, *begin.constraints]
         solver = replace(closure.solver, first_guess="either")  # a wide loop is not reached from where the poses are
         solution = solver.solve(known.graph(begin.increments))
         true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
-        recognized = [tie for tie, is_true in zip(new, true.tolist(), strict=True) if is_true]
-        memory.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
+        recognized = [constraint for constraint, is_true in zip(new, true.tolist(), strict=True) if is_true]
+        closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
-        recognized += begin.recognized
-        known.poses, known.ties = list(solution.poses), recognized
-        ties = [*recognized, *self.key_scans(memory, solution.poses, mapper, tick)]
-        return self._refined(name, memory, recognized, ties, begin.increments, mapper, tick)
+        recognized += begin.recognized_constraints
+        known.poses, known.constraints = list(solution.poses), recognized
+        constraints = [*recognized, *self.key_scans(closure_state, solution.poses, mapper, on_progress)]
+        return self._refine(name, closure_state, recognized, constraints, begin.increments, mapper, on_progress)
 
     def _candidates(
         self,
-        memory: LoopClosureState,
+        closure_state: LoopClosureState,
         trajectory: FloatArray,
         closure: LoopClosure,
         mapper: OccupancyGridMapping,
-        tick: Callable[[], None],
+        on_progress: Callable[[], None],
     ) -> Iterator[Candidate]:
         """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
-        known, found = memory.graph, memory.graph.ties
-        recognized = [tie for tie in found if tie.source is ConstraintSource.RECOGNIZED]
-        tracked = self._increments(memory, trajectory)
-        ties = [*recognized, *self.key_scans(memory, trajectory, mapper, tick)]
-        known.poses, known.ties = list(trajectory), ties
+        known, found = closure_state.graph, closure_state.graph.constraints
+        recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
+        tracked = self._increments(closure_state, trajectory)
+        constraints = [*recognized, *self.key_scans(closure_state, trajectory, mapper, on_progress)]
+        known.poses, known.constraints = list(trajectory), constraints
         graph = known.graph(between(trajectory[:-1], trajectory[1:]))
-        yield Candidate("filter", graph, ties, self.robust.weights(graph))
+        yield Candidate("filter", graph, constraints, self.robust.weights(graph))
         as_tracked = (graph.measurements[: len(tracked)] == tracked).all()
-        if not (ties or found) or (as_tracked and self._is_settled(graph, len(ties))):
+        if not (constraints or found) or (as_tracked and self._is_converged(graph, len(constraints))):
             return
-        yield self._refined("refined", memory, recognized, ties, tracked, mapper, tick)
-        known.poses, known.ties = list(trajectory), found
+        yield self._refine("refined", closure_state, recognized, constraints, tracked, mapper, on_progress)
+        known.poses, known.constraints = list(trajectory), found
         start = closure.solver.solve(known.graph(tracked)).poses
-        if np.hypot(*(start - trajectory)[:, :2].T).max() > self.another_m:
+        if np.hypot(*(start - trajectory)[:, :2].T).max() > self.distinct_candidate_m:
             known.poses = list(start)
-            ties = [*recognized, *self.key_scans(memory, start, mapper, tick)]
-            yield self._refined("constraints", memory, recognized, ties, tracked, mapper, tick)
+            constraints = [*recognized, *self.key_scans(closure_state, start, mapper, on_progress)]
+            yield self._refine("constraints", closure_state, recognized, constraints, tracked, mapper, on_progress)
 
-    def _is_settled(self, graph: PoseGraph, ties: int) -> bool:
+    def _is_converged(self, graph: PoseGraph, constraints: int) -> bool:
         """Whether nearly all ties are where the graph's poses have them: solving would only average their noise."""
-        missed = graph.errors()[len(graph.edges) - ties :, :2]
-        return ties > 0 and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.settled_m)) > self.settled_share
+        missed = graph.errors()[len(graph.edges) - constraints :, :2]
+        return (
+            constraints > 0
+            and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.converged_m)) > self.converged_ratio
+        )
 
-    def _refined(
-        self, name: str, memory: LoopClosureState, recognized: list[Constraint], ties: list[Constraint],
-        increments: FloatArray, mapper: OccupancyGridMapping, tick: Callable[[], None],
+    def _refine(
+        self, name: str, closure_state: LoopClosureState, recognized: list[Constraint], constraints: list[Constraint],
+        increments: FloatArray, mapper: OccupancyGridMapping, on_progress: Callable[[], None],
     ) -> Candidate:  # fmt: skip
         """Solve the graph with ties found at its poses, find them anew at the solution, and so on."""
-        known = memory.graph
-        for last in range(self.rounds - 1, -1, -1):
-            before, known.ties = np.array(known.poses), ties
+        known = closure_state.graph
+        for last in range(self.max_rounds - 1, -1, -1):
+            before, known.constraints = np.array(known.poses), constraints
             graph = known.graph(increments)
             solution = self._solver.solve(graph)
             known.poses = list(solution.poses)
             if not last or np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
                 break
-            ties = [*recognized, *self.key_scans(memory, solution.poses, mapper, tick)]
-        return Candidate(name, graph.with_poses(solution.poses), ties, solution.weights)
+            constraints = [*recognized, *self.key_scans(closure_state, solution.poses, mapper, on_progress)]
+        return Candidate(name, graph.with_poses(solution.poses), constraints, solution.weights)
 
-    def _increments(self, memory: LoopClosureState, trajectory: FloatArray) -> FloatArray:
+    def _increments(self, closure_state: LoopClosureState, trajectory: FloatArray) -> FloatArray:
         """Increments (T - 1, 3) as the filter has them; where its map drew it off the track, as tracked."""
-        tracked = np.array(memory.graph.tracked)
+        tracked = np.array(closure_state.graph.tracked)
         moved, driven = between(tracked[:-1], tracked[1:]), between(trajectory[:-1], trajectory[1:])
         missed = between(moved, driven)
-        drawn_off = (np.hypot(missed[:, 0], missed[:, 1]) > self.drawn_off_m) | (
-            np.abs(missed[:, 2]) > self.drawn_off_rad
-        )
-        return np.where(drawn_off[:, None], moved, driven)
+        jumped = (np.hypot(missed[:, 0], missed[:, 1]) > self.map_jump_m) | (np.abs(missed[:, 2]) > self.map_jump_rad)
+        return np.where(jumped[:, None], moved, driven)
 
-    def _matched(
-        self, memory: LoopClosureState, poses: FloatArray, maps: TileMaps, tick: Callable[[], None]
+    def _match_scans(
+        self, closure_state: LoopClosureState, poses: FloatArray, maps: TileMaps, on_progress: Callable[[], None]
     ) -> FloatArray:
         """Match every scan to the map of all; one of which nothing was kept moves with the last one before it."""
         matched, last = poses.copy(), 0
-        prior = self.scan_prior * np.eye(3)[None]
+        prior = self.scan_prior_information * np.eye(3)[None]
         for scan in range(len(poses)):
-            beams = memory.scans[scan]
+            beams = closure_state.scans[scan]
             if len(beams) < self.matcher.least_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
             last = scan
             if scan % 256 == 0:
-                tick()
+                on_progress()
             match = self.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)
             moved = np.hypot(*(match.poses[0] - poses[scan])[:2])
-            if match.score[0] >= self.scan_share * len(beams) and moved <= self.scan_m:
+            if match.score[0] >= self.scan_inlier_ratio * len(beams) and moved <= self.scan_max_correction_m:
                 matched[scan] = match.poses[0]
         return matched

@@ -17,7 +17,7 @@ from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, require_connected
 from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
-from gridslam.slam.incremental import Computation, done
+from gridslam.slam.incremental import Computation, run_to_completion
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
@@ -100,15 +100,15 @@ class GraphSlam:
         ArgumentError
             The measurements do not join all poses.
         """
-        return done(self.solving(graph))
+        return run_to_completion(self.solve_in_steps(graph))
 
-    def prepare(self) -> None:
+    def import_solver(self) -> None:
         """Import what solving needs, a quarter of a second, by solving the smallest graph there is."""
         edges, measured = [[0, 1], [0, 1], [0, 1]], [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
         smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
         self.solve(replace(smallest, trusted=np.array([True, False, False])))
 
-    def solving(self, graph: PoseGraph) -> Computation[GraphSolution]:
+    def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
         weights = np.ones(len(graph.edges))

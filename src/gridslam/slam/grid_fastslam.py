@@ -204,9 +204,9 @@ class GridFastSlam:
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
     ) -> tuple[GridFastSlamState, StepReport]:
-        if self.loop_closure is None or state.memory is None:
+        if self.loop_closure is None or state.closure_state is None:
             return state, report
-        return state, self.loop_closure(state, state.memory, report, beams, self.mapper, self.threads)
+        return state, self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
 
     def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
         last = state.sensor_key_poses.get(beams.scan.sensor)

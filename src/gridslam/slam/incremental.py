@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import TypeVar
 
-__all__ = ["Computation", "done", "worked"]
+__all__ = ["Computation", "advance", "run_to_completion"]
 
 T = TypeVar("T")
 
@@ -13,22 +13,22 @@ Computation = Generator[None, None, T]
 """Yields after each of its steps, and returns its result."""
 
 
-def worked(work: Computation[T], steps: int) -> T | None:
+def advance(computation: Computation[T], steps: int) -> T | None:
     """Do so many more steps; returns the result if that was enough, else None (which no result may be)."""
     try:
         for _ in range(steps):
-            next(work)
+            next(computation)
     except StopIteration as end:
         result: T = end.value
         return result
     return None
 
 
-def done(work: Computation[T]) -> T:
+def run_to_completion(computation: Computation[T]) -> T:
     """Do all that is left."""
     while True:
         try:
-            next(work)
+            next(computation)
         except StopIteration as end:
             result: T = end.value
             return result

@@ -27,22 +27,22 @@ __all__ = ["Correction", "LoopClosureState", "PendingConstraints", "RejectionRea
 class RejectionReason(Enum):
     """Why a recognized place was not believed."""
 
-    POOR = "too few beams agree"
-    AMBIGUOUS = "another place fits as well"
-    UNDETERMINED = "a direction is left open"
+    LOW_INLIER_RATIO = "low inlier ratio"
+    AMBIGUOUS = "ambiguous: another place fits as well"
+    DEGENERATE = "degenerate direction"
     THROUGH_WALLS = "beams would pass through walls"
-    IMPLAUSIBLE = "too far from where the robot can be"
-    INCONSISTENT = "the scans after it say otherwise"
+    IMPLAUSIBLE = "outside the pose uncertainty"
+    INCONSISTENT = "inconsistent with the next scans"
 
 
 @final
 @dataclass(slots=True, eq=False)
 class Correction:
-    """A corrected past that is being drawn: poses of the key scans, and the map of the first `drawn` of them."""
+    """A corrected past that is being drawn: poses of the key scans, and the map of the first `inserted` of them."""
 
     poses: FloatArray
     maps: TileMaps
-    drawn: int = 0
+    inserted: int = 0
 
 
 @final
@@ -52,21 +52,21 @@ class PendingConstraints:
 
     Attributes
     ----------
-    keys, ties : int
+    keys, constraints : int
         The graph is that of the first so many key scans and ties.
     new : int
         The last so many of these ties are in question.
     steps : int
         Steps of work done.
-    work : Computation of GraphSolution or None
+    computation : Computation of GraphSolution or None
         What does them; None where it has to be begun again, up to `steps`.
     """
 
     keys: int
-    ties: int
+    constraints: int
     new: int
     steps: int = 0
-    work: Computation[GraphSolution] | None = None
+    computation: Computation[GraphSolution] | None = None
 
 
 @final
@@ -80,20 +80,20 @@ class LoopClosureState:
         All scans.
     graph : KeyGraph
         The key scans and how they hang together.
-    hypotheses : list of Constraint
+    unconfirmed : list of Constraint
         Places recognized lately that wait for others to agree.
     rejected : Counter
         How often which reason spoke against a place.
-    said : list of (3,) float64
+    online_poses : list of (3,) float64
         The best particle's pose at each key scan, as told at the time or corrected since.
-    doubts : (float, float), m^2, rad^2
+    rejected_match_variances : (float, float), m^2, rad^2
         Variances of the odometry that the tracker took instead of a match, up to the newest key scan.
-    failures, next_search : int
+    failed_searches, next_search : int
         Searches in a row that found nothing, and the key scan at which to search next.
-    area, wide : tuple of int
+    search_submaps, ambiguity_submaps : tuple of int
         Submaps in which was searched last, and from which the place found there must be told; while they are the ones
         to search in, their map is drawn once.
-    weighing : PendingConstraints or None
+    pending : PendingConstraints or None
         Places just recognized, of which is not known yet what the graph says.
     correction : Correction or None
         A corrected past on its way into the filter.
@@ -101,23 +101,23 @@ class LoopClosureState:
 
     scans: ScanArchive = field(default_factory=ScanArchive)
     graph: KeyGraph = field(default_factory=KeyGraph)
-    hypotheses: list[Constraint] = field(default_factory=list)
+    unconfirmed: list[Constraint] = field(default_factory=list)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
     correction: Correction | None = None
-    said: list[FloatArray] = field(default_factory=list)
-    doubts: tuple[float, float] = (0.0, 0.0)
-    failures: int = 0
+    online_poses: list[FloatArray] = field(default_factory=list)
+    rejected_match_variances: tuple[float, float] = (0.0, 0.0)
+    failed_searches: int = 0
     next_search: int = 0
-    area: tuple[int, ...] = ()
-    wide: tuple[int, ...] = ()
-    weighing: PendingConstraints | None = None
-    submaps: SubmapCache = field(default_factory=SubmapCache)
+    search_submaps: tuple[int, ...] = ()
+    ambiguity_submaps: tuple[int, ...] = ()
+    pending_constraints: PendingConstraints | None = None
+    submap_cache: SubmapCache = field(default_factory=SubmapCache)
 
     def correct(self, poses: FloatArray) -> None:
         """Let the key scans be at poses (T, 3): what was drawn from others is drawn anew."""
         self.graph.correct(poses)
-        self.area = self.wide = ()
-        self.submaps.forget()
+        self.search_submaps = self.ambiguity_submaps = ()
+        self.submap_cache.forget()
 
     def snapshot(self) -> LoopClosureState:
         """Keep a copy for later; scans are shared, and what is kept only for speed is not copied."""
@@ -125,30 +125,39 @@ class LoopClosureState:
         if pending is not None:
             pending = replace(pending, maps=pending.maps.snapshot())
         return LoopClosureState(
-            self.scans.snapshot(), self.graph.snapshot(), self.hypotheses.copy(), self.rejected.copy(), pending,
-            self.said.copy(), self.doubts, self.failures, self.next_search, self.area, self.wide,
-            None if self.weighing is None else replace(self.weighing, work=None),
+            self.scans.snapshot(), self.graph.snapshot(), self.unconfirmed.copy(), self.rejected.copy(), pending,
+            self.online_poses.copy(), self.rejected_match_variances, self.failed_searches, self.next_search,
+            self.search_submaps, self.ambiguity_submaps,
+            None if self.pending_constraints is None else replace(self.pending_constraints, computation=None),
         )  # fmt: skip
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues to the same bytes."""
         arrays: dict[str, NDArray[Any]] = {
-            "said": np.array(self.said, np.float64).reshape(-1, 3),
-            "doubts": np.array(self.doubts),
-            "search": np.array([self.failures, self.next_search, *self.area], np.int64),
-            "wide": np.array(self.wide, np.int64),
+            "online_poses": np.array(self.online_poses, np.float64).reshape(-1, 3),
+            "rejected_match_variances": np.array(self.rejected_match_variances),
+            "search": np.array([self.failed_searches, self.next_search, *self.search_submaps], np.int64),
+            "ambiguity_submaps": np.array(self.ambiguity_submaps, np.int64),
             "rejected": np.array([self.rejected[reason] for reason in RejectionReason], np.int64),
         }
         parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
-            ("hypotheses", constraints_to_arrays(self.hypotheses)),
+            ("unconfirmed", constraints_to_arrays(self.unconfirmed)),
             ("scans", self.scans.to_arrays()),
             ("graph", self.graph.to_arrays()),
         ]  # fmt: skip
-        if (weighing := self.weighing) is not None:
-            arrays["weighing"] = np.array([weighing.keys, weighing.ties, weighing.new, weighing.steps], np.int64)
+        if (pending := self.pending_constraints) is not None:
+            arrays["pending_constraints"] = np.array(
+                [
+                    pending.keys,
+                    pending.constraints,
+                    pending.new,
+                    pending.steps,
+                ],
+                np.int64,
+            )
         if self.correction is not None:
             arrays["correction.poses"] = self.correction.poses
-            arrays["correction.drawn"] = np.array(self.correction.drawn, np.int64)
+            arrays["correction.inserted"] = np.array(self.correction.inserted, np.int64)
             parts.append(("correction.maps", self.correction.maps.to_arrays()))
         return arrays | {f"{name}.{key}": array for name, part in parts for key, array in part.items()}
 
@@ -162,22 +171,22 @@ class LoopClosureState:
             return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
 
         counts = zip(RejectionReason, arrays["rejected"].tolist(), strict=True)
-        failures, next_search, *area = arrays["search"].tolist()
+        failed_searches, next_search, *search_submaps = arrays["search"].tolist()
         correction = None
-        if "correction.drawn" in arrays:
+        if "correction.inserted" in arrays:
             maps = mapper.restore(part("correction.maps"), threads)
-            correction = Correction(arrays["correction.poses"], maps, int(arrays["correction.drawn"]))
+            correction = Correction(arrays["correction.poses"], maps, int(arrays["correction.inserted"]))
         return cls(
             ScanArchive.from_arrays(part("scans")),
             KeyGraph.from_arrays(part("graph")),
-            constraints_from_arrays(part("hypotheses")),
+            constraints_from_arrays(part("unconfirmed")),
             Counter({reason: n for reason, n in counts if n}),
             correction,
-            list(arrays["said"]),
-            (float(arrays["doubts"][0]), float(arrays["doubts"][1])),
-            failures,
+            list(arrays["online_poses"]),
+            (float(arrays["rejected_match_variances"][0]), float(arrays["rejected_match_variances"][1])),
+            failed_searches,
             next_search,
-            tuple(area),
-            tuple(arrays["wide"].tolist()),
-            PendingConstraints(*arrays["weighing"].tolist()) if "weighing" in arrays else None,
+            tuple(search_submaps),
+            tuple(arrays["ambiguity_submaps"].tolist()),
+            PendingConstraints(*arrays["pending_constraints"].tolist()) if "pending_constraints" in arrays else None,
         )

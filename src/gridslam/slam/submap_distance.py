@@ -9,17 +9,17 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["Moments", "SubmapDistance", "covariances", "moments_of"]
+__all__ = ["Moments", "SubmapDistance", "compute_moments", "covariances"]
 
 Moments = tuple[float, ...]
-"""The sums along a way of what `moments_of` tells of its steps."""
+"""The sums along a way of what `compute_moments` tells of its steps."""
 
 
 @final
 class SubmapDistance(NamedTuple):
     """A submap, and where a key scan is as seen from its first one, by the most certain way there."""
 
-    block: int
+    submap: int
     pose: FloatArray  # (3,)
     covariance: FloatArray  # (3, 3), map frame
 
@@ -30,7 +30,7 @@ class SubmapDistance(NamedTuple):
         return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
 
 
-def moments_of(poses: FloatArray, spread: FloatArray) -> FloatArray:
+def compute_moments(poses: FloatArray, spread: FloatArray) -> FloatArray:
     """Variances of position and heading of steps, and the heading's with where it happened, (K, 7)."""
     position, heading = spread.T
     x, y = poses[:, 0], poses[:, 1]

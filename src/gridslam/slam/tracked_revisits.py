@@ -10,66 +10,75 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam import place_checks as checks
 from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.key_graph import BLOCK, KeyGraph
+from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
-from gridslam.slam.submaps import anchor_of
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.types import FloatArray
 
-__all__ = ["tie_known_place"]
+__all__ = ["match_tracked_revisit"]
 
 
-def tie_known_place(places: PlaceRecognitionParameters, memory: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
+def match_tracked_revisit(
+    places: PlaceRecognitionParameters, closure_state: LoopClosureState, mapper: OccupancyGridMapping
+) -> bool:
     """Tie the newest key scan to an old submap where it is certain, or believed, to be; whether it is certain."""
-    graph = memory.graph
+    graph = closure_state.graph
     newest = len(graph) - 1
-    oldest = newest // BLOCK - places.gap
-    followed = _followed(places, graph, oldest)
-    guess = followed or _believed(places, memory, oldest)
+    oldest = submap_of(newest) - places.recent_submaps
+    followed = _predict_from_last_constraint(places, graph, oldest)
+    guess = followed or _predict_from_filter(places, closure_state, oldest)
     if guess is None:
         return False
-    most_m = 3 * places.known_m if followed is None else places.follow_m
-    tie = places.match(memory, mapper, newest, *guess, most_m, ConstraintSource.KNOWN)
-    if isinstance(tie, RejectionReason):
+    max_correction_m = 3 * places.certain_sigma_m if followed is None else places.tracked_max_correction_m
+    constraint = places.match(closure_state, mapper, newest, *guess, max_correction_m, ConstraintSource.TRACKED)
+    if isinstance(constraint, RejectionReason):
         return False
     if followed is None:
-        way = graph.way_to(guess[0], newest, places.search.window_m, 256)
+        way = graph.find_distance_to(guess[0], newest, places.search.window_m, 256)
         if way is None:
             return False
-        missed, far = checks.missed_by(graph, way, tie), places.believed_m
-        if math.hypot(missed[0], missed[1]) > far or not places.is_plausible(way.covariance, missed):
+        missed, far = checks.constraint_innovation(graph, way, constraint), places.filter_max_correction_m
+        if math.hypot(missed[0], missed[1]) > far or not places.is_within_gate(way.covariance, missed):
             return False
-        if way.sigma_m > places.known_m:
-            if not tie.determined and way.sigma_m > 2 * places.known_m:
+        if way.sigma_m > places.certain_sigma_m:
+            if not constraint.determined and way.sigma_m > 2 * places.certain_sigma_m:
                 return False
-            tie = tie._replace(source=ConstraintSource.BELIEVED)
-    graph.add(tie)
-    return tie.source is ConstraintSource.KNOWN
+            constraint = constraint._replace(source=ConstraintSource.PROXIMITY)
+    graph.add(constraint)
+    return constraint.source is ConstraintSource.TRACKED
 
 
-def _followed(places: PlaceRecognitionParameters, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
+def _predict_from_last_constraint(
+    places: PlaceRecognitionParameters, graph: KeyGraph, oldest: int
+) -> tuple[int, FloatArray] | None:
     """The submap to which the robot has come from one to which it was tied, and its pose in that one's frame."""
     newest = len(graph) - 1
     known = (
-        t for t in reversed(graph.ties[-places.follow :]) if t.determined and t.source is not ConstraintSource.BELIEVED
+        t
+        for t in reversed(graph.constraints[-places.tracked_key_scans :])
+        if t.determined and t.source is not ConstraintSource.PROXIMITY
     )
     last = next(known, None)
-    if last is None or newest - last.to > places.follow:
+    if last is None or newest - last.to > places.tracked_key_scans:
         return None
     seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
-    block = last.from_ // BLOCK
-    near = [b for b in (block - 1, block, block + 1) if 0 <= b <= oldest]
-    poses = [between(graph.local(anchor_of(block), anchor_of(b)), seen) for b in near]
+    submap = submap_of(last.from_)
+    near = [b for b in (submap - 1, submap, submap + 1) if 0 <= b <= oldest]
+    poses = [between(graph.relative_pose(anchor_of(submap), anchor_of(b)), seen) for b in near]
     away = [math.hypot(pose[0], pose[1]) for pose in poses]
     best = int(np.argmin(away))
-    return (near[best], poses[best]) if away[best] < places.near_m else None
+    return (near[best], poses[best]) if away[best] < places.max_distance_m else None
 
 
-def _believed(
-    places: PlaceRecognitionParameters, memory: LoopClosureState, oldest: int
+def _predict_from_filter(
+    places: PlaceRecognitionParameters, closure_state: LoopClosureState, oldest: int
 ) -> tuple[int, FloatArray] | None:
     """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
-    anchors, here = np.array(memory.said[anchor_of(0) : anchor_of(oldest) + 1 : BLOCK]), memory.said[-1]
+    anchors, here = (
+        np.array(closure_state.online_poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP]),
+        closure_state.online_poses[-1],
+    )
     away = np.hypot(*(anchors[:, :2] - here[:2]).T)
-    block = int(away.argmin())
-    return (block, between(anchors[block], here)) if away[block] < places.near_m else None
+    submap = int(away.argmin())
+    return (submap, between(anchors[submap], here)) if away[submap] < places.max_distance_m else None

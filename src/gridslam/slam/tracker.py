@@ -246,8 +246,8 @@ class Tracker:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
         predicted = found.predicted
         if found.poor or self.search.was_blind(state, predicted):
-            state.doubt_m2 += predicted.sigma_m**2
-            state.doubt_rad2 += predicted.sigma_rad**2
+            state.rejected_match_m2 += predicted.sigma_m**2
+            state.rejected_match_rad2 += predicted.sigma_rad**2
         moved, turned = _motion(between(state.pose, found.pose))
         if moved + turned > self.still_m + self.still_rad:
             state.stride += 0.05 * (min(moved + turned, self.search.gap_way) - state.stride)

@@ -78,7 +78,7 @@ class TrackerState:
         Scans in a row of whose poses nothing was known, neither by a match nor by odometry.
     overruled : int
         Scans so far whose odometry was not used: it jumped, came late, or is not trusted.
-    doubt_m2, doubt_rad2 : float
+    rejected_match_m2, rejected_match_rad2 : float
         Variances of all predictions so far that were taken instead of a match that was not believed.
     """
 
@@ -99,8 +99,8 @@ class TrackerState:
     scans: tuple[int, int] = (1, 0)
     blind_scans: int = 0
     overruled: int = 0
-    doubt_m2: float = 0.0
-    doubt_rad2: float = 0.0
+    rejected_match_m2: float = 0.0
+    rejected_match_rad2: float = 0.0
 
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
@@ -150,7 +150,7 @@ class TrackerState:
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
         counters = [self.stamp_ns, self.active, *self.scans, self.blind_scans, self.overruled, self.even]
         arrays["counters"] = np.array(counters, np.int64)
-        arrays["doubts"] = np.array([self.doubt_m2, self.doubt_rad2])
+        arrays["rejected_match_variances"] = np.array([self.rejected_match_m2, self.rejected_match_rad2])
         arrays["rates"] = np.array([self.period_s, self.stride])
         stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
         arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
@@ -166,7 +166,7 @@ class TrackerState:
         maps = mapper.restore({name[5:]: a for name, a in arrays.items() if name.startswith("maps.")})
         learned = OdometryErrorModel.from_arrays({n[8:]: a for n, a in arrays.items() if n.startswith("learned.")})
         stamp_ns, active, first, second, blind, overruled, even = (int(v) for v in arrays["counters"])
-        doubt_m2, doubt_rad2 = arrays["doubts"].tolist()
+        rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
         period_s, stride = arrays["rates"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
         ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
@@ -175,9 +175,9 @@ class TrackerState:
         ]
         return cls(
             maps, stamp_ns=stamp_ns, learned=learned,
-            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)),
-            period_s=period_s, stride=stride, even=bool(even), active=active, scans=(first, second),
-            blind_scans=blind, overruled=overruled, doubt_m2=doubt_m2, doubt_rad2=doubt_rad2,
+            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)), period_s=period_s, stride=stride,
+            even=bool(even), active=active, scans=(first, second), blind_scans=blind, overruled=overruled,
+            rejected_match_m2=rejected_match_m2, rejected_match_rad2=rejected_match_rad2,
             **{name: np.array(arrays[name], np.float64) for name in _POSES},
         )  # fmt: skip
 

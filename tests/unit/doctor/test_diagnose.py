@@ -28,7 +28,7 @@ from gridslam.types import ScanGeometry
 from gridslam.viz.chart import draw_chart
 
 
-class LoopClosureState:
+class Memory:
     """A log that is in memory, and may break off."""
 
     def __init__(self, measurements, breaks_off=False):
@@ -52,7 +52,7 @@ def rooms():
 
 def test_a_healthy_log_is_said_to_be_healthy(rooms):
     ticks = []
-    diagnosis = diagnose(LoopClosureState(rooms.measurements), tick=lambda: ticks.append(0))
+    diagnosis = diagnose(Memory(rooms.measurements), on_progress=lambda: ticks.append(0))
     assert len(ticks) == len(rooms)
     assert diagnosis.faults == ()
     assert diagnosis.worst is Severity.INFO
@@ -79,7 +79,7 @@ def test_each_fault_that_needs_no_matching_is_named_with_its_size(rooms, fault):
 
 
 def test_a_laser_that_tilts_is_no_witness_of_the_motion(rooms):
-    diagnosis = diagnose(LoopClosureState(with_fault(rooms.measurements, "tilting_laser", np.random.default_rng(1))))
+    diagnosis = diagnose(Memory(with_fault(rooms.measurements, "tilting_laser", np.random.default_rng(1))))
     assert [finding.code for finding in diagnosis.faults] == ["tilting_laser"]
 
 
@@ -94,7 +94,7 @@ def skewed(backward=False, **lidar):
         m._replace(scan=replace(m.scan, beam_times_s=m.scan.beam_times_s[::-1])) if backward else m
         for m in islice(log.measurements, 900)
     ]
-    return {finding.code: finding for finding in diagnose(LoopClosureState(measurements)).findings}
+    return {finding.code: finding for finding in diagnose(Memory(measurements)).findings}
 
 
 def test_scans_that_take_time_and_do_not_tell_it_are_named():
@@ -122,12 +122,12 @@ def test_scans_taken_in_an_instant_are_not():
 
 
 def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes():
-    diagnosis = diagnose(LoopClosureState(drive(), breaks_off=True))
+    diagnosis = diagnose(Memory(drive(), breaks_off=True))
     assert (diagnosis.findings[0].code, diagnosis.findings[0].size) == ("unreadable", 200)
     assert "memory.log: cut off" in diagnosis.findings[0].says
     assert diagnosis.worst is Severity.SPOILS
     with pytest.raises(InputError):
-        diagnose(LoopClosureState([], breaks_off=True))
+        diagnose(Memory([], breaks_off=True))
 
 
 def test_memory_does_not_grow_with_the_log():
@@ -149,16 +149,16 @@ def test_memory_does_not_grow_with_the_log():
 def test_the_quick_check_looks_at_the_first_minute_only():
     late = [m if k < 400 else Measurement(None, m.scan) for k, m in enumerate(drive(200))]
     early = [Measurement(None, m.scan) if k < 20 else m for k, m in enumerate(drive(200))]
-    assert quick_check(LoopClosureState(late)) == ()
-    assert [finding.code for finding in quick_check(LoopClosureState(early))] == ["no_odometry"]
+    assert quick_check(Memory(late)) == ()
+    assert [finding.code for finding in quick_check(Memory(early))] == ["no_odometry"]
     standing = (seen(k / 5, m.scan.ranges, (0.0, 0.0, 0.0)) for k, m in enumerate([next(drive())] * 99))
-    assert quick_check(LoopClosureState(standing)) == ()
+    assert quick_check(Memory(standing)) == ()
 
 
 @pytest.mark.parametrize("count", [50, 1000])
 def test_a_checked_log_gives_all_and_tells_early(count):
     told, given = [], []
-    source = LoopClosureState(Measurement(None, m.scan) for m in drive(count / 5))
+    source = Memory(Measurement(None, m.scan) for m in drive(count / 5))
     log = CheckedLog(source, lambda found: told.append((given[-1], found)))
     for k, _ in enumerate(log):
         given.append(k)
@@ -226,7 +226,7 @@ def test_whatever_a_reader_gives_is_diagnosed(data):
         stamp_s = clumsy * rng.choice([0.0, 0.1 * k, rng.normal()])
         return seen(stamp_s, ranges, pose, geometry, sensor=sensor, beam_times_s=times)
 
-    diagnosis = diagnose(LoopClosureState(one(k) for k in range(data.draw(st.sampled_from([1, 2, 40])))))
+    diagnosis = diagnose(Memory(one(k) for k in range(data.draw(st.sampled_from([1, 2, 40])))))
     json.dumps(document(diagnosis), allow_nan=False)
     assert text(diagnosis)
     assert markdown(diagnosis)

@@ -26,13 +26,20 @@ def test_a_tie_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(3, 3))
     information, pose = 100 * (factor @ factor.T + np.eye(3)), np.array([2.0, -1.0, heading])
-    tie = Constraint.of(3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.KNOWN)
-    assert (tie.from_, tie.to, tie.source, tie.determined) == (3, 40, ConstraintSource.KNOWN, True)
-    np.testing.assert_array_equal(tie.measurement, pose)
+    constraint = Constraint.from_match(
+        3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.TRACKED
+    )
+    assert (constraint.from_, constraint.to, constraint.source, constraint.determined) == (
+        3,
+        40,
+        ConstraintSource.TRACKED,
+        True,
+    )
+    np.testing.assert_array_equal(constraint.measurement, pose)
     for away in rng.normal(scale=0.1, size=(5, 3)):
         error = between(pose, pose + away)
         expected = away @ information @ away / SIGMA_M**2 + FLOOR * error @ error
-        assert error @ tie.information @ error == pytest.approx(expected, rel=1e-9)
+        assert error @ constraint.information @ error == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("axis_rad", [0.0, 0.4, math.pi / 2, 2.5])
@@ -45,31 +52,33 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
     information[:2, :2] = np.outer(along, along) + 40 * np.outer(across, across)
     information[2, 2] = 500.0
     guess, pose = np.array([1.0, 2.0, heading - 0.02]), np.array([1.3, 1.9, heading])
-    tie = Constraint.of(5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.BELIEVED)
-    assert not tie.determined
-    assert tie.measurement[2] == heading
-    assert along @ tie.measurement[:2] == pytest.approx(along @ guess[:2])
-    assert across @ tie.measurement[:2] == pytest.approx(across @ pose[:2])
+    constraint = Constraint.from_match(
+        5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.PROXIMITY
+    )
+    assert not constraint.determined
+    assert constraint.measurement[2] == heading
+    assert along @ constraint.measurement[:2] == pytest.approx(along @ guess[:2])
+    assert across @ constraint.measurement[:2] == pytest.approx(across @ pose[:2])
     for direction, weight in ((along, 0.0), (across, 40.0)):
-        error = between(tie.measurement, tie.measurement + np.append(direction, 0.0))
-        assert error @ tie.information @ error == pytest.approx(weight / SIGMA_M**2 + FLOOR)
-    assert tie.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
-    assert np.linalg.eigvalsh(tie.information)[0] > 0.99 * FLOOR
+        error = between(constraint.measurement, constraint.measurement + np.append(direction, 0.0))
+        assert error @ constraint.information @ error == pytest.approx(weight / SIGMA_M**2 + FLOOR)
+    assert constraint.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
+    assert np.linalg.eigvalsh(constraint.information)[0] > 0.99 * FLOOR
     np.testing.assert_array_equal(pose, [1.3, 1.9, heading])
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_arrays_hold_every_tie(count):
     rng = np.random.default_rng(count)
-    ties = [
+    constraints = [
         Constraint(
             k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), ConstraintSource(k % 3), determined=bool(k % 2)
         )
         for k in range(count)
     ]
-    read = constraints_from_arrays(constraints_to_arrays(ties))
+    read = constraints_from_arrays(constraints_to_arrays(constraints))
     assert len(read) == count
-    for one, other in zip(read, ties, strict=True):
+    for one, other in zip(read, constraints, strict=True):
         assert (one.from_, one.to, one.source, one.determined) == (
             other.from_, other.to, other.source, other.determined
         )  # fmt: skip
@@ -77,7 +86,7 @@ def test_arrays_hold_every_tie(count):
         np.testing.assert_array_equal(one.measurement, other.measurement)
         np.testing.assert_array_equal(one.information, other.information)
     again = constraints_to_arrays(read)
-    for name, array in constraints_to_arrays(ties).items():
+    for name, array in constraints_to_arrays(constraints).items():
         assert (again[name].dtype, again[name].tobytes()) == (array.dtype, array.tobytes())
 
 

@@ -23,12 +23,12 @@ def loop():
     return loop_drive()
 
 
-def answered(config, measurements, tick=lambda: None):
+def answered(config, measurements, on_progress=lambda: None):
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
     keys, from_key = recorder.keys, recorder.from_key
-    answer = full_slam(state, keys, from_key, config.mapper, config.closure, config.last_word, tick)
+    answer = full_slam(state, keys, from_key, config.mapper, config.closure, config.final_refinement, on_progress)
     return state, recorder, answer
 
 
@@ -39,7 +39,7 @@ def closed(loop):
 
 def test_the_filter_alone_is_the_best_particles_past(loop):
     state, recorder, answer = answered(OFF, loop.measurements)
-    assert answer.loops is None
+    assert answer.loop_summary is None
     assert answer.poses.tobytes() == recorder.full(state).poses.tobytes()
     assert answer.map.log_odds.tobytes() == state.maps.occupancy(state.best).log_odds.tobytes()
     assert np.array_equal(answer.graph.poses, state.ancestry.trajectory(state.best))
@@ -60,10 +60,12 @@ def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
 
 def test_closures_are_recognized_ties_and_true(loop, closed):
     _, recorder, answer = closed
-    loops = answer.loops
-    assert len(loops.closures) == loops.ties[ConstraintSource.RECOGNIZED] > 0
-    assert loops.doubted == 0
-    assert loops.joint_ties == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
+    loops = answer.loop_summary
+    assert len(loops.closures) == loops.constraints[ConstraintSource.RECOGNIZED] > 0
+    assert loops.removed == 0
+    assert (
+        loops.refinement_constraints == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
+    )
     assert set(loops.rejected) <= set(RejectionReason)
     key_scans = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     tied = {tuple(edge): z for edge, z in zip(answer.graph.edges.tolist(), answer.graph.measurements, strict=True)}

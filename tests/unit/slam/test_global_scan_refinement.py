@@ -20,7 +20,7 @@ from gridslam.slam.global_scan_refinement import GlobalScanRefinement, Refinemen
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.submaps import drawn
+from gridslam.slam.submaps import build_map
 from gridslam.types import Trajectory
 
 CLOSURE = LoopClosure()
@@ -35,17 +35,19 @@ class Told:
     log: SimulatedLog
     state: GridFastSlamState
     recorder: TrajectoryRecorder
-    memory: LoopClosureState
+    closure_state: LoopClosureState
     word: RefinementResult
 
 
-def told(log: SimulatedLog, scans: int | None = None, word: GlobalScanRefinement = WORD, tick=lambda: None) -> Told:
+def told(
+    log: SimulatedLog, scans: int | None = None, word: GlobalScanRefinement = WORD, on_progress=lambda: None
+) -> Told:
     recorder = TrajectoryRecorder()
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
-    memory = state.memory.snapshot()
+    closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
-    said = word(memory, trajectory, recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, tick)
-    return Told(log, state, recorder, memory, said)
+    said = word(closure_state, trajectory, recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, on_progress)
+    return Told(log, state, recorder, closure_state, said)
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +88,9 @@ def test_the_last_word_is_no_worse_than_the_filter(halls, loop):
 
 def test_ties_of_the_last_word_are_right(halls, loop):
     for one in (*halls, loop):
-        truth = one.log.truth.poses[one.state.memory.scans.keys]
-        assert len(one.word.best.ties) > 50
-        off = hall.errors(truth, [tie for tie in one.word.best.ties if tie.determined])
+        truth = one.log.truth.poses[one.state.closure_state.scans.keys]
+        assert len(one.word.best.constraints) > 50
+        off = hall.errors(truth, [constraint for constraint in one.word.best.constraints if constraint.determined])
         assert np.quantile(off[:, 0], 0.95) < 0.1
         assert off[:, 0].max() < 0.5
         assert off[:, 1].max() < 0.05
@@ -98,14 +100,14 @@ def test_it_says_what_it_solved(halls):
     """The graph holds the solution, a weight for each edge, ties to other times only; the map is drawn from it."""
     one = halls[0]
     graph, weights = one.word.best.graph, one.word.best.weights
-    keys = len(one.memory.graph)
+    keys = len(one.closure_state.graph)
     assert graph.poses.shape == (keys, 3)
     assert weights.shape == (len(graph.edges),)
     assert ((weights >= 0) & (weights <= 1)).all()
-    ties = graph.edges[keys - 1 :]
-    assert (np.abs(ties[:, 0] - ties[:, 1]) > 20).all()
-    np.testing.assert_array_equal(graph.poses, np.array(one.memory.graph.poses))
-    maps = drawn(SLAM.mapper, one.memory.scans, np.arange(keys), graph.poses)
+    constraints = graph.edges[keys - 1 :]
+    assert (np.abs(constraints[:, 0] - constraints[:, 1]) > 20).all()
+    np.testing.assert_array_equal(graph.poses, np.array(one.closure_state.graph.poses))
+    maps = build_map(SLAM.mapper, one.closure_state.scans, np.arange(keys), graph.poses)
     assert maps.occupancy(0).log_odds.tobytes() == one.word.maps.occupancy(0).log_odds.tobytes()
 
 
@@ -113,20 +115,20 @@ def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(hal
     one = halls[0]
     bent = full_trajectory(one.word.best.graph.poses, one.recorder.keys, one.recorder.from_key)
     moved = np.hypot(*(one.word.poses - bent)[:, :2].T)
-    assert moved.max() <= WORD.scan_m
+    assert moved.max() <= WORD.scan_max_correction_m
     assert 0 < np.median(moved) < 0.05
 
 
 def test_without_a_tie_the_key_scans_stay_on_the_chain(untied):
     """From each key scan to the next as the filter has it, or as tracked: nothing else is known."""
     graph, state = untied.word.best.graph, untied.state
-    assert untied.word.best.ties == []
+    assert untied.word.best.constraints == []
     assert len(graph.edges) == len(graph.poses) - 1
     assert (untied.word.best.weights == 1).all()
     assert graph.chi2() < 1e-6
     said, filtered, tracked = (
         between(poses[:-1], poses[1:])
-        for poses in (graph.poses, state.ancestry.trajectory(state.best), np.array(state.memory.graph.tracked))
+        for poses in (graph.poses, state.ancestry.trajectory(state.best), np.array(state.closure_state.graph.tracked))
     )
     as_filtered, as_tracked = (np.abs(between(said, other)).max(axis=1) < 1e-6 for other in (filtered, tracked))
     assert (as_filtered | as_tracked).all()
@@ -135,9 +137,9 @@ def test_without_a_tie_the_key_scans_stay_on_the_chain(untied):
 def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     """The last word was given a snapshot of the memory: of what it did nothing is in the state."""
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
-    memory = untied.state.memory.snapshot()
+    closure_state = untied.state.closure_state.snapshot()
     moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
-    WORD(memory, moved, untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
+    WORD(closure_state, moved, untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 
@@ -152,8 +154,8 @@ def test_a_round_that_moves_nothing_is_the_last(halls):
     """Counted by the submaps that are drawn: one tick for each, and each round draws the same ones here."""
     ticks = []
     for rounds in (1, 4):
-        word, count = replace(WORD, rounds=rounds, stop_m=1.0), []
-        told(halls[0].log, word=word, tick=lambda count=count: count.append(1))
+        word, count = replace(WORD, max_rounds=rounds, stop_m=1.0), []
+        told(halls[0].log, word=word, on_progress=lambda count=count: count.append(1))
         ticks.append(len(count))
     assert ticks[0] == ticks[1] > 5
 
@@ -163,4 +165,4 @@ def test_it_can_be_interrupted(halls):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        told(halls[0].log, tick=stop)
+        told(halls[0].log, on_progress=stop)
