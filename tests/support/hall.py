@@ -30,7 +30,7 @@ EAGER = PlaceRecognition(
     min_confirmations=3,
 )
 """Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
-DOUBTFUL = DriftModel(m=0.06, rad_of_way=0.005)
+DOUBTFUL = DriftModel(sigma_m_per_sqrt_m=0.06, sigma_rad_per_sqrt_m=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
 
 

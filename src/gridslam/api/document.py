@@ -90,7 +90,7 @@ def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:
         "used": statistics.key_scans,
         "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
         "lost": statistics.lost,
-        "undetermined": statistics.undetermined,
+        "degenerate": statistics.degenerate,
     }
 
 
@@ -100,23 +100,23 @@ def _tracker(result: MapResult) -> dict[str, Any] | None:
     if not isinstance(tracker, Tracker):
         return None
     deskew = tracker.deskew
-    timed = {sensor: seen for sensor, seen in state.sensors.items() if seen.orders[0]} if deskew else {}
+    timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order_sums[0]} if deskew else {}
     return {
         "odometry": _learned(state) if result.log.without_odometry < result.log.scan_count else None,
-        "odometry_overruled": state.overruled,
-        "stamps_believed": not state.even,
-        "beam_order": {sensor: _ORDERS[deskew.order(seen)] for sensor, seen in timed.items()} if deskew else {},
+        "odometry_rejected": state.rejected_odometry,
+        "stamps_reliable": not state.stamps_unreliable,
+        "beam_order": {sensor: _ORDERS[deskew.find_order(track)] for sensor, track in timed.items()} if deskew else {},
     }
 
 
 def _learned(state: TrackerState) -> dict[str, Any]:
     """The odometry's errors: true increments for those that it tells, and what is left of a stretch."""
-    learned = state.learned
-    a, c, _, _, turn_scale, turn_rad_per_m = learned.factors.tolist()
-    sigma_m, sigma_rad = np.sqrt(learned.variances).tolist()
+    errors = state.odometry_errors
+    a, c, _, _, turn_scale, turn_rad_per_m = errors.factors.tolist()
+    sigma_m, sigma_rad = np.sqrt(errors.variances).tolist()
     return {
-        "trusted": learned.trusted,
-        "stretches": learned.stretches,
+        "trusted": errors.trusted,
+        "segments": errors.segments,
         "scale": math.hypot(a, c),
         "direction_rad": math.atan2(c, a),
         "turn_scale": turn_scale,

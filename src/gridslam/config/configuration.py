@@ -50,7 +50,7 @@ PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
     "noise_rad": ("motion.sigma_theta_rad", "... and how much they turn"),
     "tempering": ("sensor.tempering", "share of a beam's evidence that is new"),
     "resample_below": ("when_to_resample.fraction", "resample below this share of effective particles"),
-    "lost_below": ("confidence.lost_below", "lost where a smaller share of the beams agrees with the map"),
+    "lost_below": ("reports.lost_below", "lost where a smaller share of the beams agrees with the map"),
     "loop_closure": ("loop_closure", "recognize old places and correct the past; false: the filter alone"),
 }
 """The parameters that face the user: short name, dotted name and what it is."""
@@ -77,7 +77,7 @@ class Configuration:
         Beams outside are not used (see `GridFastSlam`).
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
-    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, confidence
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, reports
         The parts of `GridFastSlam`.
     loop_closure : bool
         Whether old places are recognized and the past is corrected; False for the filter alone.
@@ -99,7 +99,7 @@ class Configuration:
     when_to_update: MovedAtLeast = MovedAtLeast()
     when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: ReportBuilder = ReportBuilder()
+    reports: ReportBuilder = ReportBuilder()
     loop_closure: bool = True
     closure: LoopClosure = LoopClosure()
     final_refinement: GlobalScanRefinement = GlobalScanRefinement()
@@ -117,7 +117,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
         map_limit=config.map_limit,
-        confidence=config.confidence,
+        reports=config.reports,
         loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,

@@ -18,7 +18,7 @@ from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.full_trajectory import full_trajectory
 from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
-from gridslam.slam.graph_robust import scaled
+from gridslam.slam.graph_robust import scale_information
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
@@ -139,7 +139,8 @@ def full_slam(
     else:
         closure_state = state.closure_state.snapshot()  # the last word writes into it
         refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
-        graph, poses, maps, row = scaled(refined.best.graph, refined.best.weights), refined.poses, refined.maps, 0
+        graph = scale_information(refined.best.graph, refined.best.weights)
+        poses, maps, row = refined.poses, refined.maps, 0
         key_covariances = _marginals(graph)
         loops = _summarize(state.closure_state, closure_state, refined, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
@@ -186,7 +187,7 @@ def _summarize(
         rejected=closure_state.rejected,
         constraints=Counter(constraint.source for constraint in driven.graph.constraints),
         refinement_constraints=len(refined.best.constraints) - recognized,
-        chi2=scaled(refined.best.graph, refined.best.weights).chi2(),
+        chi2=scale_information(refined.best.graph, refined.best.weights).chi2(),
         max_correction_m=float(np.hypot(*(refined.best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=refined.scores,
         selected=refined.best.name,

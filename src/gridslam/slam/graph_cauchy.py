@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_linear import BlockSystem
 from gridslam.slam.graph_robust import RobustEstimate
 from gridslam.slam.incremental import Computation
@@ -60,12 +60,12 @@ class CauchyEstimator:
             poses, weights = found.poses, self.weights(graph, found.poses)
             if moved < self.stop_m:
                 break
-        chi2 = float((weights * squared_errors(graph, graph.errors(poses))).sum())
+        chi2 = float((weights * squared_mahalanobis(graph, graph.errors(poses))).sum())
         return RobustEstimate(replace(found, poses=poses, chi2=chi2, iterations=iterations), weights, chi2)
 
     def weights(self, graph: PoseGraph, poses: FloatArray | None = None) -> FloatArray:
         """How much each measurement counts (M,), in [0, 1], at poses (N, 3), by default the graph's own."""
-        squared = squared_errors(graph, graph.errors(poses))
+        squared = squared_mahalanobis(graph, graph.errors(poses))
         return np.where(graph.trusted, 1.0, 1.0 / (1.0 + squared / self.scale**2))
 
 

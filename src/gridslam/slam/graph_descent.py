@@ -12,7 +12,7 @@ from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
-__all__ = ["DescentResult", "descend", "squared_errors"]
+__all__ = ["DescentResult", "descend", "squared_mahalanobis"]
 
 _PATIENCE = 3
 """Gauss-Newton steps that may raise chi2 before it is lower than ever: on long chains the first ones often do."""
@@ -35,7 +35,7 @@ class DescentResult:
     converged: bool
 
 
-def squared_errors(graph: PoseGraph, errors: FloatArray) -> FloatArray:
+def squared_mahalanobis(graph: PoseGraph, errors: FloatArray) -> FloatArray:
     """Squared Mahalanobis lengths (M,) of errors (M, 3): what each measurement adds to chi2."""
     weighted = np.matmul(graph.information, errors[:, :, None])[:, :, 0]
     return np.asarray((errors * weighted).sum(axis=1))
@@ -52,7 +52,7 @@ def descend(
     promises to lower chi2 by no more than the share `tolerance`.
     """
     errors = graph.errors(poses)
-    best = DescentResult(poses, float(squared_errors(graph, errors).sum()), 0, False)
+    best = DescentResult(poses, float(squared_mahalanobis(graph, errors).sum()), 0, False)
     best_errors, damping, rises = errors, 0.0, 0
     for iteration in range(1, max_iterations + 1):
         matrix, gradient = system.assemble(linearize(graph, poses, errors))
@@ -64,7 +64,7 @@ def descend(
         least = not rises and damping < _HEAVY and promised <= tolerance * (best.chi2 + _NEGLIGIBLE * len(errors))
         poses = poses + step
         errors = graph.errors(poses)
-        chi2 = float(squared_errors(graph, errors).sum())
+        chi2 = float(squared_mahalanobis(graph, errors).sum())
         if chi2 <= best.chi2:
             best, best_errors, rises = DescentResult(poses, chi2, iteration, least), errors, 0
             damping = damping / 10 if damping > _LIGHT else 0.0

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, is_connected
 from gridslam.slam.graph_marginals import Marginals
@@ -18,7 +18,7 @@ from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
+__all__ = ["GraduatedNonConvexity", "RobustEstimate", "scale_information"]
 
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses hang on measurements alone that are held for false."""
@@ -97,7 +97,7 @@ class GraduatedNonConvexity:
                 if found.cost >= (1.0 - _SAME) * best.cost:
                     break
                 best = found
-        return (yield from search.finish((yield from search.readmit(best)), max_iterations, tolerance))
+        return (yield from search.finish((yield from search.readmit_outliers(best)), max_iterations, tolerance))
 
 
 @final
@@ -111,9 +111,9 @@ class _Search:
     def round(self, poses: FloatArray) -> Computation[RobustEstimate]:
         """Graduate from poses (N, 3), then fit what is held for true until the cost falls no more."""
         poses, weights = yield from self._graduate(poses)
-        return (yield from self._settle(weights, poses))
+        return (yield from self._fit_and_reclassify(weights, poses))
 
-    def readmit(self, best: RobustEstimate) -> Computation[RobustEstimate]:
+    def readmit_outliers(self, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Take back what was rejected but can be followed at less than c^2, all or the likeliest, if the cost falls."""
         while True:
             yield
@@ -123,7 +123,7 @@ class _Search:
             for chosen in (likely, rejected[np.argsort(squared)[:1]]) if len(likely) else ():
                 weights = best.weights.copy()
                 weights[chosen] = 1.0
-                found = yield from self._settle(weights, best.solution.poses)
+                found = yield from self._fit_and_reclassify(weights, best.solution.poses)
                 if found.cost < (1.0 - _SAME) * best.cost:
                     best = found
                     break
@@ -134,11 +134,11 @@ class _Search:
         """Squared innovations (K,) of measurements at `places` (K,) that the solution does not follow."""
         if not len(places):
             return np.empty(0)
-        marginals = Marginals(scaled(self.graph, found.weights).with_poses(found.solution.poses))
+        marginals = Marginals(scale_information(self.graph, found.weights).with_poses(found.solution.poses))
         graph = self.graph
         return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
-    def _settle(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
+    def _fit_and_reclassify(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
         """Fit what is held for true and tell it anew, from poses (N, 3), until the cost falls no more."""
         best = RobustEstimate(DescentResult(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
@@ -154,7 +154,7 @@ class _Search:
     def _refit(self, weights: FloatArray, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Fit what is held for true, from its own first guess; from the best poses yet where that does not help."""
         found = best
-        for start in (initial_guess(scaled(self.graph, weights)), best.solution.poses):
+        for start in (initial_guess(scale_information(self.graph, weights)), best.solution.poses):
             solution = yield from self._fit(weights, start, _ENOUGH, _FINE)
             found = RobustEstimate(solution, weights, self._cost(solution.poses))
             if found.cost < best.cost:
@@ -186,20 +186,20 @@ class _Search:
         self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float
     ) -> Computation[DescentResult]:
         yield
-        counted = scaled(self.graph, weights)
+        counted = scale_information(self.graph, weights)
         found = yield from descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)
         self.iterations += found.iterations
         return found
 
     def _squared(self, poses: FloatArray) -> FloatArray:
-        return squared_errors(self.graph, self.graph.errors(poses))
+        return squared_mahalanobis(self.graph, self.graph.errors(poses))
 
     def _cost(self, poses: FloatArray) -> float:
         squared = self._squared(poses)
         return float(np.where(self.graph.trusted, squared, np.minimum(squared, self.bound)).sum())
 
 
-def scaled(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
+def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
     """Return the graph with information times weights (M,), without what weighs nothing if that joins all poses yet."""
     counts = weights > 0.0
     if not is_connected(graph.edges[counts], len(graph.poses)):

@@ -13,17 +13,17 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.slam.graph_cauchy import CauchyEstimator
-from gridslam.slam.graph_descent import DescentResult, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, require_connected
-from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.graph_robust import GraduatedNonConvexity, scale_information
 from gridslam.slam.incremental import Computation, run_to_completion
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
 __all__ = ["GraphSlam", "GraphSolution"]
 
-_DOUBTS = (0.1, 0.001)
+_RETRY_RATIOS = (0.1, 0.001)
 """Weights of what is not trusted, for first guesses: which one is fooled less by false measurements varies."""
 
 
@@ -59,9 +59,9 @@ class GraphSolution:
         return self.graph.poses
 
     @property
-    def counted(self) -> PoseGraph:
+    def weighted_graph(self) -> PoseGraph:
         """The solved graph as it was solved: information times weight, false measurements left out."""
-        return scaled(self.graph, self.weights)
+        return scale_information(self.graph, self.weights)
 
 
 @final
@@ -117,11 +117,13 @@ class GraphSlam:
         if self.robust is None:
             found = yield from self._least_squares(graph)
         else:
-            estimate = yield from self.robust.estimate(graph, self._starts(graph), self.max_iterations, self.tolerance)
+            estimate = yield from self.robust.estimate(
+                graph, self._initial_guesses(graph), self.max_iterations, self.tolerance
+            )
             found, weights = estimate.solution, estimate.weights
         poses = found.poses.copy()
         poses[:, 2] = wrap(poses[:, 2])
-        before = float((weights * squared_errors(graph, graph.errors())).sum())
+        before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())
         return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
 
     def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
@@ -140,13 +142,13 @@ class GraphSlam:
         best = min(found, other, key=lambda descent: descent.chi2)
         return replace(best, iterations=found.iterations + other.iterations)
 
-    def _starts(self, graph: PoseGraph) -> Iterator[FloatArray]:
+    def _initial_guesses(self, graph: PoseGraph) -> Iterator[FloatArray]:
         """Guesses for a robust estimation: the graph's poses, and where the trusted measurements put them."""
         if self.first_guess != "computed":
             yield graph.poses
         if self.first_guess != "given":
-            for weight in _DOUBTS:
-                yield initial_guess(scaled(graph, np.where(graph.trusted, 1.0, weight)))
+            for weight in _RETRY_RATIOS:
+                yield initial_guess(scale_information(graph, np.where(graph.trusted, 1.0, weight)))
 
 
 def _doubtful(found: DescentResult, computed: FloatArray, measurements: int) -> bool:

@@ -32,7 +32,7 @@ from gridslam.slam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.report_builder import ReportBuilder
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.tracker import TrackedScan, Tracker
-from gridslam.slam.tracker_velocity import widened
+from gridslam.slam.tracker_velocity import widen_motion
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -76,7 +76,7 @@ class GridFastSlam:
         When resampling is worth its loss of diversity.
     map_limit : MapLimit
         How much the particles' maps may take.
-    confidence : ReportBuilder
+    reports : ReportBuilder
         How poses' covariances and the lost flag are told.
     loop_closure : LoopClosure or None
         Recognizes old places and corrects the past; None for the filter alone.
@@ -100,7 +100,7 @@ class GridFastSlam:
     when_to_update: UpdatePolicy = MovedAtLeast()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: ReportBuilder = ReportBuilder()
+    reports: ReportBuilder = ReportBuilder()
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
@@ -148,7 +148,7 @@ class GridFastSlam:
         )  # fmt: skip
         if self.loop_closure is not None:
             self.loop_closure.init(state, beams)
-        return state, self.confidence.first_scan(state, scan)
+        return state, self.reports.first_scan(state, scan)
 
     def step(
         self, state: GridFastSlamState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
@@ -162,13 +162,13 @@ class GridFastSlam:
         tracked, noise = self._track(state, odometry, beams)
         beams, moved = tracked.beams, between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
-            return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
+            return self._close_loops(state, self.reports.between_key_scans(state, scan, moved, reason), beams)
         motion = self._predict(state, tracked, noise)  # predict
         weigh = self.sensor(beams)
-        proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.joint, rng)  # match and weigh
+        proposed = self.proposal(state.maps, state.poses, motion, weigh, tracked.merged_beams, rng)  # match and weigh
         self.mapper(state.maps, proposed.poses, beams)  # map
         state.advance(proposed, tracked.pose, scan.sensor)
-        report = self.confidence.key_scan(state, scan, moved, proposed, tracked.joint)
+        report = self.reports.key_scan(state, scan, moved, proposed, tracked.merged_beams)
         if self.when_to_resample(report.n_eff, len(state.poses)):  # resample
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
@@ -192,14 +192,14 @@ class GridFastSlam:
         if odometry is not None and isinstance(tracker, Tracker):
             seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
             odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
-        noise = OdometryNoise.told(state, odometry, matched=isinstance(tracker, Tracker))
+        noise = OdometryNoise.from_reading(state, odometry, matched=isinstance(tracker, Tracker))
         state.odometry_covariance = None if noise is None else noise.covariance
         return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
 
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
-        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)
-        return motion if noise is None else noise.added(motion, state.key_pose, tracked.predicted)
+        motion = widen_motion(self.motion(between(state.key_pose, tracked.predicted)), tracked.prediction_variances)
+        return motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams

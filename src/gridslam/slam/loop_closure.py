@@ -113,7 +113,7 @@ class LoopClosure:
         rejected = state.tracker.rejected_match_m2, state.tracker.rejected_match_rad2
         before = closure_state.rejected_match_variances
         closure_state.rejected_match_variances = rejected
-        times = self.drift.doubt**2
+        times = self.drift.rejected_match_sigmas**2
         spread = position + times * (rejected[0] - before[0]), heading + times * (rejected[1] - before[1])
         graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
         closure_state.online_poses.append(state.poses[state.best])
@@ -181,7 +181,7 @@ class LoopClosure:
             return False
         closure_state.correct(poses)
         closure_state.online_poses = list(poses)
-        state.reseed(poses, correction.maps)
+        state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None
         return True
 

@@ -127,8 +127,8 @@ class ScanMatchedProposal:
 
     matcher: GaussNewton | HillClimbing = GaussNewton()
     beam_sigma_m: float = Field(default=1.6e-4, gt=0)
-    still_m: float = Field(default=0.02, ge=0)
-    still_rad: float = Field(default=0.02, ge=0)
+    standstill_m: float = Field(default=0.02, ge=0)
+    standstill_rad: float = Field(default=0.02, ge=0)
 
     def __call__(
         self,
@@ -147,7 +147,7 @@ class ScanMatchedProposal:
 
     def _moved(self, motion: MotionSampler, poses: FloatArray) -> bool:
         dx, dy, turn = (motion.moments(poses[:1])[0][0] - poses[0]).tolist()
-        return math.hypot(dx, dy) > self.still_m or abs(math.remainder(turn, math.tau)) > self.still_rad
+        return math.hypot(dx, dy) > self.standstill_m or abs(math.remainder(turn, math.tau)) > self.standstill_rad
 
 
 @final

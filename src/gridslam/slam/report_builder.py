@@ -20,7 +20,7 @@ from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepRepo
 __all__ = ["ReportBuilder"]
 
 
-_LEAST_INFORMATION = 1e-2 * np.eye(3)
+_MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 
 
@@ -39,14 +39,14 @@ class ReportBuilder:
     lost_below : float
         Share of the beams that must agree with the best map; below it the pose is not to be trusted. Entering a room
         for the first time leaves about a third.
-    drift_m, drift_rad : float
+    drift_sigma_m, drift_sigma_rad : float
         Standard deviation of the tracker's error after one metre or radian.
     """
 
     sigma_m: float = Field(default=0.05, gt=0)
     lost_below: float = Field(default=0.15, ge=0, le=1)
-    drift_m: float = Field(default=0.02, ge=0)
-    drift_rad: float = Field(default=0.01, ge=0)
+    drift_sigma_m: float = Field(default=0.02, ge=0)
+    drift_sigma_rad: float = Field(default=0.01, ge=0)
 
     def first_scan(self, state: GridFastSlamState, scan: LaserScan) -> StepReport:
         """Report of the scan that the filter begins with: a key scan that weighs nothing."""
@@ -63,9 +63,9 @@ class ReportBuilder:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         dx, dy, turn = key_from_base.tolist()
         covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
-        covariance[0, 0] += moved * self.drift_m**2
-        covariance[1, 1] += moved * self.drift_m**2
-        covariance[2, 2] += moved * self.drift_rad**2
+        covariance[0, 0] += moved * self.drift_sigma_m**2
+        covariance[1, 1] += moved * self.drift_sigma_m**2
+        covariance[2, 2] += moved * self.drift_sigma_rad**2
         return StepReport(
             scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
             skipped=reason, best=best,
@@ -82,12 +82,12 @@ class ReportBuilder:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
-        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
+        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         state.lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         return StepReport(
             scan.stamp_ns, state.poses[best], state.covariance, key_from_base,
-            undetermined=undetermined(information, score), lost=state.lost, best=best,
+            degenerate_direction=undetermined(information, score), lost=state.lost, best=best,
             n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
         )  # fmt: skip
 

@@ -115,7 +115,7 @@ class GridFastSlamState:
         self.maps.compact()
         self.closure_state = None if self.closure_state is None else self.closure_state.snapshot()
 
-    def reseed(self, trajectory: FloatArray, maps: TileMaps) -> None:
+    def replace_trajectory(self, trajectory: FloatArray, maps: TileMaps) -> None:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
         count = len(self.poses)
         self.poses = np.repeat(trajectory[-1:], count, axis=0)

@@ -33,22 +33,22 @@ class TrackerDeskew:
     ----------
     turn_rad : float, rad
         A scan tells the order of its beams if the robot turns more than this while it is taken.
-    doubt : float
+    order_margin : float
         Share of the beams that must agree more, in the mean over the scans, in another order than the one told.
-    scans : int
+    prior_scans : int
         So many scans count for the order told before the first is seen.
     """
 
     turn_rad: float = Field(default=0.02, gt=0)
-    doubt: float = Field(default=0.005, ge=0)
-    scans: int = Field(default=20, ge=1)
+    order_margin: float = Field(default=0.005, ge=0)
+    prior_scans: int = Field(default=20, ge=1)
 
-    def order(self, seen: SensorTrack | None) -> int:
+    def find_order(self, track: SensorTrack | None) -> int:
         """Order of the beams of a laser: 1 as told, 0 if none fits, -1 backward."""
-        if seen is None:
+        if track is None:
             return 1
-        count, none, backward = seen.orders.tolist()
-        gains = (self.doubt, none / (count + self.scans), backward / (count + self.scans))
+        count, none, backward = track.beam_order_sums.tolist()
+        gains = (self.order_margin, none / (count + self.prior_scans), backward / (count + self.prior_scans))
         return _ORDERS[gains.index(max(gains))]
 
     def __call__(
@@ -74,16 +74,16 @@ class TrackerDeskew:
         find : callable
             Matches beams to the map.
         """
-        order = self.order(state.sensors.get(beams.scan.sensor))
+        order = self.find_order(state.sensors.get(beams.scan.sensor))
         sharp = beams.deskewed(order * twist_to(predicted.pose))
         best = find(sharp)
-        if not best.matched or not best.share:
+        if not best.matched or not best.inlier_ratio:
             return best, sharp
         twist = twist_to(best.pose)
         for other in (twist, 2 * twist - state.twist):
             again = beams.deskewed(order * other)
             found = find(again)
-            if found.share > best.share:
+            if found.inlier_ratio > best.inlier_ratio:
                 best, sharp = found, again
         self._learn(state, twist, beams, find)
         return best, sharp
@@ -92,8 +92,8 @@ class TrackerDeskew:
         self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], PoseEstimate]
     ) -> None:
         """Keep the number of scans that tell the order, and the sums of what the other orders gain in agreement."""
-        seen, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
+        track, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:
-            told, none, backward = (find(beams.deskewed(order * twist)).share for order in _ORDERS)
-            orders = seen.orders + np.array([1.0, none - told, backward - told])
-            state.note(beams.scan.sensor, seen._replace(orders=orders))
+            told, none, backward = (find(beams.deskewed(order * twist)).inlier_ratio for order in _ORDERS)
+            orders = track.beam_order_sums + np.array([1.0, none - told, backward - told])
+            state.update_track(beams.scan.sensor, track._replace(beam_order_sums=orders))

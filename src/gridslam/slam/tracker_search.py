@@ -31,64 +31,64 @@ class OdometrySearch:
 
     Parameters
     ----------
-    seldom_s : float, s
+    sparse_period_s : float, s
         Scans come seldom where the mean time between them is longer.
-    seldom_way : float, m + rad
+    sparse_step : float, m + rad
         So they do where the robot moves and turns by more between two of them: stamps may be no measurements.
-    gap_s, gap_way : float, s, m + rad
+    blind_period_s, blind_step : float, s, m + rad
         Where so much time passed between two scans, and so much was driven by the odometry, the laser was blind.
-    gates : tuple of float
+    gate_sigmas : tuple of float
         Standard deviations of the odometry within which is searched, one after the other.
-    certain_share : float
+    certain_inlier_ratio : float
         Share of the beams from which on a place is taken without looking farther.
-    gains : tuple of float
+    inlier_gains : tuple of float
         By so much more of the beams a place must agree than the best one within the gates before.
-    overlap : float
+    min_overlap : float
         Share of the beams that must end in what the local map knows; those that do not say nothing. Where scans are
         far apart, much of each is new.
     window : BranchAndBound
         How is searched; its `gate` is not used.
-    anywhere : BranchAndBound
+    global_window : BranchAndBound
         How is searched where nothing certain was found within the gates: a turn was not counted at all.
-    anywhere_share, anywhere_gain : float
+    global_inlier_ratio, global_inlier_gain : float
         Share of the beams that must agree with a place found so, and how many more than with any before.
-    unique : float
+    ambiguity_ratio : float
         A place must be the only one: no other within the same gate has this part of its share.
-    follow_m, follow_rad : float
+    basin_m, basin_rad : float
         So far from the prediction the descents of the particles still reach the right peak.
-    matcher, steady_matcher : GaussNewton
+    matcher, calibrated_matcher : GaussNewton
         How a place is refined, and how where the scan leaves a direction open, which is the odometry's to tell.
     """
 
-    seldom_s: float = Field(default=0.3, gt=0)
-    seldom_way: float = Field(default=0.4, gt=0)
-    gap_s: float = Field(default=1.0, gt=0)
-    gap_way: float = Field(default=1.0, gt=0)
-    gates: tuple[float, ...] = (2.0, 5.0, 12.0)
-    gains: tuple[float, ...] = (0.1, 0.1, 0.3)
-    certain_share: float = Field(default=0.7, gt=0, le=1)
-    overlap: float = Field(default=0.4, gt=0, le=1)
+    sparse_period_s: float = Field(default=0.3, gt=0)
+    sparse_step: float = Field(default=0.4, gt=0)
+    blind_period_s: float = Field(default=1.0, gt=0)
+    blind_step: float = Field(default=1.0, gt=0)
+    gate_sigmas: tuple[float, ...] = (2.0, 5.0, 12.0)
+    inlier_gains: tuple[float, ...] = (0.1, 0.1, 0.3)
+    certain_inlier_ratio: float = Field(default=0.7, gt=0, le=1)
+    min_overlap: float = Field(default=0.4, gt=0, le=1)
     window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, floor=0.3)
-    anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, floor=0.5)
-    anywhere_share: float = Field(default=0.8, gt=0, le=1)
-    anywhere_gain: float = Field(default=0.3, ge=0, le=1)
-    unique: float = Field(default=0.85, gt=0, le=1)
-    follow_m: float = Field(default=0.1, ge=0)
-    follow_rad: float = Field(default=0.05, ge=0)
+    global_window: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, floor=0.5)
+    global_inlier_ratio: float = Field(default=0.8, gt=0, le=1)
+    global_inlier_gain: float = Field(default=0.3, ge=0, le=1)
+    ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
+    basin_m: float = Field(default=0.1, ge=0)
+    basin_rad: float = Field(default=0.05, ge=0)
     matcher: GaussNewton = GaussNewton()
-    steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
+    calibrated_matcher: GaussNewton = GaussNewton(min_information=0.05)
 
-    def is_far(self, state: TrackerState, predicted: Prediction) -> bool:
+    def is_far_from_last(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan was taken so long ago, or so far away, that velocities tell nothing."""
-        driven = predicted.moved_m + predicted.turned_rad > self.gap_way and predicted.seconds >= self.gap_s
-        return self._comes_seldom(state) or driven
+        driven = predicted.moved_m + predicted.turned_rad > self.blind_step and predicted.seconds >= self.blind_period_s
+        return self._is_sparse(state) or driven
 
-    def was_blind(self, state: TrackerState, predicted: Prediction) -> bool:
+    def had_blind_gap(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether scans come often, but none came while the robot drove on: it may be anywhere that looks alike."""
-        return not self._comes_seldom(state) and self.is_far(state, predicted)
+        return not self._is_sparse(state) and self.is_far_from_last(state, predicted)
 
-    def _comes_seldom(self, state: TrackerState) -> bool:
-        return state.period_s > self.seldom_s or state.stride > self.seldom_way
+    def _is_sparse(self, state: TrackerState) -> bool:
+        return state.period_s > self.sparse_period_s or state.mean_step > self.sparse_step
 
     def control(self, state: TrackerState, found: PoseEstimate) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
@@ -96,49 +96,53 @@ class OdometrySearch:
         It must not come from the scan that weighs them, so it is the prediction. Where that errs by more than a
         particle's descent can follow, it is where the scan was found: a descent from there ends at the same peak.
         """
-        predicted = found.predicted
-        if not self.is_far(state, predicted):
+        predicted = found.prediction
+        if not self.is_far_from_last(state, predicted):
             return predicted.pose, None
-        if found.poor:
+        if found.lost:
             return predicted.pose, np.square([predicted.sigma_m, predicted.sigma_rad])
-        follows = is_within(found.pose, predicted.pose, self.follow_m, self.follow_rad)
+        follows = is_within(found.pose, predicted.pose, self.basin_m, self.basin_rad)
         return (predicted.pose if follows else found.pose), None
 
     def __call__(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search the local map for a scan around where the odometry predicts it."""
         pyramid, best = (
-            Pyramid.of(state.maps, state.active),
-            PoseEstimate(predicted.pose, predicted, matched=True, poor=True),
+            Pyramid.of(state.maps, state.matched_map),
+            PoseEstimate(predicted.pose, predicted, matched=True, lost=True),
         )
-        learned_m, learned_rad = np.sqrt(state.learned.variances).tolist()
+        learned_m, learned_rad = np.sqrt(state.odometry_errors.variances).tolist()
         sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
-        for gate, gain in zip(self.gates, self.gains, strict=True):
+        for gate, gain in zip(self.gate_sigmas, self.inlier_gains, strict=True):
             covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
-            if place is None or place.other_share > self.unique * place.share:
+            if place is None or place.other_share > self.ambiguity_ratio * place.share:
                 continue
-            found = self._refined(state, place.pose, predicted, beams)
-            best = found if found.share > best.share + gain else best
-            if best.share >= self.certain_share:
+            found = self._refine(state, place.pose, predicted, beams)
+            best = found if found.inlier_ratio > best.inlier_ratio + gain else best
+            if best.inlier_ratio >= self.certain_inlier_ratio:
                 return best
-        place = self.anywhere.search(pyramid, predicted.pose, None, beams.ends)
-        if place is None or place.other_share > self.unique * place.share:
+        place = self.global_window.search(pyramid, predicted.pose, None, beams.ends)
+        if place is None or place.other_share > self.ambiguity_ratio * place.share:
             return best
-        found = self._refined(state, place.pose, predicted, beams)
-        return found if found.share >= max(self.anywhere_share, best.share + self.anywhere_gain) else best
+        found = self._refine(state, place.pose, predicted, beams)
+        return (
+            found
+            if found.inlier_ratio >= max(self.global_inlier_ratio, best.inlier_ratio + self.global_inlier_gain)
+            else best
+        )
 
-    def _refined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
+    def _refine(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""
-        maps, row, least = state.maps, state.row, self.steady_matcher.min_information
+        maps, row, least = state.maps, state.row, self.calibrated_matcher.min_information
         match = self.matcher(maps, row, pose[None], _NO_PRIOR, beams)
         weak = undetermined(match.information[0], float(match.score[0]), least)
         if weak is not None:
             along = match.poses[0].copy()
             along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
-            match = self.steady_matcher(maps, row, along[None], _NO_PRIOR, beams)
+            match = self.calibrated_matcher(maps, row, along[None], _NO_PRIOR, beams)
         at = match.poses[0]
-        known = maps.known(state.active, transform_points(at, beams.ends))
+        known = maps.known(state.matched_map, transform_points(at, beams.ends))
         away = maps.distances(row, at[None], beams.ends)[0, known]
         agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
-        share = agreeing / max(len(away), self.overlap * len(beams))
-        return PoseEstimate(at, predicted, matched=True, poor=False, share=share, determined=weak is None)
+        share = agreeing / max(len(away), self.min_overlap * len(beams))
+        return PoseEstimate(at, predicted, matched=True, lost=False, inlier_ratio=share, determined=weak is None)

@@ -65,13 +65,13 @@ def nearby(graph, limit_m=1e3, most=10**6):
 
 def test_variances_of_an_increment_grow_with_metres_and_radians():
     still = DRIFT.variances(0.0, 0.0)
-    assert still == (DRIFT.still_m**2, DRIFT.still_rad**2)
+    assert still == (DRIFT.standstill_sigma_m**2, DRIFT.standstill_sigma_rad**2)
     straight = DRIFT.variances(4.0, 0.0)
-    assert math.sqrt(straight[0] - still[0]) == pytest.approx(2 * DRIFT.m)
-    assert math.sqrt(straight[1] - still[1]) == pytest.approx(2 * DRIFT.rad_of_way)
+    assert math.sqrt(straight[0] - still[0]) == pytest.approx(2 * DRIFT.sigma_m_per_sqrt_m)
+    assert math.sqrt(straight[1] - still[1]) == pytest.approx(2 * DRIFT.sigma_rad_per_sqrt_m)
     turned = DRIFT.variances(0.0, 4.0)
-    assert math.sqrt(turned[0] - still[0]) == pytest.approx(2 * DRIFT.m_of_turn)
-    assert math.sqrt(turned[1] - still[1]) == pytest.approx(2 * DRIFT.rad)
+    assert math.sqrt(turned[0] - still[0]) == pytest.approx(2 * DRIFT.sigma_m_per_sqrt_rad)
+    assert math.sqrt(turned[1] - still[1]) == pytest.approx(2 * DRIFT.sigma_rad_per_sqrt_rad)
 
 
 @pytest.mark.parametrize("count", [1, 7, 10, 11, 95])

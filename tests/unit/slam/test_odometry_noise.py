@@ -79,7 +79,7 @@ def test_noise_of_increments_is_compounded_as_draws_of_them_are(drive):
             break
         expected = state.odometry_covariance
         assert expected is not None
-    noise = OdometryNoise.told(state, measurements[k + 1][0], matched=False)
+    noise = OdometryNoise.from_reading(state, measurements[k + 1][0], matched=False)
     np.testing.assert_allclose(noise.covariance, SKEWED, rtol=1e-9)  # begins anew at the key scan
     # Linear in noise of 1 to 7 degrees: a few percent; 20000 draws: one percent.
     moved = between(np.zeros(3), drawn)

@@ -67,7 +67,9 @@ def test_what_follows_a_recognized_place_is_known(drives):
 def test_where_the_way_back_is_certain_places_are_known_without_a_search(drives):
     """Tracked without an error, and the drift says so."""
     seen, closure_state = drives[3], LoopClosureState()
-    certain = DriftModel(m=0.005, rad_of_way=0.0003, rad=0.001, m_of_turn=0.002)
+    certain = DriftModel(
+        sigma_m_per_sqrt_m=0.005, sigma_rad_per_sqrt_m=0.0003, sigma_rad_per_sqrt_rad=0.001, sigma_m_per_sqrt_rad=0.002
+    )
     told = hall.remember(closure_state, seen, seen.truth, drift=certain)
     assert told == []
     assert (
@@ -129,7 +131,7 @@ def test_where_places_are_alike_none_is_recognized(kind, seed):
     """Rooms, wings and corridors like others before, hardly ever the same ones; the drift would allow for them."""
     seen, closure_state = driven(deceptive(kind, seed)), LoopClosureState()
     poses = hall.tracked(seen.truth, 0.0007, 1.01)
-    hall.remember(closure_state, seen, poses, drift=DriftModel(m=0.1, rad_of_way=0.006))
+    hall.remember(closure_state, seen, poses, drift=DriftModel(sigma_m_per_sqrt_m=0.1, sigma_rad_per_sqrt_m=0.006))
     assert (hall.errors(seen.truth, hall.trusted(closure_state)) < [0.5, 0.09]).all()
     assert not any(constraint.source is ConstraintSource.RECOGNIZED for constraint in closure_state.graph.constraints)
     assert sum(closure_state.rejected.values()) > 3
@@ -148,6 +150,9 @@ def test_a_bare_corridor_driven_twice_has_no_place_along_it():
     beams, closure_state = list(seen.beams[:once]), LoopClosureState()
     again = hall.Seen(np.concatenate([there, there[::-1], there]), [*beams, *beams[::-1], *beams])
     hall.remember(
-        closure_state, again, hall.tracked(again.truth, 0.0005, 1.01), drift=DriftModel(m=0.1, rad_of_way=0.006)
+        closure_state,
+        again,
+        hall.tracked(again.truth, 0.0005, 1.01),
+        drift=DriftModel(sigma_m_per_sqrt_m=0.1, sigma_rad_per_sqrt_m=0.006),
     )
     assert not any(constraint.source is ConstraintSource.RECOGNIZED for constraint in closure_state.graph.constraints)

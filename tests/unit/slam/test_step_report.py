@@ -107,7 +107,9 @@ def test_between_key_scans_a_random_walk_is_added(run):
             key = report.covariance
             continue
         moved = math.hypot(*report.key_from_base[:2]) + abs(report.key_from_base[2])
-        drift = moved * np.square([slam.confidence.drift_m, slam.confidence.drift_m, slam.confidence.drift_rad])
+        drift = moved * np.square(
+            [slam.reports.drift_sigma_m, slam.reports.drift_sigma_m, slam.reports.drift_sigma_rad]
+        )
         np.testing.assert_allclose(report.covariance - key, np.diag(drift), atol=1e-15)
 
 
@@ -206,7 +208,7 @@ def assert_axis_told(runs):
     """The axis is told as a unit vector; the map's x axis is where the robot looked at first."""
     for reports, _, _ in runs:
         keys = [report for report in reports[1:] if not report.skipped]
-        told = [report.undetermined for report in keys if report.undetermined is not None]
+        told = [report.degenerate_direction for report in keys if report.degenerate_direction is not None]
         assert len(keys) > 12
         assert len(told) > 0.9 * len(keys)
         assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in told)
@@ -244,4 +246,4 @@ def room_drive():
 
 def test_a_closed_room_determines_everything(play):
     _, reports = play(GridFastSlam(), room_drive().measurements, particles=PARTICLES)
-    assert all(report.undetermined is None for report in reports)
+    assert all(report.degenerate_direction is None for report in reports)

@@ -58,7 +58,7 @@ def turned_wrong(told, log):
 
 
 def order(state):
-    return TrackerDeskew().order(state.sensors["laser"])
+    return TrackerDeskew().find_order(state.sensors["laser"])
 
 
 @pytest.mark.parametrize("with_odometry", [True, False])
