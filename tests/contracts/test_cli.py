@@ -166,7 +166,7 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupt_during_the_last_word_leaves_nothing(call, log, tmp_path, monkeypatch, number):
+def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, monkeypatch, number):
     monkeypatch.setattr(progress_module.Progress, "show_refinement", lambda _: os.kill(os.getpid(), number))
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
@@ -182,7 +182,7 @@ def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
     assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
 
 
-def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
+def test_progress_goes_on_during_final_refinement(capsys, monkeypatch):
     seconds = iter([0.0, 1.0, 6.0, 7.0, 10.9, 11.5])
     monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     with progress_module.progress(LogStatistics) as show:

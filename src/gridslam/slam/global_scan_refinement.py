@@ -236,10 +236,8 @@ class GlobalScanRefinement:
     def _is_converged(self, graph: PoseGraph, constraints: int) -> bool:
         """Whether nearly all ties are where the graph's poses have them: solving would only average their noise."""
         missed = graph.errors()[len(graph.edges) - constraints :, :2]
-        return (
-            constraints > 0
-            and float(np.mean(np.hypot(missed[:, 0], missed[:, 1]) < self.converged_m)) > self.converged_ratio
-        )
+        near = np.hypot(missed[:, 0], missed[:, 1]) < self.converged_m
+        return constraints > 0 and float(np.mean(near)) > self.converged_ratio
 
     def _refine(
         self, name: str, closure_state: LoopClosureState, recognized: list[Constraint], constraints: list[Constraint],

@@ -135,7 +135,8 @@ class GridFastSlam:
         """
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
-        poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
+        is_count = isinstance(particles, int | np.integer)
+        poses = at_pose(int(particles), pose) if is_count else _check_particles(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = scan.beams(self.range_min_m, self.range_max_m)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
@@ -217,7 +218,7 @@ class GridFastSlam:
         return None if len(beams) else SkipReason.NO_VALID_BEAM
 
 
-def _given(particles: object) -> FloatArray:
+def _check_particles(particles: object) -> FloatArray:
     """Poses (N, 3) that were given as particles, copied."""
     try:
         poses = np.array(particles, np.float64)

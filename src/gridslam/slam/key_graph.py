@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.slam.constraints import Constraint, ConstraintSource, constraints_from_arrays, constraints_to_arrays
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.submap_distance import Moments, SubmapDistance, compute_moments, covariances
+from gridslam.slam.submap_distance import Moments, SubmapDistance, compute_moments, propagate_covariances
 from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, first_key_scan, submap_of
 from gridslam.types import FloatArray, IntArray
 
@@ -37,7 +37,7 @@ class KeyGraph:
     Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
-    __slots__ = ("_gaps", "_links", "_steps", "_sums", "constraints", "poses", "tracked", "variances")
+    __slots__ = ("_gap_counts", "_links", "_steps", "_sums", "constraints", "poses", "tracked", "variances")
 
     def __init__(self) -> None:
         """Begin without any key scan."""
@@ -45,7 +45,7 @@ class KeyGraph:
         self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
         self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
         self.constraints: list[Constraint] = []
-        self._gaps: list[int] = []  # blind stretches of way up to each key scan
+        self._gap_counts: list[int] = []  # blind stretches of way up to each key scan
         self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
         self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
         # submap -> submap -> the first seen from the second (3,), and the moments (7,), of the best tie
@@ -161,7 +161,7 @@ class KeyGraph:
         """Where a key scan is as seen from submaps, by the ways there."""
         firsts = np.array([self.tracked[first_key_scan(submap)] for submap in ways])
         poses = between(firsts, np.array([end for _, end in ways.values()]))
-        spreads = covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
+        spreads = propagate_covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
         return [SubmapDistance(*found) for found in zip(ways, poses, spreads, strict=True)]
 
     def label_rigid_components(self) -> IntArray:
@@ -169,7 +169,7 @@ class KeyGraph:
 
         Between two pieces the robot went on blindly, and no tie that is more than believed leads from one to the other.
         """
-        labels = np.array(self._gaps)
+        labels = np.array(self._gap_counts)
         if not labels[-1]:
             return labels
         roots = np.arange(labels[-1] + 1)
@@ -183,7 +183,7 @@ class KeyGraph:
 
     def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
         """Those of consecutive key scans (K,) that no blind stretch of way divides from `anchor`, one of them."""
-        side = np.array(self._gaps[keys[0] : keys[-1] + 1])
+        side = np.array(self._gap_counts[keys[0] : keys[-1] + 1])
         here: IntArray = keys[side == side[anchor - keys[0]]]
         return here
 
@@ -214,7 +214,7 @@ class KeyGraph:
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
-        for name in ("tracked", "poses", "variances", "constraints", "_gaps", "_sums", "_steps"):
+        for name in ("tracked", "poses", "variances", "constraints", "_gap_counts", "_sums", "_steps"):
             setattr(twin, name, getattr(self, name).copy())
         twin._links = {submap: links.copy() for submap, links in self._links.items()}
         return twin
@@ -260,9 +260,9 @@ class KeyGraph:
 
     def _count_gaps(self) -> None:
         """Count the blind stretches up to the key scans that are new."""
-        for position, heading in self.variances[len(self._gaps) :]:
-            before = self._gaps[-1] if self._gaps else 0
-            self._gaps.append(before + (position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2))
+        for position, heading in self.variances[len(self._gap_counts) :]:
+            before = self._gap_counts[-1] if self._gap_counts else 0
+            self._gap_counts.append(before + (position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2))
 
     def _add_steps(self) -> None:
         """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""

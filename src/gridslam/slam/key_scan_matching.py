@@ -84,10 +84,8 @@ class KeyScanMatching:
                 match = recompute_information(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
                 moved = between(guess, match.poses[0])
                 score = float(match.score[0])
-                if (
-                    score < max(self.inlier_ratio * len(beams), 1.0)
-                    or np.hypot(moved[0], moved[1]) > self.max_correction_m
-                ):
+                too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m
+                if score < max(self.inlier_ratio * len(beams), 1.0) or too_far:
                     continue
                 yield Constraint.from_match(
                     anchor, key, guess, match, self.beam_sigma_m, self.min_information, ConstraintSource.PROXIMITY

@@ -146,15 +146,8 @@ class LoopClosureState:
             ("graph", self.graph.to_arrays()),
         ]  # fmt: skip
         if (pending := self.pending_constraints) is not None:
-            arrays["pending_constraints"] = np.array(
-                [
-                    pending.keys,
-                    pending.constraints,
-                    pending.new,
-                    pending.steps,
-                ],
-                np.int64,
-            )
+            counts = [pending.keys, pending.constraints, pending.new, pending.steps]
+            arrays["pending_constraints"] = np.array(counts, np.int64)
         if self.correction is not None:
             arrays["correction.poses"] = self.correction.poses
             arrays["correction.inserted"] = np.array(self.correction.inserted, np.int64)

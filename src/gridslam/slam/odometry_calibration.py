@@ -183,12 +183,12 @@ class OdometryCalibration:
             errors.position = keep * errors.position + weights[0] * rows[:, :4].T @ rows
         row = np.array([[theta, x, theta + math.remainder(turned - theta, math.tau)]])
         errors.heading = keep * errors.heading + weights[1] * row[:, :2].T @ row
-        solved = self._solved(errors.position, _EXACT[:4]), self._solved(errors.heading, _EXACT[4:])
+        solved = self._solve(errors.position, _EXACT[:4]), self._solve(errors.heading, _EXACT[4:])
         errors.factors = np.concatenate(solved)
         errors.segments = keep * errors.segments + 1
         news = np.minimum(squares, 9 * errors.variances) - errors.variances
         errors.variances = errors.variances + news * [errors.determined, True] / (errors.segments + 10)
 
-    def _solved(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
+    def _solve(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
         matrix = equations[:, :-1] + self.prior * np.eye(len(exact))
         return np.asarray(np.linalg.solve(matrix, equations[:, -1] + self.prior * exact), np.float64)

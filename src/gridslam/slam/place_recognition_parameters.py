@@ -122,10 +122,8 @@ class PlaceRecognitionParameters:
 
     def is_inlier_match(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
         """Whether enough of points (B, 2), seen from a pose, lie in what the map knows, and agree with it."""
-        return (
-            checks.compute_inlier_ratio(maps, pose, points, self.min_overlap, self.matcher.cauchy_m)
-            >= self.inlier_ratio
-        )
+        ratio = checks.compute_inlier_ratio(maps, pose, points, self.min_overlap, self.matcher.cauchy_m)
+        return ratio >= self.inlier_ratio
 
     def is_within_gate(self, covariance: FloatArray, missed: FloatArray) -> bool:
         """Whether the drift explains what a match differs by (3,)."""

@@ -82,13 +82,14 @@ def _check_ambiguity(
     anchors = np.array([graph.poses[anchor_of(b)] for b in submaps])
     submap = submaps[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
     anchor = graph.poses[anchor_of(submap)]
-    seen, max_correction_m = between(anchor, found.pose), 3 * places.certain_sigma_m
+    in_submap = between(anchor, found.pose)
+    max_correction_m = 3 * places.certain_sigma_m
     constraint = places.match_to(
-        maps, anchor, closure_state, key, submap, seen, max_correction_m, ConstraintSource.RECOGNIZED
+        maps, anchor, closure_state, key, submap, in_submap, max_correction_m, ConstraintSource.RECOGNIZED
     )
-    return (
-        constraint if isinstance(constraint, RejectionReason) or constraint.determined else RejectionReason.DEGENERATE
-    )
+    if isinstance(constraint, Constraint) and not constraint.determined:
+        return RejectionReason.DEGENERATE
+    return constraint
 
 
 def find_candidate_submaps(places: PlaceRecognitionParameters, graph: KeyGraph, key: int) -> list[list[SubmapDistance]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["Moments", "SubmapDistance", "compute_moments", "covariances"]
+__all__ = ["Moments", "SubmapDistance", "compute_moments", "propagate_covariances"]
 
 Moments = tuple[float, ...]
 """The sums along a way of what `compute_moments` tells of its steps."""
@@ -39,7 +39,7 @@ def compute_moments(poses: FloatArray, spread: FloatArray) -> FloatArray:
     )
 
 
-def covariances(pose: FloatArray, moments: FloatArray) -> FloatArray:
+def propagate_covariances(pose: FloatArray, moments: FloatArray) -> FloatArray:
     """Covariances (K, 3, 3) of a pose (3,): a heading error in q moves it across, by the distance from q."""
     position, s, sx, sy, sxx, sxy, syy = moments.T
     x, y, _ = pose.tolist()

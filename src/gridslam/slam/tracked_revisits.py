@@ -75,10 +75,9 @@ def _predict_from_filter(
     places: PlaceRecognitionParameters, closure_state: LoopClosureState, oldest: int
 ) -> tuple[int, FloatArray] | None:
     """The old submap nearest to where the filter has the robot, and the robot's pose in its frame."""
-    anchors, here = (
-        np.array(closure_state.online_poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP]),
-        closure_state.online_poses[-1],
-    )
+    poses = closure_state.online_poses
+    anchors = np.array(poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP])
+    here = poses[-1]
     away = np.hypot(*(anchors[:, :2] - here[:2]).T)
     submap = int(away.argmin())
     return (submap, between(anchors[submap], here)) if away[submap] < places.max_distance_m else None

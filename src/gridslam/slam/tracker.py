@@ -186,11 +186,8 @@ class Tracker:
         found = self._match_from_odometry(state, predicted, joint)
         if found.inlier_ratio < self.search_inlier_ratio:  # it may be the odometry that is wrong: a reading came late
             other = self._locate_by_search(state, predicted, joint)
-            convinces = (
-                other.inlier_ratio >= self.search_inlier_ratio
-                and other.inlier_ratio - found.inlier_ratio > self.slip_inlier_gain
-            )
-            found = other if convinces else found
+            is_better = other.inlier_ratio - found.inlier_ratio > self.slip_inlier_gain
+            found = other if is_better and other.inlier_ratio >= self.search_inlier_ratio else found
         return found
 
     def _locate_by_search(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:

@@ -106,10 +106,8 @@ class OdometrySearch:
 
     def __call__(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search the local map for a scan around where the odometry predicts it."""
-        pyramid, best = (
-            Pyramid.of(state.maps, state.matched_map),
-            PoseEstimate(predicted.pose, predicted, matched=True, lost=True),
-        )
+        pyramid = Pyramid.of(state.maps, state.matched_map)
+        best = PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         learned_m, learned_rad = np.sqrt(state.odometry_errors.variances).tolist()
         sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
         for gate, gain in zip(self.gate_sigmas, self.inlier_gains, strict=True):
@@ -125,11 +123,8 @@ class OdometrySearch:
         if place is None or place.other_share > self.ambiguity_ratio * place.share:
             return best
         found = self._refine(state, place.pose, predicted, beams)
-        return (
-            found
-            if found.inlier_ratio >= max(self.global_inlier_ratio, best.inlier_ratio + self.global_inlier_gain)
-            else best
-        )
+        needed = max(self.global_inlier_ratio, best.inlier_ratio + self.global_inlier_gain)
+        return found if found.inlier_ratio >= needed else best
 
     def _refine(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""
@@ -144,5 +139,5 @@ class OdometrySearch:
         known = maps.known(state.matched_map, transform_points(at, beams.ends))
         away = maps.distances(row, at[None], beams.ends)[0, known]
         agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
-        share = agreeing / max(len(away), self.min_overlap * len(beams))
-        return PoseEstimate(at, predicted, matched=True, lost=False, inlier_ratio=share, determined=weak is None)
+        inlier_ratio = agreeing / max(len(away), self.min_overlap * len(beams))
+        return PoseEstimate(at, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)

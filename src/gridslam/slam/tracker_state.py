@@ -174,9 +174,7 @@ class TrackerState:
         odometry_errors = OdometryErrorModel.from_arrays(
             {n.removeprefix("odometry_errors."): a for n, a in arrays.items() if n.startswith("odometry_errors.")}
         )
-        stamp_ns, active, first, second, blind, rejected_odometry, stamps_unreliable = (
-            int(v) for v in arrays["counters"]
-        )
+        stamp_ns, active, first, second, unlocalized, rejected, unreliable = (int(v) for v in arrays["counters"])
         rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
         period_s, mean_step = arrays["rates"].tolist()
         parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
@@ -187,8 +185,8 @@ class TrackerState:
         return cls(
             maps, stamp_ns=stamp_ns, odometry_errors=odometry_errors,
             sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)), period_s=period_s,
-            mean_step=mean_step, stamps_unreliable=bool(stamps_unreliable), matched_map=active, scans=(first, second),
-            unlocalized_scans=blind, rejected_odometry=rejected_odometry, rejected_match_m2=rejected_match_m2,
+            mean_step=mean_step, stamps_unreliable=bool(unreliable), matched_map=active, scans=(first, second),
+            unlocalized_scans=unlocalized, rejected_odometry=rejected, rejected_match_m2=rejected_match_m2,
             rejected_match_rad2=rejected_match_rad2, **{name: np.array(arrays[name], np.float64) for name in _POSES},
         )  # fmt: skip
 

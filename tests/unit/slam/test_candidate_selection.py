@@ -76,7 +76,7 @@ def test_the_best_and_its_map_belong_together_after_every_candidate():
         assert held.scores[held.best.name].log_likelihood == max(likelihoods[: k + 1])
 
 
-def test_believed_ties_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
+def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
     constraints = [
         Constraint(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)
         for source in (

@@ -75,7 +75,7 @@ def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents
     assert saved.state.closure_state.rejected == whole[0].closure_state.rejected
 
 
-def test_the_last_word_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
+def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
     first = SavedRun(CONFIG, None, np.random.default_rng(7))
     state = run(loop.measurements, SLAM, particles=3, rng=first.rng, observers=[first.trajectory])
     before = contents(state)

@@ -48,7 +48,7 @@ def aligned(closure_state, alignment=None):
     return (alignment or ComponentAlignment())(closure_state, hall.MAPPER, PlaceRecognition(), lambda: None)
 
 
-def test_a_piece_is_laid_where_its_key_scans_fit(seen):
+def test_a_component_is_laid_where_its_key_scans_fit(seen):
     constraints = aligned(interrupted(seen, LAP + 5))
     assert len(constraints) >= 10
     assert all(

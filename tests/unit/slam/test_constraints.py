@@ -21,7 +21,7 @@ def match_at(pose, information, score=100.0):
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi / 2, -2.3])
-def test_a_tie_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
+def test_a_constraint_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
     """e' Omega e = d' I d for a small displacement d in the submap's frame, and e = between(measured, displaced)."""
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(3, 3))
@@ -68,7 +68,7 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_arrays_hold_every_tie(count):
+def test_arrays_hold_every_constraint(count):
     rng = np.random.default_rng(count)
     constraints = [
         Constraint(

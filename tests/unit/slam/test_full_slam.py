@@ -50,7 +50,7 @@ def test_the_filter_alone_is_the_best_particles_past(loop):
     assert headings[0] == 0 < headings[len(headings) // 2] < headings[-1]
 
 
-def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
+def test_loops_make_the_end_as_certain_as_what_it_was_matched_to(loop, closed):
     _, _, answer = closed
     _, _, alone = answered(OFF, loop.measurements)
     assert answer.covariances.shape == alone.covariances.shape == (len(loop.measurements), 3, 3)
@@ -58,7 +58,7 @@ def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
     assert answer.covariances[-1].trace() < 0.2 * alone.covariances[-1].trace()
 
 
-def test_closures_are_recognized_ties_and_true(loop, closed):
+def test_closures_are_recognized_constraints_and_true(loop, closed):
     _, recorder, answer = closed
     loops = answer.loop_summary
     assert len(loops.closures) == loops.constraints[ConstraintSource.RECOGNIZED] > 0
@@ -79,7 +79,7 @@ def test_the_trajectory_is_near_the_truth(loop, closed):
     assert absolute_errors(estimate, loop.truth).trans_rmse_m < 0.06  # about a cell, after 80 m
 
 
-def test_the_last_word_ticks_and_can_be_interrupted(loop):
+def test_final_refinement_ticks_and_can_be_interrupted(loop):
     def stop():
         raise KeyboardInterrupt
 

@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.key_graph import KeyGraph
-from gridslam.slam.submap_distance import covariances
+from gridslam.slam.submap_distance import propagate_covariances
 from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP
 
 DRIFT = DriftModel()
@@ -125,7 +125,7 @@ def test_the_covariance_does_not_depend_on_where_the_map_has_its_origin(start):
         np.testing.assert_allclose(other.covariance, expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_tie_is_a_shortcut_and_the_pose_is_composed_along_it():
+def test_a_constraint_is_a_shortcut_and_the_pose_is_composed_along_it():
     graph = chain(200)
     before = nearby(graph)
     closing = constraint(graph, 15, 185, off=(0.4, -0.3, 0.1))
@@ -150,7 +150,7 @@ def test_a_tie_is_a_shortcut_and_the_pose_is_composed_along_it():
     np.testing.assert_allclose(after[0].covariance, propagated(graph, steps_of_way) + of_tie, rtol=1e-6)
 
 
-def test_a_poor_tie_is_no_shortcut_nor_is_one_that_leaves_a_direction_open():
+def test_a_poor_constraint_is_no_shortcut_nor_is_one_that_leaves_a_direction_open():
     graph = chain(100)
     before = nearby(graph)
     graph.add(constraint(graph, 5, 95, information=1e-2, off=(1.0, 0.0, 0.0)))
@@ -160,7 +160,7 @@ def test_a_poor_tie_is_no_shortcut_nor_is_one_that_leaves_a_direction_open():
         np.testing.assert_array_equal(found.covariance, before[submap].covariance)
 
 
-def test_of_two_ties_the_better_one_is_taken_whichever_comes_first():
+def test_of_two_constraints_the_better_one_is_taken_whichever_comes_first():
     ways = []
     for order in ((0, 1), (1, 0)):
         graph = chain(100)
@@ -196,7 +196,7 @@ def test_no_way_through_the_graph_is_more_certain(seed):
             hops = list(itertools.pairwise((6, *way)))
             if all(b in ways[a] for a, b in hops):
                 total = start + sum(ways[a][b] for a, b in hops)
-                covariance = covariances(graph.poses[-1], total[None])[0]
+                covariance = propagate_covariances(graph.poses[-1], total[None])[0]
                 least[way[-1]] = min(least[way[-1]], np.trace(covariance[:2, :2]))
     found = nearby(graph)
     for submap, variance in least.items():
@@ -235,7 +235,7 @@ def test_the_search_ends_where_it_is_told_to():
     ]
 
 
-def test_the_pose_graph_holds_the_trusted_chain_and_then_the_ties():
+def test_the_pose_graph_holds_the_trusted_chain_and_then_the_constraints():
     graph = chain(40)
     graph.add(constraint(graph, 5, 33, off=(0.1, 0.2, 0.0)))
     graph.add(constraint(graph, 15, 37))
@@ -251,7 +251,7 @@ def test_the_pose_graph_holds_the_trusted_chain_and_then_the_ties():
     assert told.trusted.tolist() == [True] * 39 + [False] * 2
 
 
-def test_a_graph_without_ties_is_its_chain():
+def test_a_graph_without_constraints_is_its_chain():
     told = chain(12).graph()
     assert told.edges.shape == (11, 2)
     assert told.trusted.all()
@@ -265,7 +265,7 @@ def bent(graph, seed=3):
     return poses
 
 
-def test_a_correction_moves_poses_and_keeps_ties():
+def test_a_correction_moves_poses_and_keeps_constraints():
     graph = chain(200)
     graph.add(constraint(graph, 15, 185, off=(0.4, -0.3, 0.1)))
     constraints, before = copy.deepcopy(graph.constraints), nearby(graph)

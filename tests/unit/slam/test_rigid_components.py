@@ -38,7 +38,7 @@ def told(graph):
     return [[k for k, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]
 
 
-def test_without_a_gap_there_is_one_piece_whatever_is_tied():
+def test_without_a_gap_there_is_one_component_whatever_is_constrained():
     graph = chain(40)
     assert told(graph) == [list(range(40))]
     graph.add(constraint(graph, 3, 35, ConstraintSource.PROXIMITY))
@@ -46,7 +46,7 @@ def test_without_a_gap_there_is_one_piece_whatever_is_tied():
 
 
 @pytest.mark.parametrize("at", [1, 17, 20, 39])
-def test_a_gap_makes_two_pieces_and_the_scan_it_leads_to_belongs_to_the_second(at):
+def test_a_gap_makes_two_components_and_the_scan_it_leads_to_belongs_to_the_second(at):
     assert told(chain(40, [at])) == [list(range(at)), list(range(at, 40))]
 
 
@@ -68,21 +68,21 @@ def test_a_gap_is_where_the_position_or_the_heading_is_next_to_unknown(variances
 
 @pytest.mark.parametrize("source", ConstraintSource)
 @pytest.mark.parametrize("determined", [True, False])
-def test_only_a_tie_that_is_known_and_determined_joins_two_pieces(source, determined):
+def test_only_a_constraint_that_is_known_and_determined_joins_two_components(source, determined):
     graph = chain(40, [20])
     graph.add(constraint(graph, 5, 33, source, determined=determined))
     joined = determined and source in (ConstraintSource.TRACKED, ConstraintSource.RECOGNIZED)
     assert len(told(graph)) == (1 if joined else 2)
 
 
-def test_a_tie_within_a_piece_joins_nothing():
+def test_a_constraint_within_a_component_joins_nothing():
     graph = chain(40, [20])
     graph.add(constraint(graph, 2, 19))
     graph.add(constraint(graph, 20, 39))
     assert len(told(graph)) == 2
 
 
-def test_pieces_are_joined_through_others_in_whatever_order_the_ties_came():
+def test_components_are_joined_through_others_in_whatever_order_the_constraints_came():
     """0-9, 10-19, 20-29, 30-39, 40-49: the last to the second, that to the fourth; the third to the first."""
     ends = [(15, 45), (12, 33), (5, 22), (18, 39)]
     whole = [[*range(10), *range(20, 30)], [*range(10, 20), *range(30, 50)]]
@@ -103,7 +103,7 @@ def test_unbroken_keeps_the_side_of_the_anchor_only(anchor, kept):
     assert graph.select_without_gap(np.arange(10, 20), anchor).tolist() == list(kept)
 
 
-def test_a_tie_over_a_gap_leaves_it_a_gap_for_what_is_drawn_as_tracked():
+def test_a_constraint_over_a_gap_leaves_it_a_gap_for_what_is_drawn_as_tracked():
     """Where the scans lie about each other is known then, but not as the tracker has it."""
     graph = chain(40, [14])
     graph.add(constraint(graph, 12, 16))
