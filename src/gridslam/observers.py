@@ -27,13 +27,13 @@ class TrajectoryRecorder:
     Memory is 64 bytes a scan.
     """
 
-    __slots__ = ("_from_key", "_keys", "_online", "_stamps_ns", "_steps")
+    __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns", "_steps")
 
     def __init__(self) -> None:
         """Begin without any scan; the first one must be the filter's first."""
         self._steps = 0
         self._stamps_ns, self._keys = array("q"), array("q")
-        self._online, self._from_key = array("d"), array("d")
+        self._online, self._key_from_base = array("d"), array("d")
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Take note of one scan."""
@@ -41,15 +41,15 @@ class TrajectoryRecorder:
         self._stamps_ns.append(report.stamp_ns)
         self._keys.append(self._steps - 1)
         self._online.extend(report.pose.tolist())
-        self._from_key.extend(report.key_from_base.tolist())
+        self._key_from_base.extend(report.key_from_base.tolist())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `from_key` (N, 3) float64."""
+        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `key_from_base` (N, 3) float64."""
         return {
             "stamps_ns": _integers(self._stamps_ns),
             "keys": self.keys,
             "online": _poses(self._online),
-            "from_key": self.from_key,
+            "key_from_base": self.key_from_base,
         }
 
     @classmethod
@@ -60,7 +60,7 @@ class TrajectoryRecorder:
             ("stamps_ns", self._stamps_ns, (count,)),
             ("keys", self._keys, (count,)),
             ("online", self._online, (count, 3)),
-            ("from_key", self._from_key, (count, 3)),
+            ("key_from_base", self._key_from_base, (count, 3)),
         ):
             _take(kept, arrays, name, shape)
         self._steps = self._keys[-1] + 1 if count else 0
@@ -72,9 +72,9 @@ class TrajectoryRecorder:
         return _integers(self._keys)
 
     @property
-    def from_key(self) -> FloatArray:
+    def key_from_base(self) -> FloatArray:
         """Tracked motion of each scan since the key scan before it: (N, 3) float64."""
-        return _poses(self._from_key)
+        return _poses(self._key_from_base)
 
     def online(self) -> Trajectory:
         """Give the online-SLAM answer: what the best particle said at the time of each scan."""
@@ -82,7 +82,7 @@ class TrajectoryRecorder:
 
     def full(self, state: GridFastSlamState) -> Trajectory:
         """Give the past of the best particle of `state`, a pose for every scan: the filter's full-SLAM answer."""
-        poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.from_key)
+        poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.key_from_base)
         return Trajectory(_integers(self._stamps_ns), poses)
 
 

@@ -108,7 +108,8 @@ def map_log(
     if not keep_particles:
         state.keep_best()
     full = full_slam(
-        state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.final_refinement, on_progress
+        state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement,
+        on_progress,
     )  # fmt: skip
     watch.lap("final refinement")
     return _result(full, state, maps_bytes, trajectory, statistics, record, source, config, seed, threads, watch)

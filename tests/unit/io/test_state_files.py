@@ -76,7 +76,7 @@ def file(measurements, tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/2, got gridslam.saved_run/1"),
+        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/3, got gridslam.saved_run/1"),
         ("configuration", "particles = 0", "particles: expected a whole number"),
         ("configuration", None, "a text named configuration"),
         ("generator", "{}", "generator: expected the state of PCG64"),

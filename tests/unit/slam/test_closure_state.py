@@ -83,7 +83,12 @@ def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, co
     read = read_state(tmp_path / "run.npz")
     words = [
         full_slam(
-            s, first.trajectory.keys, first.trajectory.from_key, CONFIG.mapper, CONFIG.closure, CONFIG.final_refinement
+            s,
+            first.trajectory.keys,
+            first.trajectory.key_from_base,
+            CONFIG.mapper,
+            CONFIG.closure,
+            CONFIG.final_refinement,
         )
         for s in (state, state, read.state)
     ]

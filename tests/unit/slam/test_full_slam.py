@@ -27,8 +27,8 @@ def answered(config, measurements, on_progress=lambda: None):
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    keys, from_key = recorder.keys, recorder.from_key
-    answer = full_slam(state, keys, from_key, config.mapper, config.closure, config.final_refinement, on_progress)
+    keys, key_from_base = recorder.keys, recorder.key_from_base
+    answer = full_slam(state, keys, key_from_base, config.mapper, config.closure, config.final_refinement, on_progress)
     return state, recorder, answer
 
 

@@ -46,7 +46,9 @@ def refine(
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
     closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
-    said = refinement(closure_state, trajectory, recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, on_progress)
+    said = refinement(
+        closure_state, trajectory, recorder.keys, recorder.key_from_base, SLAM.mapper, CLOSURE, on_progress
+    )
     return Refined(log, state, recorder, closure_state, said)
 
 
@@ -115,7 +117,7 @@ def test_it_says_what_it_solved(halls):
 
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):
     one = halls[0]
-    bent = full_trajectory(one.refinement.best.graph.poses, one.recorder.keys, one.recorder.from_key)
+    bent = full_trajectory(one.refinement.best.graph.poses, one.recorder.keys, one.recorder.key_from_base)
     moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
     assert moved.max() <= REFINEMENT.scan_max_correction_m
     assert 0 < np.median(moved) < 0.05
@@ -141,7 +143,7 @@ def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
     closure_state = untied.state.closure_state.snapshot()
     moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
-    REFINEMENT(closure_state, moved, untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
+    REFINEMENT(closure_state, moved, untied.recorder.keys, untied.recorder.key_from_base, SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 
