@@ -30,7 +30,8 @@ from report import Report, table
 __all__ = ["LOOSE", "main", "revisits"]
 
 _ROOT = Path(__file__).resolve().parent.parent
-LOOSE = tuple(f"closure.recognition.{it}" for it in ("share=0.4", "other_share=1.0", "confirmations=1", "through=1.0"))
+_LOOSE = "inlier_ratio=0.4", "ambiguity_ratio=1.0", "min_confirmations=1", "max_through_walls_ratio=1.0"
+LOOSE = tuple(f"closure.recognition.{it}" for it in _LOOSE)
 """A gate that lets through what it should not."""
 
 _RULES = "1"

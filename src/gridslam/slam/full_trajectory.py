@@ -30,10 +30,10 @@ def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatA
     """
     arrivals = _find_later_key_scans(keys)
     since = _motion_since_key_scan(key_from_base, arrivals)
-    missed = np.zeros_like(key_poses)
-    missed[:-1] = between(compose(key_poses[:-1], key_from_base[arrivals]), key_poses[1:])
-    share = path_fractions(keys, key_from_base)
-    return compose(compose(key_poses[keys], since), share[:, None] * missed[keys])
+    residual = np.zeros_like(key_poses)
+    residual[:-1] = between(compose(key_poses[:-1], key_from_base[arrivals]), key_poses[1:])
+    fraction = path_fractions(keys, key_from_base)
+    return compose(compose(key_poses[keys], since), fraction[:, None] * residual[keys])
 
 
 def path_fractions(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -47,8 +47,8 @@ def path_fractions(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
     driven = np.concatenate([[0.0], np.cumsum(moved)])
     starts = driven[np.append(0, arrivals)]
     whole = np.append(np.maximum(np.diff(starts), 1e-12), 1.0)
-    share: FloatArray = (driven - starts[keys]) / whole[keys]
-    return share
+    fraction: FloatArray = (driven - starts[keys]) / whole[keys]
+    return fraction
 
 
 def _find_later_key_scans(keys: IntArray) -> IntArray:

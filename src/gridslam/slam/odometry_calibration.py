@@ -58,7 +58,7 @@ class OdometryErrorModel:
     begin_odometry: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     determined: bool = True
 
-    def corrected(self, increment: FloatArray) -> FloatArray:
+    def correct_increment(self, increment: FloatArray) -> FloatArray:
         """The increment (3,) of the odometry without its systematic errors."""
         x, y, theta = increment.tolist()
         a, c, p, q, g, b = self.factors.tolist()
@@ -130,7 +130,7 @@ class OdometryCalibration:
         errors: OdometryErrorModel,
         pose: FloatArray,
         odometry: FloatArray,
-        believed: bool,
+        is_good_match: bool,
         determined: bool,
     ) -> None:
         """Take note of a scan that was matched.
@@ -141,41 +141,41 @@ class OdometryCalibration:
             Updated at the end of a stretch.
         pose, odometry : (3,) float64
             Of the scan, in the tracker's frame and in the odometry's; NaN where there is no odometry.
-        believed : bool
+        is_good_match : bool
             Whether the match was good; else a new stretch begins.
         determined : bool
             Whether the scan told where it was in all directions.
         """
         errors.determined &= determined
-        known = believed and not math.isnan(odometry[0] + errors.begin_odometry[0])
+        known = is_good_match and not math.isnan(odometry[0] + errors.begin_odometry[0])
         if known and not (self._is_long(pose - errors.begin_pose) or self._is_long(odometry - errors.begin_odometry)):
             return
         if known:
-            moved, told = between(errors.begin_pose, pose), between(errors.begin_odometry, odometry)
-            self._judge(errors, moved, told)
+            moved, measured = between(errors.begin_pose, pose), between(errors.begin_odometry, odometry)
+            self._update_trust(errors, moved, measured)
             if errors.trusted:
-                self._fit(errors, moved, told)
+                self._fit(errors, moved, measured)
         errors.begin_pose, errors.begin_odometry, errors.determined = pose, odometry, True
 
     def _is_long(self, difference: FloatArray) -> bool:
         x, y, turn = difference.tolist()
         return math.hypot(x, y) >= self.segment_m or abs(math.remainder(turn, math.tau)) >= self.segment_rad
 
-    def _judge(self, errors: OdometryErrorModel, moved: FloatArray, told: FloatArray) -> None:
+    def _update_trust(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Whether the odometry, as corrected, explains the motion."""
-        (x, y, turn), (dx, dy, left) = moved.tolist(), between(errors.corrected(told), moved).tolist()
-        new = [math.hypot(dx, dy), math.hypot(x, y), abs(left), abs(turn)]
+        (x, y, turn), (dx, dy, dtheta) = moved.tolist(), between(errors.correct_increment(measured), moved).tolist()
+        new = [math.hypot(dx, dy), math.hypot(x, y), abs(dtheta), abs(turn)]
         errors.sums = 0.95 * errors.sums + np.array(new)
         left_m, moved_m, left_rad, turned = errors.sums.tolist()
         limit = self.max_unexplained_ratio if errors.trusted else 0.5 * self.max_unexplained_ratio
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
         errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
-    def _fit(self, errors: OdometryErrorModel, moved: FloatArray, told: FloatArray) -> None:
+    def _fit(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
-        (x, y, theta), (mx, my, turned) = told.tolist(), moved.tolist()
-        left = between(errors.corrected(told), moved)
-        squares = np.array([0.5 * (left[0] ** 2 + left[1] ** 2), left[2] ** 2])
+        (x, y, theta), (mx, my, turned) = measured.tolist(), moved.tolist()
+        residual = between(errors.correct_increment(measured), moved)
+        squares = np.array([0.5 * (residual[0] ** 2 + residual[1] ** 2), residual[2] ** 2])
         weights = 1 / np.square(1 + squares / (4 * errors.variances))
         keep = 1 - 1 / self.forgetting_segments
         if errors.determined:
@@ -186,8 +186,8 @@ class OdometryCalibration:
         solved = self._solve(errors.position, _EXACT[:4]), self._solve(errors.heading, _EXACT[4:])
         errors.factors = np.concatenate(solved)
         errors.segments = keep * errors.segments + 1
-        news = np.minimum(squares, 9 * errors.variances) - errors.variances
-        errors.variances = errors.variances + news * [errors.determined, True] / (errors.segments + 10)
+        change = np.minimum(squares, 9 * errors.variances) - errors.variances
+        errors.variances = errors.variances + change * [errors.determined, True] / (errors.segments + 10)
 
     def _solve(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
         matrix = equations[:, :-1] + self.prior * np.eye(len(exact))

@@ -78,7 +78,7 @@ class OdometryNoise:
         moves = bool(increment.any())  # one reading may serve several scans
         covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
         since = between(tracker.matched_odometry, odometry.pose)
-        reached = compose(tracker.matched_pose, tracker.odometry_errors.corrected(since) if matched else since)
+        reached = compose(tracker.matched_pose, tracker.odometry_errors.correct_increment(since) if matched else since)
         return cls(base, reached, covariance)
 
     def add_to(self, sampler: MotionSampler, key_pose: FloatArray, predicted: FloatArray) -> MotionSampler:

@@ -53,7 +53,7 @@ class PlaceRecognition(PlaceRecognitionParameters):
         if found is None:
             return []
         if isinstance(found, RejectionReason):
-            self._reject(closure_state, found)
+            self._count_rejection(closure_state, found)
             return []
         closure_state.failed_searches, closure_state.next_search = 0, newest + self.search_interval
         recent = [*(h for h in closure_state.unconfirmed if newest - h.to <= 6 * self.search_interval), found]
@@ -125,7 +125,7 @@ class PlaceRecognition(PlaceRecognitionParameters):
         meanwhile = sum(group[0].to <= constraint.to <= group[-1].to for constraint in found)
         return len(group) >= max(self.min_confirmations, 2 * (meanwhile - len(group)) + 1)
 
-    def _reject(self, closure_state: LoopClosureState, reason: RejectionReason) -> None:
+    def _count_rejection(self, closure_state: LoopClosureState, reason: RejectionReason) -> None:
         """Count a place that was not believed; what fits nowhere is searched for less and less often."""
         closure_state.rejected[reason] += 1
         closure_state.failed_searches = (

@@ -54,11 +54,11 @@ def scan_covariances(
     drift : DriftModel
         How uncertain tracking is.
     """
-    share = path_fractions(keys, key_from_base)[:, None, None]
+    fraction = path_fractions(keys, key_from_base)[:, None, None]
     bridge = np.zeros_like(key_covariances)
     bridge[:-1, [0, 1, 2], [0, 1, 2]] = _variances(graph)[:, [0, 0, 1]]
     nearer, farther = key_covariances[keys], key_covariances[np.minimum(keys + 1, len(key_covariances) - 1)]
-    found: FloatArray = nearer + share * (farther - nearer) + share * (1 - share) * bridge[keys]
+    found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
     last = int(np.searchsorted(keys, len(key_covariances) - 1))
     found[last:] = key_covariances[-1]
     for scan in range(last + 1, len(keys)):

@@ -26,15 +26,15 @@ def match_tracked_revisit(
     graph = closure_state.graph
     newest = len(graph) - 1
     oldest = submap_of(newest) - places.recent_submaps
-    followed = _predict_from_last_constraint(places, graph, oldest)
-    guess = followed or _predict_from_filter(places, closure_state, oldest)
+    tracked = _predict_from_last_constraint(places, graph, oldest)
+    guess = tracked or _predict_from_filter(places, closure_state, oldest)
     if guess is None:
         return False
-    max_correction_m = 3 * places.certain_sigma_m if followed is None else places.tracked_max_correction_m
+    max_correction_m = 3 * places.certain_sigma_m if tracked is None else places.tracked_max_correction_m
     constraint = places.match(closure_state, mapper, newest, *guess, max_correction_m, ConstraintSource.TRACKED)
     if isinstance(constraint, RejectionReason):
         return False
-    if followed is None:
+    if tracked is None:
         way = graph.find_distance_to(guess[0], newest, places.search.window_m, 256)
         if way is None:
             return False

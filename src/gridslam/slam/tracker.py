@@ -150,10 +150,10 @@ class Tracker:
         return TrackedScan(found.pose, control, beams, joint, widening)
 
     def _predict(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
-        told = between(state.matched_odometry, at)
-        if math.isnan(told[0]) or not state.odometry_errors.trusted or self._has_jumped(state, at, stamp_ns):
+        measured = between(state.matched_odometry, at)
+        if math.isnan(measured[0]) or not state.odometry_errors.trusted or self._has_jumped(state, at, stamp_ns):
             return self._predict_by_velocity(state, seconds)
-        increment = state.odometry_errors.corrected(told)
+        increment = state.odometry_errors.correct_increment(measured)
         moved, turned = motion_of(increment)
         sigmas = odometry_sigmas(moved, turned, state.maps.resolution_m)
         pose = compose(state.matched_pose, increment)
@@ -205,8 +205,8 @@ class Tracker:
         """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
-        return bool(share > track.inlier_ratio - self.slip_inlier_gain)
+        ratio = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
@@ -266,8 +266,8 @@ class Tracker:
     def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
         """Learn what the odometry's errors are, from where the scan was taken."""
         if self.calibration is not None:
-            believed = found.inlier_ratio >= self.search_inlier_ratio
-            self.calibration.learn(state.odometry_errors, found.pose, state.odometry, believed, found.determined)
+            is_good_match = found.inlier_ratio >= self.search_inlier_ratio
+            self.calibration.learn(state.odometry_errors, found.pose, state.odometry, is_good_match, found.determined)
 
     def _is_determined(self, match: Match) -> bool:
         """Whether a match tells the position in all directions, better than odometry whose errors are known."""

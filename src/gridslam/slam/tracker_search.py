@@ -108,8 +108,8 @@ class OdometrySearch:
         """Search the local map for a scan around where the odometry predicts it."""
         pyramid = Pyramid.of(state.maps, state.matched_map)
         best = PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
-        learned_m, learned_rad = np.sqrt(state.odometry_errors.variances).tolist()
-        sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
+        error_m, error_rad = np.sqrt(state.odometry_errors.variances).tolist()
+        sigma_m, sigma_rad = max(predicted.sigma_m, error_m), max(predicted.sigma_rad, error_rad)
         for gate, gain in zip(self.gate_sigmas, self.inlier_gains, strict=True):
             covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)

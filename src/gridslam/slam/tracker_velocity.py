@@ -108,8 +108,8 @@ class ConstantVelocity:
         """Variances (2,) of predictions, m^2 and rad^2, of which the last one missed by the increment `missed` (3,)."""
         x, y, turn = missed.tolist()
         squares = np.array([0.5 * (x * x + y * y), turn * turn])
-        news: FloatArray = np.minimum(squares, 9 * before) - before
-        return before + 0.05 * news
+        change: FloatArray = np.minimum(squares, 9 * before) - before
+        return before + 0.05 * change
 
 
 @final

@@ -60,7 +60,7 @@ def test_systematic_errors_are_found(position, heading):
     errors = taught(true_of(told, factors), told)
     np.testing.assert_allclose(errors.factors, factors, atol=0.038)
     increment = np.array([0.05, 0.0, 0.05])
-    np.testing.assert_allclose(errors.corrected(increment), true_of(increment[None], factors)[0], atol=0.003)
+    np.testing.assert_allclose(errors.correct_increment(increment), true_of(increment[None], factors)[0], atol=0.003)
 
 
 def test_noise_is_found():

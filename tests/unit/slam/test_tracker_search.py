@@ -216,7 +216,9 @@ def after_a_gap(halls, scans, tracker):
     log, known = halls
     state = known.snapshot()
     odometry, scan = log.measurements[60 + scans]
-    ahead = compose(known.matched_pose, known.odometry_errors.corrected(between(known.matched_odometry, odometry.pose)))
+    ahead = compose(
+        known.matched_pose, known.odometry_errors.correct_increment(between(known.matched_odometry, odometry.pose))
+    )
     told = step(tracker, state, odometry, scan)
     true = compose(known.matched_pose, between(log.truth.poses[59], log.truth.poses[60 + scans]))
     return told, ahead, state, away(told.pose[None], true[None])[0]
