@@ -48,7 +48,7 @@ def to_gtsam(gtsam, graph):
     for (first, second), z, information in zip(
         graph.edges.tolist(), graph.measurements, graph.information, strict=True
     ):
-        noise = gtsam.noiseModel.ImprovedProposal.Information(information)
+        noise = gtsam.noiseModel.Gaussian.Information(information)
         factors.add(gtsam.BetweenFactorPose2(first, second, gtsam.Pose2(*z), noise))
     held = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
     factors.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*graph.poses[0]), held))
