@@ -14,14 +14,23 @@ from gridslam.evaluation import false_closures
 from gridslam.geometry.se2 import between
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import full_slam
-from gridslam.slam.ties import Source
 from gridslam.types import FloatArray
 from report import Report, Target, table
 
 __all__ = ["closures"]
 
-_HEAD = ["drive", "CPU s", "recognized", "false of them", "joint ties", "false of them", "filter m", "last word m"]
+_HEAD = [
+    "drive",
+    "CPU s",
+    "recognized",
+    "false of them",
+    "refinement constraints",
+    "false of them",
+    "filter m",
+    "refined m",
+]
 
 
 class _Run(NamedTuple):
@@ -31,7 +40,7 @@ class _Run(NamedTuple):
     tied: int
     tied_false: int
     filter_m: float
-    last_word_m: float
+    refined_m: float
 
 
 def closures(report: Report, seeds: Sequence[int]) -> None:
@@ -47,7 +56,7 @@ def closures(report: Report, seeds: Sequence[int]) -> None:
         report.add(title, table(_HEAD, [[drive.name, *run] for drive, run in zip(drives, runs, strict=True)]))
         report.targets.append(Target(f"{title}: recognized falsely", sum(run.recognized_false for run in runs), 0))
         if title.startswith("Campus"):
-            worst = max(run.last_word_m for run in runs)
+            worst = max(run.refined_m for run in runs)
             report.targets.append(Target(f"{title}: mean error of the worst seed", worst, 0.05, unit="m"))
 
 
@@ -55,19 +64,27 @@ def _driven(drive: Drive) -> _Run:
     config, recorder, began = Configuration(), TrajectoryRecorder(), time.process_time()
     stream, slam = drive.stream(), build(Configuration())
     state = run(stream.measurements, slam, rng=np.random.default_rng(0), observers=[recorder])
-    said = full_slam(state, recorder.keys, recorder.from_key, config.mapper, config.closure, config.last_word)
+    said = full_slam(
+        state, recorder.keys, recorder.key_from_base, config.mapper, config.closure, config.final_refinement
+    )
     cpu_s, truth = time.process_time() - began, np.asarray(stream.truth.poses)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
-    assert state.memory is not None
-    ties = [tie for tie in state.memory.graph.ties if tie.source is Source.RECOGNIZED]
-    ends = np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
-    found = false_closures(truth[keys], ends, np.array([tie.measurement for tie in ties]).reshape(-1, 3))
+    assert state.closure_state is not None
+    constraints = [
+        constraint
+        for constraint in state.closure_state.graph.constraints
+        if constraint.source is ConstraintSource.RECOGNIZED
+    ]
+    ends = np.array([(constraint.from_, constraint.to) for constraint in constraints], np.int64).reshape(-1, 2)
+    found = false_closures(
+        truth[keys], ends, np.array([constraint.measurement for constraint in constraints]).reshape(-1, 3)
+    )
     joint = np.arange(len(said.graph.edges)) >= len(keys) - 1
     graph = said.graph
     tied = false_closures(truth[keys], graph.edges[joint], graph.measurements[joint], graph.information[joint])
     filtered = _relation_error(truth[keys], state.ancestry.trajectory(state.best))
-    last_word = _relation_error(truth[keys], said.poses[keys])
-    return _Run(cpu_s, len(ties), int(found.sum()), int(joint.sum()), int(tied.sum()), filtered, last_word)
+    refined = _relation_error(truth[keys], said.poses[keys])
+    return _Run(cpu_s, len(constraints), int(found.sum()), int(joint.sum()), int(tied.sum()), filtered, refined)
 
 
 def _relation_error(truth: FloatArray, poses: FloatArray) -> float:

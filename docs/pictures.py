@@ -117,8 +117,8 @@ def loop_closure() -> None:
         panel = Panel(f"{head}: {error.trans_mean_m:.3f} m", [-34, -58, 36, 12])
         panel.grid(result.map)
         panel.timed(result.trajectory.poses[:, :2], 2.0)
-        if result.loops is not None:
-            for one, other in [*result.loops.closures, *result.loops.revisits[::4]]:
+        if result.loop_summary is not None:
+            for one, other in [*result.loop_summary.closures, *result.loop_summary.tracked_revisits[::4]]:
                 panel.line(result.graph.poses[[one, other], :2], CLOSURE, 1.5)
         panels.append(panel)
     save("loop_closure", panels, 2, [("places that are one", CLOSURE)])

@@ -27,13 +27,13 @@ class TrajectoryRecorder:
     Memory is 64 bytes a scan.
     """
 
-    __slots__ = ("_from_key", "_keys", "_online", "_stamps_ns", "_steps")
+    __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns", "_steps")
 
     def __init__(self) -> None:
         """Begin without any scan; the first one must be the filter's first."""
         self._steps = 0
         self._stamps_ns, self._keys = array("q"), array("q")
-        self._online, self._from_key = array("d"), array("d")
+        self._online, self._key_from_base = array("d"), array("d")
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
@@ -41,15 +41,15 @@ class TrajectoryRecorder:
         self._stamps_ns.append(report.stamp_ns)
         self._keys.append(self._steps - 1)
         self._online.extend(report.pose.tolist())
-        self._from_key.extend(report.key_from_base.tolist())
+        self._key_from_base.extend(report.key_from_base.tolist())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `from_key` (N, 3) float64."""
+        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `key_from_base` (N, 3) float64."""
         return {
             "stamps_ns": _integers(self._stamps_ns),
             "keys": self.keys,
             "online": _poses(self._online),
-            "from_key": self.from_key,
+            "key_from_base": self.key_from_base,
         }
 
     @classmethod
@@ -60,7 +60,7 @@ class TrajectoryRecorder:
             ("stamps_ns", self._stamps_ns, (count,)),
             ("keys", self._keys, (count,)),
             ("online", self._online, (count, 3)),
-            ("from_key", self._from_key, (count, 3)),
+            ("key_from_base", self._key_from_base, (count, 3)),
         ):
             _take(kept, arrays, name, shape)
         self._steps = self._keys[-1] + 1 if count else 0
@@ -72,9 +72,9 @@ class TrajectoryRecorder:
         return _integers(self._keys)
 
     @property
-    def from_key(self) -> FloatArray:
+    def key_from_base(self) -> FloatArray:
         """Tracked motion of each scan since the key scan before it: (N, 3) float64."""
-        return _poses(self._from_key)
+        return _poses(self._key_from_base)
 
     def online(self) -> Trajectory:
         """Return the online trajectory: the pose of the best particle at each scan."""
@@ -82,7 +82,7 @@ class TrajectoryRecorder:
 
     def full(self, state: GridFastSlamState) -> Trajectory:
         """Give the past of the best particle of `state`, a pose for every scan: the filter's full-SLAM answer."""
-        poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.from_key)
+        poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.key_from_base)
         return Trajectory(_integers(self._stamps_ns), poses)
 
 
@@ -114,7 +114,7 @@ class RunStatistics:
         Scans taken, and those of them that stepped the particles.
     skipped : dict of SkipReason to int
         Scans that did not, by reason.
-    resamplings, lost, undetermined, corrections : int
+    resamplings, lost, degenerate, corrections : int
         Key scans after which the particles were resampled; scans at which the robot was lost; key scans that left a
         direction undetermined, and after which the past was corrected.
     n_eff_mean, n_eff_min : float
@@ -128,7 +128,7 @@ class RunStatistics:
     skipped: dict[SkipReason, int]
     resamplings: int
     lost: int
-    undetermined: int
+    degenerate: int
     corrections: int
     n_eff_mean: float
     n_eff_min: float
@@ -140,13 +140,13 @@ class RunStatistics:
 class StatisticsRecorder:
     """Counts and times the steps of a run; 17 bytes a scan."""
 
-    __slots__ = ("_corrections", "_is_key", "_lost", "_n_eff", "_resamplings", "_seconds", "_skipped", "_undetermined")
+    __slots__ = ("_corrections", "_degenerate", "_is_key", "_lost", "_n_eff", "_resamplings", "_seconds", "_skipped")
 
     def __init__(self) -> None:
         """Begin without any scan."""
         self._seconds, self._is_key, self._n_eff = array("d"), array("b"), array("d")
         self._skipped: Counter[SkipReason] = Counter()
-        self._resamplings = self._lost = self._undetermined = self._corrections = 0
+        self._resamplings = self._lost = self._degenerate = self._corrections = 0
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
@@ -158,7 +158,7 @@ class StatisticsRecorder:
             return
         self._n_eff.append(report.n_eff)
         self._resamplings += report.parents is not None
-        self._undetermined += report.undetermined is not None
+        self._degenerate += report.degenerate_direction is not None
         self._corrections += report.corrected
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -172,7 +172,7 @@ class StatisticsRecorder:
             "is_key": np.frombuffer(self._is_key.tobytes(), np.int8),
             "n_eff": np.frombuffer(self._n_eff.tobytes()),
             "counts": np.array(
-                [self._resamplings, self._lost, self._undetermined, self._corrections, *skipped], np.int64
+                [self._resamplings, self._lost, self._degenerate, self._corrections, *skipped], np.int64
             ),
         }
 
@@ -184,7 +184,7 @@ class StatisticsRecorder:
         _take(self._is_key, arrays, "is_key", (len(self._seconds),))
         _take(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
         _take(counts, arrays, "counts", (4 + len(SkipReason),))
-        self._resamplings, self._lost, self._undetermined, self._corrections, *skipped = counts
+        self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
 
@@ -198,7 +198,7 @@ class StatisticsRecorder:
             skipped=dict(self._skipped),
             resamplings=self._resamplings,
             lost=self._lost,
-            undetermined=self._undetermined,
+            degenerate=self._degenerate,
             corrections=self._corrections,
             n_eff_mean=float(n_eff.mean()) if len(n_eff) else 0.0,
             n_eff_min=float(n_eff.min()) if len(n_eff) else 0.0,

@@ -62,7 +62,7 @@ def test_five_lines_from_a_log_to_a_map(log, tmp_path):
     assert np.hypot(*(result.trajectory.poses[-1] - result.online_trajectory.poses[-1])[:2]) < 0.1
     assert result.covariances.shape == (120, 3, 3)
     assert len(result.graph.poses) == len(result.key_stamps_ns) == result.statistics.key_scans
-    assert result.loops is not None
+    assert result.loop_summary is not None
     assert result.map.known.any()
     assert result.statistics.scans == 120
     assert len(result.state.poses) == 3
@@ -117,7 +117,7 @@ def test_bad_calls_are_told(log, options, message):
     [
         "tracker.kind=OdometryTracker", "motion.kind=OdometryMotion", "motion.kind=GMappingMotion",
         "sensor.kind=EndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
-        "proposal.kind=Prior", "proposal.kind=Gaussian", "proposal.matcher.kind=HillClimbing",
+        "proposal.kind=MotionModelProposal", "proposal.kind=ImprovedProposal", "proposal.matcher.kind=HillClimbing",
         "when_to_resample.kind=Always", "when_to_resample.kind=Never", "resampler=wheel", "resampler=stratified",
         "resampler=residual", "resampler=multinomial", "resolution_m=0.1", "tracker.map_scans=5",
     ],

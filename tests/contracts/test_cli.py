@@ -30,7 +30,7 @@ from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_trajectory_csv, read_tum, write_tum
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.memory import Rejection
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED
 
@@ -65,7 +65,7 @@ def test_map_gives_a_pose_for_every_scan_at_its_own_stamp(mapped, log):
 
 def test_run_json_tells_all_of_the_run(mapped, log):
     run = json.loads((mapped / "run.json").read_text())
-    assert run["schema"] == "gridslam.run/2"
+    assert run["schema"] == "gridslam.run/3"
     assert (run["version"], run["seed"], run["threads"]) == (__version__, 5, 1)
     assert run["kernels"] in ("compiled", "reference")
     assert run["input"]["sha256"] == sha256_of(log)
@@ -117,13 +117,13 @@ def test_run_json_tells_of_loop_closure(closed, mapped):
         assert earlier < later
         assert closure["stamps_ns"] == [stamps[earlier], stamps[later]]
     assert loops["corrections"] > 0
-    assert loops["ties"]["recognized"] == len(loops["closures"]) + loops["doubted"]
-    assert set(loops["rejected"]) <= {reason.value for reason in Rejection}
-    assert (loops["moved_m"] > 0) == (loops["chosen"] != "filter")
+    assert loops["constraints"]["recognized"] == len(loops["closures"]) + loops["removed"]
+    assert set(loops["rejected"]) <= {reason.value for reason in RejectionReason}
+    assert (loops["max_correction_m"] > 0) == (loops["selected"] != "filter")
     best = max(score["log_likelihood"] for score in loops["candidates"].values())
-    assert loops["candidates"][loops["chosen"]]["log_likelihood"] == best
+    assert loops["candidates"][loops["selected"]]["log_likelihood"] == best
     assert "filter" in loops["candidates"]
-    assert run["time"]["stages"]["last word"]["wall_s"] > 0
+    assert run["time"]["stages"]["final refinement"]["wall_s"] > 0
     assert json.loads((mapped / "run.json").read_text())["loop_closure"] is False
 
 
@@ -147,7 +147,7 @@ def test_graph_holds_the_key_scans_and_solves_to_itself(closed, mapped, call, tm
         assert status == 0
         solved = json.loads(out)
         assert solved["chi2_after"] <= solved["chi2_before"] * (1 + 1e-9) + 1e-9
-        if not ties or run["loop_closure"]["chosen"] != "filter":  # the best particle's past minimizes nothing
+        if not ties or run["loop_closure"]["selected"] != "filter":  # the best particle's past minimizes nothing
             assert solved["chi2_after"] == pytest.approx(solved["chi2_before"], rel=1e-3, abs=1e-9)
 
 
@@ -166,8 +166,8 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupt_during_the_last_word_leaves_nothing(call, log, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(progress_module.Progress, "last_word", lambda _: os.kill(os.getpid(), number))
+def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, monkeypatch, number):
+    monkeypatch.setattr(progress_module.Progress, "show_refinement", lambda _: os.kill(os.getpid(), number))
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
     assert not list(tmp_path.iterdir())
@@ -182,12 +182,12 @@ def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
     assert "closure" not in call("map", loop_log, "-o", tmp_path / "out", *FEW, "--no-loop-closure")[1]
 
 
-def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
+def test_progress_goes_on_during_final_refinement(capsys, monkeypatch):
     seconds = iter([0.0, 1.0, 6.0, 7.0, 10.9, 11.5])
     monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     with progress_module.progress(LogStatistics) as show:
         for _ in range(5):
-            show.last_word()
+            show.show_refinement()
     assert capsys.readouterr().err == ("100%  0 scans; final refinement, 5 s\n100%  0 scans; final refinement, 10 s\n")
 
 

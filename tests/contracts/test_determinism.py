@@ -46,7 +46,7 @@ def test_same_bytes_for_any_number_of_blas_threads(log, tmp_path, alone, blas_th
 
 def test_same_bytes_for_any_number_of_threads_where_a_loop_is_closed_and_the_past_corrected(loop_log, tmp_path):
     first = map_log(loop_log, configuration=PROVOKED, seed=3)
-    assert len(first.loops.closures)
+    assert len(first.loop_summary.closures)
     assert first.statistics.corrections
     first.save(tmp_path / "first")
     for threads in (1, 2, 5):

@@ -64,7 +64,7 @@ def test_values_are_one_line(log, mapped):
         one_line(thing)
         for thing in (
             odometry, scan, scan.geometry, scan.beams(0.1, 30.0), mapped.trajectory, mapped.map, mapped.graph,
-            mapped.state, report, known, localizer.init(), gridslam.diagnose(log), mapped.loops,
+            mapped.state, report, known, localizer.init(), gridslam.diagnose(log), mapped.loop_summary,
             localizer.step(localizer.init(), odometry, scan, np.random.default_rng(0))[1], mapped.log,
         )
     ]  # fmt: skip

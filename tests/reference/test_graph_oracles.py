@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.geometry.se2 import between
 from gridslam.slam.graph_marginals import marginal_covariances
-from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.graph_robust import GraduatedNonConvexity, scale_information
 from gridslam.slam.graph_slam import GraphSlam
 from support.random_graphs import random_graph
 
@@ -117,7 +117,7 @@ def test_gtsams_graduated_non_convexity_rejects_the_same(seed):
     ours = GraphSlam(robust=GraduatedNonConvexity(probability=0.99999)).solve(graph)
     assert (ours.weights[known.false] == 0).all()
     if (theirs > 0.5).tolist() == (ours.weights > 0.5).tolist():
-        kept = scaled(graph, ours.weights)
+        kept = scale_information(graph, ours.weights)
         assert ours.chi2_after == pytest.approx(kept.chi2(found), rel=0.02)
     else:
         assert (ours.weights == ~known.false).all()

@@ -13,9 +13,9 @@ from gridslam.evaluation import absolute_errors, closure_errors, false_closures
 from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import FullSlam, full_slam
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.ties import Source
 from gridslam.types import Trajectory
 
 CONFIG = Configuration()
@@ -34,7 +34,7 @@ class Driven:
     @property
     def key_truth(self) -> np.ndarray:
         """True poses (T, 3) of the key scans."""
-        return self.truth.poses[self.state.memory.scans.keys]
+        return self.truth.poses[self.state.closure_state.scans.keys]
 
 
 @pytest.fixture(scope="module", params=DECEPTIVE)
@@ -42,16 +42,23 @@ def driven(request) -> tuple[str, Driven]:
     stream, recorder = deceptive(request.param, 0).stream(), TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(stream.measurements, build(CONFIG), particles=PARTICLES, rng=rng, observers=[recorder])
-    parts = CONFIG.mapper, CONFIG.closure, CONFIG.last_word
-    answer = full_slam(state, recorder.keys, recorder.from_key, *parts)
+    parts = CONFIG.mapper, CONFIG.closure, CONFIG.final_refinement
+    answer = full_slam(state, recorder.keys, recorder.key_from_base, *parts)
     return request.param, Driven(stream.truth, stream.odometry, state, answer)
 
 
 def test_nothing_false_is_recognized_or_known(driven):
     """Not while the robot drives. The filter's mere belief, which is told as such, is judged by the next test."""
     _, drive = driven
-    ties = [tie for tie in drive.state.memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]
-    edges, measured = [(tie.from_, tie.to) for tie in ties], [tie.measurement for tie in ties]
+    constraints = [
+        constraint
+        for constraint in drive.state.closure_state.graph.constraints
+        if constraint.source is not ConstraintSource.PROXIMITY and constraint.determined
+    ]
+    edges, measured = (
+        [(constraint.from_, constraint.to) for constraint in constraints],
+        [constraint.measurement for constraint in constraints],
+    )
     assert not false_closures(drive.key_truth, edges, measured).any()
 
 
@@ -59,8 +66,8 @@ def test_nothing_in_the_final_graph_is_false(driven):
     """Of all its ties; of those in a bare corridor, which may say nothing along it, the heading."""
     kind, drive = driven
     graph = drive.answer.graph
-    ties = slice(len(graph.poses) - 1, None)
-    edges, measured = graph.edges[ties], graph.measurements[ties]
+    constraints = slice(len(graph.poses) - 1, None)
+    edges, measured = graph.edges[constraints], graph.measurements[constraints]
     if kind == "bare_corridors":
         assert (closure_errors(drive.key_truth, edges, measured)[1] < FALSE_CLOSURE_RAD).all()
     else:

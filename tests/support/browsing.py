@@ -34,7 +34,7 @@ def wait(condition: Callable[[], Any], what: str) -> Any:
 
 def wait_for_all(browser: Any) -> None:
     """Wait until a run has come to its end, all of it is on the page, and the camera rests."""
-    wait(lambda: told(browser).get("stage") == "last word", "the last scan")
+    wait(lambda: told(browser).get("stage") == "final refinement", "the last scan")
     seen = None
     while seen != (seen := told(browser)):
         time.sleep(0.5)  # of a message at least every 0.1 s

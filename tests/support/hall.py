@@ -13,16 +13,24 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.sim.floor_plan import box, join
-from gridslam.slam.drift import Drift
-from gridslam.slam.memory import Memory
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition import PlaceRecognition
-from gridslam.slam.ties import Source, Tie
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()
-EAGER = PlaceRecognition(gap=3, near_m=10.0, overlap=0.6, share=0.75, every=2, query=10, confirmations=3)
+EAGER = PlaceRecognition(
+    recent_submaps=3,
+    max_distance_m=10.0,
+    min_overlap=0.6,
+    inlier_ratio=0.75,
+    search_interval=2,
+    query_key_scans=10,
+    min_confirmations=3,
+)
 """Looks for old places often, in all the submaps about: so that there is something to test, whatever the tuning."""
-DOUBTFUL = Drift(m=0.06, rad_of_way=0.005)
+DOUBTFUL = DriftModel(sigma_m_per_sqrt_m=0.06, sigma_rad_per_sqrt_m=0.005)
 """Explains a lap's drift of a metre or two, so that no way back is short enough to be known."""
 
 
@@ -77,34 +85,38 @@ def tracked(truth: np.ndarray, bias_rad_per_m: float = 0.0, scale: float = 1.0) 
 
 
 def remember(
-    memory: Memory,
+    closure_state: LoopClosureState,
     seen: Seen,
     poses: np.ndarray,
     *,
-    drift: Drift = DOUBTFUL,
+    drift: DriftModel = DOUBTFUL,
     recognition: PlaceRecognition = EAGER,
     until: int | None = None,
-) -> list[tuple[int, Tie]]:
+) -> list[tuple[int, Constraint]]:
     """Go on with a memory as loop closure would, up to key scan `until`; what was recognized, and at which key scan.
 
     The filter believes what was tracked.
     """
     told = []
-    for k in range(len(memory.graph), len(poses) if until is None else until):
+    for k in range(len(closure_state.graph), len(poses) if until is None else until):
         x, y, turn = between(poses[k - 1], poses[k]) if k else np.zeros(3)
-        memory.scans.append(seen.beams[k], poses[k], is_key=True)
-        memory.graph.extend(poses[k], poses[k], drift.variances(math.hypot(x, y), abs(turn)))
-        memory.said.append(poses[k])
-        told += [(k, tie) for tie in recognition(memory, MAPPER)]
+        closure_state.scans.append(seen.beams[k], poses[k], is_key=True)
+        closure_state.graph.extend(poses[k], poses[k], drift.variances(math.hypot(x, y), abs(turn)))
+        closure_state.online_poses.append(poses[k])
+        told += [(k, constraint) for constraint in recognition(closure_state, MAPPER)]
     return told
 
 
-def errors(truth: np.ndarray, ties: Sequence[Tie]) -> np.ndarray:
+def errors(truth: np.ndarray, constraints: Sequence[Constraint]) -> np.ndarray:
     """By how many m and rad (K, 2) ties are wrong."""
-    ends = [(tie.from_, tie.to) for tie in ties]
-    return np.column_stack(closure_errors(truth, ends, [tie.measurement for tie in ties]))
+    ends = [(constraint.from_, constraint.to) for constraint in constraints]
+    return np.column_stack(closure_errors(truth, ends, [constraint.measurement for constraint in constraints]))
 
 
-def trusted(memory: Memory) -> list[Tie]:
+def trusted(closure_state: LoopClosureState) -> list[Constraint]:
     """Ties that are more than the filter's belief."""
-    return [tie for tie in memory.graph.ties if tie.source is not Source.BELIEVED and tie.determined]
+    return [
+        constraint
+        for constraint in closure_state.graph.constraints
+        if constraint.source is not ConstraintSource.PROXIMITY and constraint.determined
+    ]

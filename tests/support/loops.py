@@ -8,8 +8,8 @@ from gridslam.config import Configuration, override
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 
 PROVOKED = override(
-    Configuration(), "particles=4",
-    "closure.recognition.known_m=0.02", "closure.recognition.confirmations=1",  # hardly any way is short enough
+    Configuration(), "particles=4",  # and hardly any way is short enough
+    "closure.recognition.certain_sigma_m=0.02", "closure.recognition.min_confirmations=1",
     "closure.disagree_m=0.001", "closure.disagree_rad=0.001",  # what is recognized is corrected
 )  # fmt: skip
 

@@ -49,8 +49,8 @@ def test_without_loop_closure_the_filter_is_alone():
 
 
 def test_loop_closure_is_built_as_configured():
-    config = override(Configuration(), "closure.recognition.gap=5", "closure.scans_per_step=7")
-    assert build(config).loop_closure == LoopClosure(PlaceRecognition(gap=5), scans_per_step=7)
+    config = override(Configuration(), "closure.recognition.recent_submaps=5", "closure.scans_per_step=7")
+    assert build(config).loop_closure == LoopClosure(PlaceRecognition(recent_submaps=5), scans_per_step=7)
 
 
 def test_a_part_may_be_none():
@@ -69,7 +69,7 @@ def test_build_passes_every_part_on():
     config = override(preset("gmapping"), "range_min_m=0.2", "resampler=residual", "lost_below=0.3")
     slam = build(config, threads=3)
     policies = "when_to_update", "when_to_resample"
-    for part in ("tracker", "motion", "sensor", "proposal", "mapper", *policies, "confidence"):
+    for part in ("tracker", "motion", "sensor", "proposal", "mapper", *policies, "reports"):
         assert getattr(slam, part) == getattr(config, part)
     assert (slam.range_min_m, slam.range_max_m, slam.threads) == (0.2, 80.0, 3)
     assert slam.resampler == Residual()
@@ -123,7 +123,7 @@ def test_parameters_that_belong_together_are_checked_when_all_are_set():
         ("insert_m=inf", "tracker.insert_m: expected a number > 0, got inf"),
         ("insert_m=nan", "tracker.insert_m: expected a number > 0, got nan"),
         ("insert_m=true", "tracker.insert_m: expected a number > 0, got True"),
-        ("lost_below=2", "confidence.lost_below: expected a number >= 0 and <= 1, got 2"),
+        ("lost_below=2", "reports.lost_below: expected a number >= 0 and <= 1, got 2"),
         ("particles=1.5", "particles: expected a whole number >= 1 and <= 100000, got 1.5"),
         ("particles=0", "particles: expected a whole number >= 1 and <= 100000, got 0"),
         ("particles.x=1", "particles: expected a whole number >= 1 and <= 100000, got {'x': 1}"),

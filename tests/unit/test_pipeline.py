@@ -148,7 +148,7 @@ def report(skipped=None, **options):
 def test_statistics_count_and_time_what_they_were_told():
     recorder = StatisticsRecorder()
     recorder(report(n_eff=4.0, parents=np.arange(4)), None, 0.4)
-    recorder(report(n_eff=2.0, undetermined=np.array([1.0, 0.0]), lost=True, corrected=True), None, 0.2)
+    recorder(report(n_eff=2.0, degenerate_direction=np.array([1.0, 0.0]), lost=True, corrected=True), None, 0.2)
     for k in range(97):
         recorder(report(SkipReason.BETWEEN_KEY_SCANS, lost=k == 0), None, 0.001)
     recorder(report(SkipReason.NO_VALID_BEAM), None, 0.001)
@@ -156,7 +156,7 @@ def test_statistics_count_and_time_what_they_were_told():
     for summary in (recorder.summary(), twin.summary()):
         assert (summary.scans, summary.key_scans) == (100, 2)
         assert summary.skipped == {SkipReason.BETWEEN_KEY_SCANS: 97, SkipReason.NO_VALID_BEAM: 1}
-        assert (summary.resamplings, summary.lost, summary.undetermined, summary.corrections) == (1, 2, 1, 1)
+        assert (summary.resamplings, summary.lost, summary.degenerate, summary.corrections) == (1, 2, 1, 1)
         assert (summary.n_eff_mean, summary.n_eff_min) == (3.0, 2.0)
         assert summary.latency.median_s == 0.001
         assert summary.latency.p99_s == pytest.approx(0.202)  # 1 % of the way from the 99th value, 0.2, to 0.4

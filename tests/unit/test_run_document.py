@@ -32,12 +32,12 @@ def told(path, measurements, **how):
 
 def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
     tracker = told(tmp_path, list(with_fault(drive, "odometry_scale", np.random.default_rng(0), 0.1)), particles=2)
-    learned = tracker["odometry"]
-    assert learned["trusted"]
-    assert learned["stretches"] > 15
-    assert learned["scale"] == pytest.approx(1 / 1.1, abs=0.03)
-    assert learned["turn_scale"] == pytest.approx(1.0, abs=0.03)
-    assert (tracker["stamps_believed"], tracker["odometry_overruled"]) == (True, 0)
+    errors = tracker["odometry"]
+    assert errors["trusted"]
+    assert errors["segments"] > 15
+    assert errors["scale"] == pytest.approx(1 / 1.1, abs=0.03)
+    assert errors["turn_scale"] == pytest.approx(1.0, abs=0.03)
+    assert (tracker["stamps_reliable"], tracker["odometry_rejected"]) == (True, 0)
     assert tracker["beam_order"] == {"laser": "as told"}
 
 

@@ -96,7 +96,7 @@ def convert_log(
     to: str | None = None,
     *,
     options: LogOptions | None = None,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> Conversion:
     """Write a log in another format; it appears under its name only once it is whole, and replaces a file there.
 
@@ -112,7 +112,7 @@ def convert_log(
         The format, independent of the name: "carmen", "csv", "tum", "ros1", "ros2" or "mcap".
     options : LogOptions, optional
         What to read of the log at a path.
-    tick : callable
+    on_progress : callable
         Called after each scan.
 
     Raises
@@ -137,7 +137,7 @@ def convert_log(
             odometry = measurement.odometry
             lost["covariances of odometry"] += odometry is not None and odometry.covariance is not None
             yield measurement
-            tick()
+            on_progress()
 
     try:
         _write(form, target, source, lost, counted)

@@ -16,9 +16,9 @@ from gridslam.config.tables import to_table
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
-from gridslam.slam.full_slam import Loops
-from gridslam.slam.memory import Rejection
-from gridslam.slam.ties import Source
+from gridslam.slam.constraints import ConstraintSource
+from gridslam.slam.full_slam import LoopClosureSummary
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.slam.tracker import Tracker, TrackerState
 from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import IntArray
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RUN_SCHEMA", "run_document"]
 
-RUN_SCHEMA = "gridslam.run/2"
+RUN_SCHEMA = "gridslam.run/3"
 _ORDERS = {1: "as told", 0: "none", -1: "backward"}
 
 
@@ -46,8 +46,8 @@ def run_document(result: MapResult) -> dict[str, Any]:
         "scans": _scans(statistics, result.log),
         "tracker": _tracker(result),
         "filter": _filter(result),
-        "loop_closure": result.loops is not None
-        and _loop_closure(result.loops, result.key_stamps_ns, statistics.corrections),
+        "loop_closure": result.loop_summary is not None
+        and _loop_closure(result.loop_summary, result.key_stamps_ns, statistics.corrections),
         "time": result.stopwatch.to_dict(),
         "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
         "peak_memory_bytes": _peak_memory_bytes(),
@@ -90,7 +90,7 @@ def _scans(statistics: RunStatistics, log: LogStatistics) -> dict[str, Any]:
         "used": statistics.key_scans,
         "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
         "lost": statistics.lost,
-        "undetermined": statistics.undetermined,
+        "degenerate": statistics.degenerate,
     }
 
 
@@ -100,23 +100,23 @@ def _tracker(result: MapResult) -> dict[str, Any] | None:
     if not isinstance(tracker, Tracker):
         return None
     deskew = tracker.deskew
-    timed = {sensor: seen for sensor, seen in state.sensors.items() if seen.orders[0]} if deskew else {}
+    timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order_sums[0]} if deskew else {}
     return {
         "odometry": _learned(state) if result.log.without_odometry < result.log.scan_count else None,
-        "odometry_overruled": state.overruled,
-        "stamps_believed": not state.even,
-        "beam_order": {sensor: _ORDERS[deskew.order(seen)] for sensor, seen in timed.items()} if deskew else {},
+        "odometry_rejected": state.rejected_odometry,
+        "stamps_reliable": not state.stamps_unreliable,
+        "beam_order": {sensor: _ORDERS[deskew.find_order(track)] for sensor, track in timed.items()} if deskew else {},
     }
 
 
 def _learned(state: TrackerState) -> dict[str, Any]:
     """Estimated odometry errors: ratios of true to measured increments, and the residual per segment."""
-    learned = state.learned
-    a, c, _, _, turn_scale, turn_rad_per_m = learned.factors.tolist()
-    sigma_m, sigma_rad = np.sqrt(learned.variances).tolist()
+    errors = state.odometry_errors
+    a, c, _, _, turn_scale, turn_rad_per_m = errors.factors.tolist()
+    sigma_m, sigma_rad = np.sqrt(errors.variances).tolist()
     return {
-        "trusted": learned.trusted,
-        "stretches": learned.stretches,
+        "trusted": errors.trusted,
+        "segments": errors.segments,
         "scale": math.hypot(a, c),
         "direction_rad": math.atan2(c, a),
         "turn_scale": turn_scale,
@@ -127,7 +127,7 @@ def _learned(state: TrackerState) -> dict[str, Any]:
 
 
 def _filter(result: MapResult) -> dict[str, Any]:
-    statistics, grid = result.statistics, result.drawn
+    statistics, grid = result.statistics, result.tiled_map
     height, width = (side * grid.resolution_m for side in grid.shape)
     return {
         "particles": result.configuration.particles,
@@ -140,20 +140,20 @@ def _filter(result: MapResult) -> dict[str, Any]:
     }
 
 
-def _loop_closure(loops: Loops, key_stamps_ns: IntArray, corrections: int) -> dict[str, Any]:
+def _loop_closure(loops: LoopClosureSummary, key_stamps_ns: IntArray, corrections: int) -> dict[str, Any]:
     return {
         "closures": [
             {"key_scans": pair, "stamps_ns": key_stamps_ns[pair].tolist()} for pair in loops.closures.tolist()
         ],
-        "doubted": loops.doubted,
-        "rejected": {reason.value: loops.rejected[reason] for reason in Rejection if loops.rejected[reason]},
+        "removed": loops.removed,
+        "rejected": {reason.value: loops.rejected[reason] for reason in RejectionReason if loops.rejected[reason]},
         "corrections": corrections,
-        "ties": {source.name.lower(): loops.ties[source] for source in Source},
-        "joint_ties": loops.joint_ties,
+        "constraints": {source.name.lower(): loops.constraints[source] for source in ConstraintSource},
+        "refinement_constraints": loops.refinement_constraints,
         "chi2": loops.chi2,
-        "moved_m": loops.moved_m,
+        "max_correction_m": loops.max_correction_m,
         "candidates": {name: _score(score) for name, score in loops.candidates.items()},
-        "chosen": loops.chosen,
+        "selected": loops.selected,
     }
 
 

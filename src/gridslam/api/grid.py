@@ -46,7 +46,7 @@ def map_with_poses(
     options: LogOptions | None = None,
     repair: Literal["needed", "all", "none"] = "needed",
     threads: int = 1,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> GridResult:
     """Build the map of a log whose trajectory is known: no SLAM, no matching; the poses are not corrected.
@@ -83,7 +83,7 @@ def map_with_poses(
         As for `map_log`; only what is wrong with the laser's mounting matters here.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
-    tick : callable
+    on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
         To go on with.
@@ -106,7 +106,7 @@ def map_with_poses(
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
-    used, unplaced = _count(source, poses, counts, config, deskew, tick)
+    used, unplaced = _count(source, poses, counts, config, deskew, on_progress)
     watch.lap("count")
     if not len(used):
         raise InputError(path or source.path, _nothing(source, poses, unplaced))
@@ -143,7 +143,7 @@ def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajec
 
 def _count(
     source: Log, poses: KnownPoses, counts: BeamCounts, config: Configuration, deskew: bool,
-    tick: Callable[[], None],
+    on_progress: Callable[[], None],
 ) -> tuple[Trajectory, Counter[Unplaced]]:  # fmt: skip
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
     stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[Unplaced]()
@@ -157,7 +157,7 @@ def _count(
             counts.add(pose, poses.sharpened(beams) if deskew else beams)
             stamps.append(scan.stamp_ns)
             taken.append(pose)
-        tick()
+        on_progress()
     return Trajectory(np.array(stamps, np.int64), np.array(taken).reshape(-1, 3)), unplaced
 
 

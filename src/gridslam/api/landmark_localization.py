@@ -43,7 +43,7 @@ def localize_by_landmarks(
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
     motion: MotionModel = MOTION,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkLocalizationResult:
     """Find the robot's way in a map of landmarks that is known, by EKF localization.
@@ -67,7 +67,7 @@ def localize_by_landmarks(
         Measurement model; if not given, that of the observation type of the log.
     motion : MotionModel
         For a log without odometry covariances.
-    tick : callable
+    on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
         To go on with.
@@ -95,7 +95,7 @@ def localize_by_landmarks(
         seen = step.sightings.anonymous() if unknown else step.sightings
         belief, report = ekf.step(belief, step.motion(motion), seen)
         reports.append(report)
-        tick()
+        on_progress()
     watch.lap("solve")
     if not any((report.landmarks >= 0).any() for report in reports):
         raise InputError(source.path, "expected observations of the landmarks in the map, got none that fits")

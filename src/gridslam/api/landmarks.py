@@ -23,7 +23,7 @@ from gridslam.pipeline import Stopwatch
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
@@ -67,7 +67,7 @@ def map_landmarks(
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
     motion: MotionModel | None = None,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkResult:
     """Find the robot's way and the landmarks of a log.
@@ -88,7 +88,7 @@ def map_landmarks(
         Measurement model; if not given, that of the observation type of the log.
     motion : MotionModel, optional
         For a log without odometry covariances; if not given, one for MRCLAM's commands.
-    tick : callable
+    on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
         To go on with.
@@ -117,11 +117,11 @@ def map_landmarks(
         shown = [replace(step, sightings=step.sightings.anonymous()) for step in steps] if unknown else steps
         if method == "ekf":
             models["bias"] = EXACT_ODOMETRY if unknown else _BIAS
-            estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, tick)
+            estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
         else:
             slam = _particle_filter(method, LandmarkFilters(model, association), _noise_is_told(steps))
             models |= {"bias": slam.bias} if isinstance(slam, FastSlam2) else {}
-            estimate = _by_particles(shown, slam, particles or 0, seed, motion, tick)
+            estimate = _by_particles(shown, slam, particles or 0, seed, motion, on_progress)
     watch.lap("solve")
     return LandmarkResult(
         method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
@@ -130,25 +130,27 @@ def map_landmarks(
     )  # fmt: skip
 
 
-def _by_ekf(steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, tick: Callable[[], None]) -> Estimate:
+def _by_ekf(
+    steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, on_progress: Callable[[], None]
+) -> Estimate:
     state, reports = slam.init(), list[LandmarkReport]()
     for step in steps:
         state, report = slam.step(state, step.motion(motion), step.sightings)
         reports.append(report)
-        tick()
+        on_progress()
     online = _poses(reports)
     return Estimate(online, online, _covariances(reports), slam.landmark_map(state), _strange(reports), {})
 
 
 def _by_particles(
     steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, particles: int, seed: int, motion: MotionModel,
-    tick: Callable[[], None],
+    on_progress: Callable[[], None],
 ) -> Estimate:  # fmt: skip
     rng, state, reports = np.random.default_rng(seed), slam.init(particles), list[LandmarkReport]()
     for step in steps:
         state, report = slam.step(state, step.motion(motion), step.sightings, rng)
         reports.append(report)
-        tick()
+        on_progress()
     figures = {
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),
@@ -160,7 +162,7 @@ def _by_particles(
 
 
 def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> Estimate:
-    robust = None if _noise_is_told(steps) else Cauchy()
+    robust = None if _noise_is_told(steps) else CauchyEstimator()
     found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
     figures = {
         "chi2": found.solution.chi2_after,

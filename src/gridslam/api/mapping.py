@@ -41,7 +41,7 @@ def map_log(
     repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[Observer] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
     keep_particles: bool = True,
 ) -> MapResult:
@@ -74,7 +74,7 @@ def map_log(
         Called after each scan.
     gate : callable
         Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
-    tick : callable
+    on_progress : callable
         Called periodically during the final refinement, after the last scan.
     stopwatch : Stopwatch, optional
         To go on with.
@@ -107,9 +107,10 @@ def map_log(
     if not keep_particles:
         state.keep_best()
     full = full_slam(
-        state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word, tick
+        state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement,
+        on_progress,
     )  # fmt: skip
-    watch.lap("last word")
+    watch.lap("final refinement")
     return _result(full, state, maps_bytes, trajectory, statistics, record, source, config, seed, threads, watch)
 
 
@@ -124,9 +125,9 @@ def _result(
         trajectory=Trajectory(online.stamps_ns, full.poses),
         covariances=full.covariances,
         online_trajectory=online,
-        drawn=full.drawn,
+        tiled_map=full.tiled_map,
         graph=full.graph,
-        loops=full.loops,
+        loop_summary=full.loop_summary,
         key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
         state=state,
         maps_bytes=maps_bytes,

@@ -22,7 +22,7 @@ from gridslam.io.record import RecordWriter
 from gridslam.io.trajectory import write_trajectory_csv, write_tum
 from gridslam.observers import RunStatistics
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.full_slam import Loops
+from gridslam.slam.full_slam import LoopClosureSummary
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
@@ -51,11 +51,11 @@ class MapResult:
         Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
     online_trajectory : Trajectory
         The online trajectory: the pose of the best particle at each scan.
-    drawn : TiledGrid
+    tiled_map : TiledGrid
         The map, drawn from the trajectory.
     graph : PoseGraph
         The key scans and what was measured between them.
-    loops : Loops or None
+    loop_summary : LoopClosureSummary or None
         Summary of loop closure; None without loop closure.
     key_stamps_ns : (T,) int64, ns
         Stamps of the key scans, the nodes of the graph.
@@ -86,9 +86,9 @@ class MapResult:
     trajectory: Trajectory
     covariances: FloatArray
     online_trajectory: Trajectory
-    drawn: TiledGrid
+    tiled_map: TiledGrid
     graph: PoseGraph
-    loops: Loops | None
+    loop_summary: LoopClosureSummary | None
     key_stamps_ns: IntArray
     state: GridFastSlamState
     maps_bytes: int
@@ -120,7 +120,7 @@ class MapResult:
         A true trajectory in the map's frame is drawn into the picture, too.
         """
         self.stopwatch.resume()
-        write_map(out.file("map.yaml"), self.drawn)
+        write_map(out.file("map.yaml"), self.tiled_map)
         write_tum(out.file("trajectory.tum"), self.trajectory)
         write_trajectory_csv(out.file("trajectory.csv"), self.trajectory, self.covariances)
         write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
@@ -136,7 +136,7 @@ class MapResult:
     @property
     def map(self) -> OccupancyGrid:
         """The map as one array, built at each access."""
-        return self.drawn.whole()
+        return self.tiled_map.whole()
 
     @property
     def driven(self) -> str:
@@ -146,13 +146,14 @@ class MapResult:
 
     def caption(self) -> list[str]:
         """Lines that describe the map."""
-        height, width = (side * self.drawn.resolution_m for side in self.drawn.shape)
+        height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
         log, wall = self.log, self.stopwatch.total()[0]
-        found, known = (0, 0) if self.loops is None else (len(self.loops.closures), len(self.loops.revisits))
-        places = "" if self.loops is None else f", {found} places recognized, {known} known again"
+        places, loops = "", self.loop_summary
+        if loops is not None:
+            places = f", {len(loops.closures)} places recognized, {len(loops.tracked_revisits)} known again"
         return [
             f"{len(self.trajectory)} scans, {log.duration_s:.0f} s, {self.driven}{places}",
-            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.drawn.resolution_m:g} cm",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.tiled_map.resolution_m:g} cm",
             f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
         ]
 
@@ -161,8 +162,8 @@ class MapResult:
         from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
 
         return draw_map(
-            self.drawn, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
-            closures=None if self.loops is None else self._drawn(self.loops),
+            self.tiled_map, self.trajectory, title=self.source.name, caption=self.caption(), truth=truth,
+            closures=None if self.loop_summary is None else self._drawn(self.loop_summary),
         )  # fmt: skip
 
     def to_dataframe(self) -> DataFrame:
@@ -184,9 +185,9 @@ class MapResult:
 
         return encode_png(self.picture())
 
-    def _drawn(self, loops: Loops) -> FloatArray:
+    def _drawn(self, loops: LoopClosureSummary) -> FloatArray:
         """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""
         recognized = loops.closures[:: -(-len(loops.closures) // _MOST_DRAWN) or 1]
-        known = loops.revisits[np.flatnonzero(np.diff(loops.revisits[:, 1] // _APART, prepend=-1))]
+        known = loops.tracked_revisits[np.flatnonzero(np.diff(loops.tracked_revisits[:, 1] // _APART, prepend=-1))]
         ends: FloatArray = self.graph.poses[np.concatenate([known, recognized]), :2].reshape(-1, 4)
         return ends

@@ -26,11 +26,11 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
     source = open_log(log, options)
     with opened(out.parent) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
             show()
 
-        done = replace(convert_log(source, folder.file(out.name), to, tick=tick), out=out)
+        done = replace(convert_log(source, folder.file(out.name), to, on_progress=on_progress), out=out)
     if done.log.truncated:
         click.echo(f"gridslam: {log}: the log is truncated after {done.log.scan_count} scans", err=True)
     if done.lost:

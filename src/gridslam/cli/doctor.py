@@ -56,11 +56,11 @@ def _shown(source: Log, shown: bool) -> Diagnosis:
     """Diagnose while progress is shown."""
     with reading_progress(lambda: source.statistics, shown=shown) as show:
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
             show()
 
-        return diagnose(source, tick=tick)
+        return diagnose(source, on_progress=on_progress)
 
 
 def _write(diagnosis: Diagnosis, folder: OutputFolder) -> None:

@@ -16,7 +16,7 @@ from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
 from gridslam.io.text_source import sha256_of
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.graph_descent import squared_errors
+from gridslam.slam.graph_descent import squared_mahalanobis
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam, GraphSolution
 from gridslam.slam.pose_graph import PoseGraph
@@ -128,7 +128,7 @@ def _write(
 
 def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> None:
     """Write what each edge counts and how far it is off, in the order of the file."""
-    chi2 = squared_errors(solution.graph, solution.graph.errors())
+    chi2 = squared_mahalanobis(solution.graph, solution.graph.errors())
     rows = zip(source.edge_ids.tolist(), solution.weights.tolist(), chi2.tolist(), strict=True)
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("from,to,weight,chi2\n")

@@ -42,15 +42,15 @@ def grid_to_folder(
     source = open_log(log, options)
     with opened(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
             show()
 
         try:
             result = map_with_poses(
                 source, trajectory, model=model, half_life_scans=half_life_scans, resolution_m=resolution_m,
-                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads, tick=tick,
-                stopwatch=watch,
+                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads,
+                on_progress=on_progress, stopwatch=watch,
             )  # fmt: skip
         except ArgumentError as error:
             option = _OPTIONS.get(error.argument, error.argument)

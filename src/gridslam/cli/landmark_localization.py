@@ -37,7 +37,7 @@ def localize_to_folder(
     with opened(out) as folder:
         with named(pose="--initial-pose"):
             result = localize_by_landmarks(
-                source, landmarks, pose=initial_pose, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
+                source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
             )
         document = result.write(folder)
     if as_json:

@@ -30,7 +30,7 @@ def landmarks_to_folder(
     with opened(out) as folder:
         try:
             result = map_landmarks(
-                source, method, particles=particles, seed=seed, unknown=unknown, tick=stop_if_interrupted,
+                source, method, particles=particles, seed=seed, unknown=unknown, on_progress=stop_if_interrupted,
                 stopwatch=watch,
             )  # fmt: skip
         except ArgumentError as error:

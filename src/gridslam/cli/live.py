@@ -139,7 +139,7 @@ def show_result(onlooker: LivePage | RerunRecording | None, result: MapResult) -
     import numpy as np  # help must not pay for it
 
     poses = result.graph.poses
-    closures = np.zeros((0, 2), np.int64) if result.loops is None else result.loops.closures
+    closures = np.zeros((0, 2), np.int64) if result.loop_summary is None else result.loop_summary.closures
     onlooker.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
 
 

@@ -84,13 +84,13 @@ def map_shown(
             stop_if_interrupted()
             show(report, state, seconds)
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
-            show.last_word()
+            show.show_refinement()
 
         result = map_log(
-            source, configuration=configuration, seed=seed, threads=threads, tick=tick, stopwatch=watch, repair=repair,
-            observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
+            source, configuration=configuration, seed=seed, threads=threads, on_progress=on_progress, stopwatch=watch,
+            repair=repair, observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
             keep_particles=page is not None,
         )  # fmt: skip
         for onlooker in (page, recording):
@@ -139,8 +139,8 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
     rejected = loops["rejected"]
     reasons = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
     corrections = f"{loops['corrections']} online correction{'s' * (loops['corrections'] != 1)}"
-    moved = f"the final refinement moved key scans by up to {loops['moved_m']:.2f} m"
-    tied = f"{loops['ties']['known']} tracked revisits"
+    moved = f"the final refinement moved key scans by up to {loops['max_correction_m']:.2f} m"
+    tied = f"{loops['constraints']['tracked']} tracked revisits"
     yield f"{len(loops['closures'])} places recognized, {tied}, {corrections}; {moved}"
     if rejected:
         yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"

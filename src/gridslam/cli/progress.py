@@ -76,7 +76,7 @@ def _bar() -> Iterator[Callable[[float, str], None]]:
 class Progress:
     """Observer that periodically shows rate, N_eff, map size and time left.
 
-    After the last scan `last_word` shows that the run is still working.
+    After the last scan `show_refinement` shows that the run is still working.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Progress:
             self._due = now + self._every_s
             self._tell(now - self._began, report, state)
 
-    def last_word(self) -> None:
+    def show_refinement(self) -> None:
         """Periodically show the elapsed time of the final refinement."""
         now = time.perf_counter()
         self._ended = min(self._ended, now)

@@ -46,7 +46,7 @@ def ros1(
     from gridslam.ros.ros1 import run_ros1
 
     given, watch = given_parameters(**options), watched("ROS 1", live, rerun)
-    run_ros1(arguments, given=given, watch=watch, tick=stop_if_interrupted)
+    run_ros1(arguments, given=given, watch=watch, on_progress=stop_if_interrupted)
 
 
 def ros2(
@@ -63,13 +63,13 @@ def ros2(
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
-        run_dds(arguments, given=given, interfaces=interfaces, watch=watch, tick=stop_if_interrupted)
+        run_dds(arguments, given=given, interfaces=interfaces, watch=watch, on_progress=stop_if_interrupted)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
     from gridslam.ros.ros2 import run_ros2
 
-    run_ros2(arguments, given=given, watch=watch, tick=stop_if_interrupted)
+    run_ros2(arguments, given=given, watch=watch, on_progress=stop_if_interrupted)
 
 
 def watched(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:

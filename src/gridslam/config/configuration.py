@@ -20,13 +20,13 @@ from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMoti
 from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan.thinning import Thinning
-from gridslam.slam.confidence import Confidence
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam import GridFastSlam
-from gridslam.slam.joint_matching import JointMatching
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Gaussian, Peak, Prior
+from gridslam.slam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
+from gridslam.slam.report_builder import ReportBuilder
 from gridslam.slam.tracker import Tracker
 from gridslam.types import Resampler
 
@@ -51,7 +51,7 @@ PARAMETERS: Final[Mapping[str, tuple[str, str]]] = {
     "noise_rad": ("motion.sigma_theta_rad", "... and of the heading"),
     "tempering": ("sensor.tempering", "exponent of the likelihood (0 to 1); accounts for correlated beams"),
     "resample_below": ("when_to_resample.fraction", "resample if N_eff falls below this fraction of the particles"),
-    "lost_below": ("confidence.lost_below", "inlier ratio with the map below which the robot is lost"),
+    "lost_below": ("reports.lost_below", "inlier ratio with the map below which the robot is lost"),
     "loop_closure": ("loop_closure", "detect loop closures and correct the trajectory; false: filter only"),
 }
 """The parameters that face the user: short name, dotted name and what it is."""
@@ -80,13 +80,13 @@ class Configuration:
         How many beams of a dense scan are used.
     resampler : str
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
-    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, confidence
+    tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, reports
         The parts of `GridFastSlam`.
     loop_closure : bool
         Whether loop closures are detected and the trajectory is corrected; False for the filter only.
     closure : LoopClosure
         How, while the robot drives.
-    last_word : JointMatching
+    final_refinement : GlobalScanRefinement
         How, at the end of the log.
     """
 
@@ -98,15 +98,15 @@ class Configuration:
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
     sensor: CauchyAgreement | EndPoint | LikelihoodField | BeamRangeFinder = CauchyAgreement()
-    proposal: Peak | Prior | Gaussian = Peak()
+    proposal: ScanMatchedProposal | MotionModelProposal | ImprovedProposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     when_to_update: MovedAtLeast = MovedAtLeast()
     when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: Confidence = Confidence()
+    reports: ReportBuilder = ReportBuilder()
     loop_closure: bool = True
     closure: LoopClosure = LoopClosure()
-    last_word: JointMatching = JointMatching()
+    final_refinement: GlobalScanRefinement = GlobalScanRefinement()
 
 
 def build(config: Configuration, threads: int = 1) -> GridFastSlam:
@@ -121,7 +121,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         when_to_update=config.when_to_update,
         when_to_resample=config.when_to_resample,
         map_limit=config.map_limit,
-        confidence=config.confidence,
+        reports=config.reports,
         loop_closure=config.closure if config.loop_closure else None,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,

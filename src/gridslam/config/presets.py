@@ -13,7 +13,7 @@ from gridslam.models.endpoint import EndPoint
 from gridslam.models.motion import GMappingMotion
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Peak
+from gridslam.slam.proposals import ScanMatchedProposal
 
 __all__ = ["PRESETS", "preset"]
 
@@ -40,7 +40,7 @@ def _gmapping() -> Configuration:
         tracker=OdometryTracker(),
         motion=GMappingMotion(),
         sensor=EndPoint(),
-        proposal=Peak(matcher=HillClimbing()),
+        proposal=ScanMatchedProposal(matcher=HillClimbing()),
         when_to_update=MovedAtLeast(1.0, 0.5),
         when_to_resample=EffectiveSampleSizeBelow(0.5),
         loop_closure=False,

@@ -81,7 +81,7 @@ class Doctor:
 
 
 def diagnose(
-    log: LogSource, *, options: LogOptions | None = None, tick: Callable[[], None] = lambda: None
+    log: LogSource, *, options: LogOptions | None = None, on_progress: Callable[[], None] = lambda: None
 ) -> Diagnosis:
     """Read a log once and report its content and its faults.
 
@@ -91,7 +91,7 @@ def diagnose(
         The log, of any format that `open_log` knows.
     options : LogOptions, optional
         What to read of the log at a path.
-    tick : callable
+    on_progress : callable
         Called after each scan, to show how far the reading is.
 
     Raises
@@ -107,7 +107,7 @@ def diagnose(
         for measurement in source:
             doctor.take(measurement)
             scans += 1
-            tick()
+            on_progress()
     except InputError as error:
         if not scans:
             raise

@@ -97,7 +97,7 @@ class RecordWriter:
         if rows["poses"] and len(rows["poses"][0]) != len(report.poses):
             raise ArgumentError("report", f"{len(rows['poses'][0])} particles as before", len(report.poses))
         flags = RecordFlag.LOST * report.lost | RecordFlag.RESAMPLED * (report.parents is not None)
-        flags |= RecordFlag.UNDETERMINED * (report.undetermined is not None)
+        flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
         parents = np.arange(len(report.poses)) if report.parents is None else report.parents
         rows["stamps_ns"].append(report.stamp_ns)
         rows["poses"].append(np.array(report.poses, dtype=np.float32))

@@ -19,7 +19,7 @@ from gridslam.slam.state import GridFastSlamState
 
 __all__ = ["SavedRun", "read_state", "write_state"]
 
-_SCHEMA = "gridslam.saved_run/2"
+_SCHEMA = "gridslam.saved_run/3"
 
 
 @final

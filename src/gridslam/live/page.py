@@ -66,7 +66,7 @@ class LivePage:
         self.control = robot or Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
-        self._last_stage = "last word" if known is None else "writing"
+        self._last_stage = "final refinement" if known is None else "writing"
         sight: Sight[Any, Any] = MapSight(range_max_m) if known is None else CloudSight(known)
         self.observer = LiveObserver(self._post, self.control, sight)
         self._run.observer = self.observer

@@ -134,7 +134,7 @@ class LiveRun:
         self.enter("writing")
 
     def enter(self, stage: str) -> None:
-        """Go over to another stage: "running", "last word", "writing" or "done"."""
+        """Go over to another stage: "running", "final refinement", "writing" or "done"."""
         self._stage = stage
         self.tell_all()
 

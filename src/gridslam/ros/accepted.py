@@ -102,14 +102,16 @@ class ScanMaker:
     ) -> Accepted:
         """Make the measurement of a message that `refusal_of` has nothing against."""
         mounting, beams = self._mounted(base_from_laser), len(message.ranges)
-        start, step, tick = (float(v) for v in (message.angle_min, message.angle_increment, message.time_increment))
+        start, step, on_progress = (
+            float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
+        )
         scan = LaserScan.from_ros(
             message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
-            range_max=message.range_max, time_increment=tick, geometry=self._shared(mounting, start, step, beams),
-            sensor=sensor, frame=message.frame,
+            range_max=message.range_max, time_increment=on_progress,
+            geometry=self._shared(mounting, start, step, beams), sensor=sensor, frame=message.frame,
         )  # fmt: skip
         form = LaserForm(
-            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else tick,
+            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else on_progress,
             scan.range_min_m, scan.range_max_m, beams,
         )  # fmt: skip
         return Accepted(Measurement(odometry, replace(scan, ranges=_readable(scan))), form, arrived_s)

@@ -75,10 +75,10 @@ class ScanRecorder:
 
 def _cells_of(form: LaserForm) -> tuple[str, str]:
     """Cells of the names, and those from the mounting to the range limits."""
-    tick = "" if form.time_increment_s is None else repr(form.time_increment_s)
+    on_progress = "" if form.time_increment_s is None else repr(form.time_increment_s)
     numbers = map(repr, (*form.mounting, form.angle_min, form.angle_increment))
     limits = f"{form.range_min_m!r},{form.range_max_m!r}"
-    return f"{_quoted(form.sensor)},{_quoted(form.frame)}", f"{','.join(numbers)},{tick},{limits}"
+    return f"{_quoted(form.sensor)},{_quoted(form.frame)}", f"{','.join(numbers)},{on_progress},{limits}"
 
 
 def _quoted(name: str) -> str:

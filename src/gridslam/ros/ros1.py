@@ -238,14 +238,14 @@ class Ros1Node:
             return
 
 
-def _await_master(tick: Callable[[], None]) -> None:
+def _await_master(on_progress: Callable[[], None]) -> None:
     """Wait for roscore, as slam_gmapping does."""
     graph = importlib.import_module("rosgraph")
     if not graph.is_master_online():
         print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
     while not graph.is_master_online():
         time.sleep(_POLL_S)
-        tick()
+        on_progress()
 
 
 def run_ros1(
@@ -253,7 +253,7 @@ def run_ros1(
     *,
     given: Mapping[str, Any] | None = None,
     watch: Watch = nullcontext,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
@@ -265,7 +265,7 @@ def run_ros1(
         Parameters of the node that override its private parameters.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    tick : callable
+    on_progress : callable
         Called now and then; may raise KeyboardInterrupt.
 
     Raises
@@ -277,7 +277,7 @@ def run_ros1(
     """
     rospy = _modules()["rospy"]
     check_ros1_arguments(arguments)
-    _await_master(tick)
+    _await_master(on_progress)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
@@ -290,7 +290,7 @@ def run_ros1(
         try:
             node.start()
             while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
-                tick()
+                on_progress()
         except KeyboardInterrupt:  # the usual end of a node
             pass
         finally:

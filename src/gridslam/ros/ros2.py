@@ -228,7 +228,7 @@ def run_ros2(
     *,
     given: Mapping[str, Any] | None = None,
     watch: Watch = nullcontext,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
@@ -240,7 +240,7 @@ def run_ros2(
         Parameters that override those of ROS.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    tick : callable
+    on_progress : callable
         Called now and then; may raise KeyboardInterrupt.
 
     Raises
@@ -270,7 +270,7 @@ def run_ros2(
             ours.start()
             while rclpy.ok() and not ours.core.ended.is_set():
                 executor.spin_once(timeout_sec=_POLL_S)
-                tick()
+                on_progress()
         except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
             pass
         finally:

@@ -196,7 +196,7 @@ def run_dds(
     given: Mapping[str, Any] | None = None,
     interfaces: Sequence[str] = (),
     watch: Watch = nullcontext,
-    tick: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the node until Ctrl-C, then write the results to `out`.
 
@@ -210,7 +210,7 @@ def run_dds(
         Network interfaces, by address or name; if empty those that ROS's variables or the library choose.
     watch : callable
         Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    tick : callable
+    on_progress : callable
         Called now and then; may raise KeyboardInterrupt.
 
     Raises
@@ -233,7 +233,7 @@ def run_dds(
         try:
             node.start()
             while not node.core.ended.wait(_POLL_S):
-                tick()
+                on_progress()
         except KeyboardInterrupt:  # the usual end of a node
             pass
         finally:

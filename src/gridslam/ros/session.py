@@ -142,16 +142,18 @@ class TakenSession:
         trajectory = TrajectoryRecorder.from_arrays(self.trajectory)
         for report, seconds in self.keys:
             record.add(report, seconds)
-        full = full_slam(state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word)
-        watch.lap("last word")
+        full = full_slam(
+            state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement
+        )
+        watch.lap("final refinement")
         online = trajectory.online()
         return MapResult(
             trajectory=Trajectory(online.stamps_ns, full.poses),
             covariances=full.covariances,
             online_trajectory=online,
-            drawn=full.drawn,
+            tiled_map=full.tiled_map,
             graph=full.graph,
-            loops=full.loops,
+            loop_summary=full.loop_summary,
             key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
             state=state,
             maps_bytes=state.maps.nbytes,

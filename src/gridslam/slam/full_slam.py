@@ -14,65 +14,66 @@ from gridslam.geometry.se2 import between
 from gridslam.grid.tiled_grid import TiledGrid
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.drift import Drift
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.graph_robust import scaled
-from gridslam.slam.joint_matching import JointMatching, LastWord
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.graph_robust import scale_information
 from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.memory import Memory, Rejection
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["FullSlam", "Loops", "full_slam"]
+__all__ = ["FullSlam", "LoopClosureSummary", "full_slam"]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Loops:
+class LoopClosureSummary:
     """Summary of loop closure.
 
     Attributes
     ----------
     closures : (K, 2) int64
         Pairs of key scans (older, later) of recognized closures accepted by the final refinement.
-    revisits : (R, 2) int64
+    tracked_revisits : (R, 2) int64
         Key scans that were matched to an older place without search, the way to it being certain; older one first.
-    doubted : int
+    removed : int
         Number of recognized closures that it rejected.
-    rejected : Counter of Rejection
+    rejected : Counter of RejectionReason
         Rejected candidates by reason.
-    ties : Counter of Source
+    constraints : Counter of ConstraintSource
         Key scans matched to submaps of another time while the robot drove, by how their place was known.
-    joint_ties : int
+    refinement_constraints : int
         Constraints that the final refinement added, besides the recognized ones.
     chi2 : float
         Of the graph after the final refinement.
-    moved_m : float
+    max_correction_m : float
         Largest correction of a key scan by the final refinement.
     candidates : dict of str to TrajectoryScore
         Candidate trajectories of the final refinement, by name (see `Candidate`).
-    chosen : str
+    selected : str
         Name of the one that is the answer.
     """
 
     closures: IntArray
-    revisits: IntArray
-    doubted: int
-    rejected: Counter[Rejection]
-    ties: Counter[Source]
-    joint_ties: int
+    tracked_revisits: IntArray
+    removed: int
+    rejected: Counter[RejectionReason]
+    constraints: Counter[ConstraintSource]
+    refinement_constraints: int
     chi2: float
-    moved_m: float
+    max_correction_m: float
     candidates: dict[str, TrajectoryScore]
-    chosen: str
+    selected: str
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"Loops({len(self.closures)} places recognized, {len(self.revisits)} known again, chosen: {self.chosen})"
+        closures, revisits = len(self.closures), len(self.tracked_revisits)
+        return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.selected})"
 
 
 @final
@@ -86,22 +87,22 @@ class FullSlam:
         Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
     graph : PoseGraph
         The T key scans and what was measured between them, the information as it was weighed in the end.
-    drawn : TiledGrid
+    tiled_map : TiledGrid
         The map, drawn from the key scans at these poses.
-    loops : Loops or None
+    loop_summary : LoopClosureSummary or None
         Summary of loop closure; None without loop closure.
     """
 
     poses: FloatArray
     covariances: FloatArray
     graph: PoseGraph
-    drawn: TiledGrid
-    loops: Loops | None
+    tiled_map: TiledGrid
+    loop_summary: LoopClosureSummary | None
 
     @property
     def map(self) -> OccupancyGrid:
         """The map as one array, built at each access."""
-        return self.drawn.whole()
+        return self.tiled_map.whole()
 
 
 def full_slam(
@@ -110,8 +111,8 @@ def full_slam(
     key_from_base: FloatArray,
     mapper: OccupancyGridMapping,
     closure: LoopClosure,
-    last_word: JointMatching,
-    tick: Callable[[], None] = lambda: None,
+    final_refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> FullSlam:
     """Compute the full SLAM result of the scans so far; `state` is not modified.
 
@@ -123,23 +124,24 @@ def full_slam(
         The filter after the last scan.
     keys, key_from_base : (N,) int64, (N, 3) float64
         For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
-    mapper, closure, last_word
+    mapper, closure, final_refinement
         Components of the run; without loop closure only the drift model of `closure` is used, for covariances.
     tick
         Called periodically during the final refinement.
     """
     trajectory = state.ancestry.trajectory(state.best)
-    if state.memory is None:
-        graph = _chain(trajectory, keys, key_from_base, closure.drift)
+    if state.closure_state is None:
+        graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)
         poses, key_covariances = full_trajectory(trajectory, keys, key_from_base), drift_covariances(graph)
         maps: TileMaps = state.maps
         row, loops = state.best, None
     else:
-        memory = state.memory.snapshot()  # the final refinement modifies it
-        said = last_word(memory, trajectory, keys, key_from_base, mapper, closure, tick)
-        graph, poses, maps, row = scaled(said.best.graph, said.best.weights), said.poses, said.maps, 0
+        closure_state = state.closure_state.snapshot()  # the final refinement modifies it
+        refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
+        graph = scale_information(refined.best.graph, refined.best.weights)
+        poses, maps, row = refined.poses, refined.maps, 0
         key_covariances = _marginals(graph)
-        loops = _loops(state.memory, memory, said, trajectory)
+        loops = _summarize(state.closure_state, closure_state, refined, trajectory)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
     return FullSlam(poses, covariances, graph, maps.tiled(row), loops)
 
@@ -153,7 +155,9 @@ def _marginals(graph: PoseGraph) -> FloatArray:
     return marginal_covariances(graph)
 
 
-def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift) -> PoseGraph:
+def _build_odometry_graph(
+    trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
+) -> PoseGraph:
     """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
     tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
     spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
@@ -163,24 +167,32 @@ def _chain(trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, dr
     return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
 
 
-def _loops(driven: Memory, memory: Memory, said: LastWord, trajectory: FloatArray) -> Loops:
+def _summarize(
+    driven: LoopClosureState, closure_state: LoopClosureState, refined: RefinementResult, trajectory: FloatArray
+) -> LoopClosureSummary:
     """Summarize online loop closure and the final refinement."""
-    closures = [tie for tie in said.best.believed if tie.source is Source.RECOGNIZED]
-    recognized = len(said.best.recognized)
-    return Loops(
-        closures=_ends(closures),
-        revisits=_ends([tie for tie in driven.graph.ties if tie.source is Source.KNOWN]),
-        doubted=recognized - len(closures),
-        rejected=memory.rejected,
-        ties=Counter(tie.source for tie in driven.graph.ties),
-        joint_ties=len(said.best.ties) - recognized,
-        chi2=scaled(said.best.graph, said.best.weights).chi2(),
-        moved_m=float(np.hypot(*(said.best.graph.poses - trajectory)[:, :2].T).max()),
-        candidates=said.scores,
-        chosen=said.best.name,
+    closures = [
+        constraint
+        for constraint in refined.best.accepted_constraints
+        if constraint.source is ConstraintSource.RECOGNIZED
+    ]
+    recognized = len(refined.best.recognized_constraints)
+    return LoopClosureSummary(
+        closures=_key_scan_pairs(closures),
+        tracked_revisits=_key_scan_pairs(
+            [constraint for constraint in driven.graph.constraints if constraint.source is ConstraintSource.TRACKED]
+        ),
+        removed=recognized - len(closures),
+        rejected=closure_state.rejected,
+        constraints=Counter(constraint.source for constraint in driven.graph.constraints),
+        refinement_constraints=len(refined.best.constraints) - recognized,
+        chi2=scale_information(refined.best.graph, refined.best.weights).chi2(),
+        max_correction_m=float(np.hypot(*(refined.best.graph.poses - trajectory)[:, :2].T).max()),
+        candidates=refined.scores,
+        selected=refined.best.name,
     )
 
 
-def _ends(ties: list[Tie]) -> IntArray:
+def _key_scan_pairs(constraints: list[Constraint]) -> IntArray:
     """Pairs of key scans (K, 2) connected by constraints."""
-    return np.array([(tie.from_, tie.to) for tie in ties], np.int64).reshape(-1, 2)
+    return np.array([(constraint.from_, constraint.to) for constraint in constraints], np.int64).reshape(-1, 2)

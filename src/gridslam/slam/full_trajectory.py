@@ -8,7 +8,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["full_trajectory", "shares_of_way"]
+__all__ = ["full_trajectory", "path_fractions"]
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -28,35 +28,35 @@ def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatA
 
     Source: the mean of a Brownian bridge; a tracker between nodes of a trajectory as in Haehnel et al. 2003.
     """
-    arrivals = _arrivals(keys)
-    since = _since(key_from_base, arrivals)
-    missed = np.zeros_like(key_poses)
-    missed[:-1] = between(compose(key_poses[:-1], key_from_base[arrivals]), key_poses[1:])
-    share = shares_of_way(keys, key_from_base)
-    return compose(compose(key_poses[keys], since), share[:, None] * missed[keys])
+    arrivals = _find_later_key_scans(keys)
+    since = _motion_since_key_scan(key_from_base, arrivals)
+    residual = np.zeros_like(key_poses)
+    residual[:-1] = between(compose(key_poses[:-1], key_from_base[arrivals]), key_poses[1:])
+    fraction = path_fractions(keys, key_from_base)
+    return compose(compose(key_poses[keys], since), fraction[:, None] * residual[keys])
 
 
-def shares_of_way(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
+def path_fractions(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
     """Fraction of the path from its key scan to the next one for each scan: (N,) in [0, 1].
 
     In metres and radians driven; after the last key scan it is these themselves. Arguments as for `full_trajectory`.
     """
-    arrivals = _arrivals(keys)
-    steps = key_from_base[1:] - _since(key_from_base, arrivals)[:-1]
+    arrivals = _find_later_key_scans(keys)
+    steps = key_from_base[1:] - _motion_since_key_scan(key_from_base, arrivals)[:-1]
     moved = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(wrap(steps[:, 2]))
     driven = np.concatenate([[0.0], np.cumsum(moved)])
     starts = driven[np.append(0, arrivals)]
     whole = np.append(np.maximum(np.diff(starts), 1e-12), 1.0)
-    share: FloatArray = (driven - starts[keys]) / whole[keys]
-    return share
+    fraction: FloatArray = (driven - starts[keys]) / whole[keys]
+    return fraction
 
 
-def _arrivals(keys: IntArray) -> IntArray:
+def _find_later_key_scans(keys: IntArray) -> IntArray:
     """Which scans are key scans, without the first."""
     return np.flatnonzero(np.diff(keys) > 0) + 1
 
 
-def _since(key_from_base: FloatArray, arrivals: IntArray) -> FloatArray:
+def _motion_since_key_scan(key_from_base: FloatArray, arrivals: IntArray) -> FloatArray:
     """The tracked motion (N, 3) since the key scan at or before each scan."""
     since = key_from_base.copy()
     since[0] = since[arrivals] = 0.0

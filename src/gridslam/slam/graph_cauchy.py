@@ -10,19 +10,19 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_linear import BlockSystem
 from gridslam.slam.graph_robust import RobustEstimate
+from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
-__all__ = ["Cauchy"]
+__all__ = ["CauchyEstimator"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Cauchy:
+class CauchyEstimator:
     """Cauchy's M-estimator, by iteratively reweighted least squares from the graph's poses.
 
     A measurement whose error is s standard deviations counts 1 / (1 + (s / scale)^2). Thousands of matches against
@@ -47,25 +47,25 @@ class Cauchy:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> Work[RobustEstimate]:
+    ) -> Computation[RobustEstimate]:
         """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
         poses = next(iter(starts))
         system = BlockSystem(graph.edges, len(graph.poses), 3)
         weights, iterations = self.weights(graph, poses), 0
         for _ in range(self.passes):
             weighted, passes = _weighted(graph, weights), min(2, max_iterations)
-            found: Descent = yield from descend(weighted, poses, system, passes, tolerance)
+            found: DescentResult = yield from descend(weighted, poses, system, passes, tolerance)
             iterations += found.iterations
             moved = float(np.abs(found.poses - poses)[:, :2].max())
             poses, weights = found.poses, self.weights(graph, found.poses)
             if moved < self.stop_m:
                 break
-        chi2 = float((weights * squared_errors(graph, graph.errors(poses))).sum())
+        chi2 = float((weights * squared_mahalanobis(graph, graph.errors(poses))).sum())
         return RobustEstimate(replace(found, poses=poses, chi2=chi2, iterations=iterations), weights, chi2)
 
     def weights(self, graph: PoseGraph, poses: FloatArray | None = None) -> FloatArray:
         """How much each measurement counts (M,), in [0, 1], at poses (N, 3), by default the graph's own."""
-        squared = squared_errors(graph, graph.errors(poses))
+        squared = squared_mahalanobis(graph, graph.errors(poses))
         return np.where(graph.trusted, 1.0, 1.0 / (1.0 + squared / self.scale**2))
 
 

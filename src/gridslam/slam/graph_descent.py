@@ -8,11 +8,11 @@ from typing import final
 import numpy as np
 
 from gridslam.slam.graph_linear import BlockSystem, linearize
+from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work
 from gridslam.types import FloatArray
 
-__all__ = ["Descent", "descend", "squared_errors"]
+__all__ = ["DescentResult", "descend", "squared_mahalanobis"]
 
 _PATIENCE = 3
 """Gauss-Newton steps that may raise chi2 before it is lower than ever: on long chains the first ones often do."""
@@ -26,7 +26,7 @@ _NEGLIGIBLE = 1e-6
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Descent:
+class DescentResult:
     """Poses (N, 3) of the least chi2 met, that chi2, how many linear systems were solved, and whether it is least."""
 
     poses: FloatArray
@@ -35,7 +35,7 @@ class Descent:
     converged: bool
 
 
-def squared_errors(graph: PoseGraph, errors: FloatArray) -> FloatArray:
+def squared_mahalanobis(graph: PoseGraph, errors: FloatArray) -> FloatArray:
     """Squared Mahalanobis lengths (M,) of errors (M, 3): what each measurement adds to chi2."""
     weighted = np.matmul(graph.information, errors[:, :, None])[:, :, 0]
     return np.asarray((errors * weighted).sum(axis=1))
@@ -43,7 +43,7 @@ def squared_errors(graph: PoseGraph, errors: FloatArray) -> FloatArray:
 
 def descend(
     graph: PoseGraph, poses: FloatArray, system: BlockSystem, max_iterations: int, tolerance: float
-) -> Work[Descent]:
+) -> Computation[DescentResult]:
     """Minimize chi2 from poses (N, 3), by steps on `system` (three unknowns for each pose), one linear system a step.
 
     Gauss-Newton steps are taken as long as they find a lower chi2, now and then after some that raise it (the watchdog
@@ -52,7 +52,7 @@ def descend(
     promises to lower chi2 by no more than the share `tolerance`.
     """
     errors = graph.errors(poses)
-    best = Descent(poses, float(squared_errors(graph, errors).sum()), 0, False)
+    best = DescentResult(poses, float(squared_mahalanobis(graph, errors).sum()), 0, False)
     best_errors, damping, rises = errors, 0.0, 0
     for iteration in range(1, max_iterations + 1):
         matrix, gradient = system.assemble(linearize(graph, poses, errors))
@@ -64,9 +64,9 @@ def descend(
         least = not rises and damping < _HEAVY and promised <= tolerance * (best.chi2 + _NEGLIGIBLE * len(errors))
         poses = poses + step
         errors = graph.errors(poses)
-        chi2 = float(squared_errors(graph, errors).sum())
+        chi2 = float(squared_mahalanobis(graph, errors).sum())
         if chi2 <= best.chi2:
-            best, best_errors, rises = Descent(poses, chi2, iteration, least), errors, 0
+            best, best_errors, rises = DescentResult(poses, chi2, iteration, least), errors, 0
             damping = damping / 10 if damping > _LIGHT else 0.0
         elif damping == 0.0 and rises < _PATIENCE:
             rises += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gridslam.slam.graph_linear import Blocks, BlockSystem, linearize, require_connected
+from gridslam.slam.graph_linear import BlockSystem, MatrixBlocks, linearize, require_connected
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
@@ -36,7 +36,7 @@ def initial_guess(graph: PoseGraph) -> FloatArray:
     poses[0] = graph.poses[0]
     poses[1:, 2] = _headings(graph, system)[1:]
     first, cross, second, *gradients = linearize(graph, poses, graph.errors(poses))
-    of_positions = Blocks(*(b[:, :2, :2] for b in (first, cross, second)), *(g[:, :2] for g in gradients))
+    of_positions = MatrixBlocks(*(b[:, :2, :2] for b in (first, cross, second)), *(g[:, :2] for g in gradients))
     matrix, gradient = system.assemble(of_positions)
     system.factorize(matrix)
     poses[:, :2] += system.solve(-gradient)
@@ -54,7 +54,7 @@ def _headings(graph: PoseGraph, system: BlockSystem) -> FloatArray:
     unit = np.zeros((len(graph.poses), 2, 1))
     unit[0, :, 0] = np.cos(graph.poses[0, 2]), np.sin(graph.poses[0, 2])
     anchored = np.matmul(cross, unit[second]), np.matmul(cross.transpose(0, 2, 1), unit[first])
-    matrix, gradient = system.assemble(Blocks(own, cross, own, anchored[0][:, :, 0], anchored[1][:, :, 0]))
+    matrix, gradient = system.assemble(MatrixBlocks(own, cross, own, anchored[0][:, :, 0], anchored[1][:, :, 0]))
     system.factorize(matrix)
     vectors = system.solve(-gradient)
     for _ in range(_REFINEMENTS):

@@ -13,10 +13,10 @@ from gridslam.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-__all__ = ["BlockSystem", "Blocks", "is_connected", "linearize", "require_connected"]
+__all__ = ["BlockSystem", "MatrixBlocks", "is_connected", "linearize", "require_connected"]
 
 
-class Blocks(NamedTuple):
+class MatrixBlocks(NamedTuple):
     """What each of M measurements adds to the normal equations, in blocks of `size` unknowns for each pose.
 
     Attributes
@@ -36,7 +36,7 @@ class Blocks(NamedTuple):
     gradient_second: FloatArray
 
 
-def linearize(graph: PoseGraph, poses: FloatArray, errors: FloatArray) -> Blocks:
+def linearize(graph: PoseGraph, poses: FloatArray, errors: FloatArray) -> MatrixBlocks:
     """Blocks J' information J and J' information e of the errors e (M, 3) at poses (N, 3).
 
     Unknowns are the poses' coordinates. The error sees the difference d of the positions only turned by the first
@@ -60,7 +60,7 @@ def linearize(graph: PoseGraph, poses: FloatArray, errors: FloatArray) -> Blocks
     at_first[:, 2, :] = at_first[:, :, 2] = lever
     at_first[:, 2, 2] = x * lever[:, 0] + y * lever[:, 1] + lever[:, 2]
     gradient_first[:, 2] -= x * gradient[:, 0] + y * gradient[:, 1]
-    return Blocks(at_first, cross, at_second, gradient_first, gradient)
+    return MatrixBlocks(at_first, cross, at_second, gradient_first, gradient)
 
 
 def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
@@ -156,7 +156,7 @@ class BlockSystem:
     def _of_upper(self, blocks: Any) -> Any:  # noqa: ANN401 the numbers' type is that of the blocks
         return blocks[:, self._upper[0], self._upper[1]]
 
-    def assemble(self, blocks: Blocks) -> tuple[FloatArray, FloatArray]:
+    def assemble(self, blocks: MatrixBlocks) -> tuple[FloatArray, FloatArray]:
         """Sum blocks to the numbers of H and to the gradient (free * size,)."""
         numbers = np.concatenate((self._of_upper(blocks.first), blocks.cross, self._of_upper(blocks.second)), axis=None)
         matrix = np.bincount(self._slots, numbers, len(self._matrix.indices) + 1)[:-1]

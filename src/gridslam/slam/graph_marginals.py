@@ -32,8 +32,8 @@ class Marginals:
     Parameters
     ----------
     graph : PoseGraph
-        Solved; for a robust solution `GraphSolution.counted`. Covariances are of the coordinates x, y and theta in the
-        map frame, given pose 0, and right as far as the information matrices of the measurements are.
+        Solved; for a robust solution `GraphSolution.weighted_graph`. Covariances are of the coordinates x, y and theta
+        in the map frame, given pose 0, and right as far as the information matrices of the measurements are.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> Float
             children[parent] -= 1
             if not children[parent]:
                 del fronts[parent]
-        inverse = _front(numbers[begin[a] : begin[b]], pivots[a:b], inner)
+        inverse = _invert_front(numbers[begin[a] : begin[b]], pivots[a:b], inner)
         if children[node]:
             fronts[node] = places, inverse
         here = asked[asked_from[node] : asked_from[node + 1]]
@@ -173,7 +173,7 @@ def _supernodes(begin: IntArray, rows: IntArray) -> IntArray:
     return np.concatenate(([0], np.flatnonzero(~follows) + 1, [len(counts)]))
 
 
-def _front(numbers: FloatArray, pivots: FloatArray, inner: FloatArray) -> FloatArray:
+def _invert_front(numbers: FloatArray, pivots: FloatArray, inner: FloatArray) -> FloatArray:
     """Inverse on S and R, from the columns S of L, one after the other, the pivots D_S and the inverse Z_RR."""
     size, total = len(pivots), len(pivots) + len(inner)
     columns = np.eye(size, total)

@@ -10,15 +10,15 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, is_connected
 from gridslam.slam.graph_marginals import Marginals
+from gridslam.slam.incremental import Computation
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GraduatedNonConvexity", "RobustEstimate", "scaled"]
+__all__ = ["GraduatedNonConvexity", "RobustEstimate", "scale_information"]
 
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses are only constrained by rejected measurements."""
@@ -41,7 +41,7 @@ _SAME = 1e-4
 class RobustEstimate:
     """A solution, its weights (M,), 0 or 1, and its truncated cost."""
 
-    solution: Descent
+    solution: DescentResult
     weights: FloatArray
     cost: float
 
@@ -81,10 +81,10 @@ class GraduatedNonConvexity:
 
     def estimate(
         self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
-    ) -> Work[RobustEstimate]:
+    ) -> Computation[RobustEstimate]:
         """Find poses and weights from one or more guesses (N, 3); the rest is as for `descend`."""
         search = _Search(graph, self.bound, self.growth)
-        best = RobustEstimate(Descent(graph.poses, np.inf, 0, False), np.ones(len(graph.edges)), np.inf)
+        best = RobustEstimate(DescentResult(graph.poses, np.inf, 0, False), np.ones(len(graph.edges)), np.inf)
         for start in starts:
             found = yield from search.round(start)
             agreed = abs(found.cost - best.cost) <= _SAME * found.cost
@@ -97,7 +97,7 @@ class GraduatedNonConvexity:
                 if found.cost >= (1.0 - _SAME) * best.cost:
                     break
                 best = found
-        return (yield from search.finish((yield from search.readmit(best)), max_iterations, tolerance))
+        return (yield from search.finish((yield from search.readmit_outliers(best)), max_iterations, tolerance))
 
 
 @final
@@ -108,12 +108,12 @@ class _Search:
         self.graph, self.bound, self.growth = graph, bound, growth
         self.iterations = 0
 
-    def round(self, poses: FloatArray) -> Work[RobustEstimate]:
+    def round(self, poses: FloatArray) -> Computation[RobustEstimate]:
         """Graduate from poses (N, 3), then fit the inliers until the cost stops decreasing."""
         poses, weights = yield from self._graduate(poses)
-        return (yield from self._settle(weights, poses))
+        return (yield from self._fit_and_reclassify(weights, poses))
 
-    def readmit(self, best: RobustEstimate) -> Work[RobustEstimate]:
+    def readmit_outliers(self, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Readmit rejected measurements whose squared innovation is below c^2, if the cost decreases."""
         while True:
             yield
@@ -123,7 +123,7 @@ class _Search:
             for chosen in (likely, rejected[np.argsort(squared)[:1]]) if len(likely) else ():
                 weights = best.weights.copy()
                 weights[chosen] = 1.0
-                found = yield from self._settle(weights, best.solution.poses)
+                found = yield from self._fit_and_reclassify(weights, best.solution.poses)
                 if found.cost < (1.0 - _SAME) * best.cost:
                     best = found
                     break
@@ -134,13 +134,13 @@ class _Search:
         """Squared innovations (K,) of measurements at `places` (K,) that the solution does not follow."""
         if not len(places):
             return np.empty(0)
-        marginals = Marginals(scaled(self.graph, found.weights).with_poses(found.solution.poses))
+        marginals = Marginals(scale_information(self.graph, found.weights).with_poses(found.solution.poses))
         graph = self.graph
         return marginals.squared_innovations(graph.edges[places], graph.measurements[places], graph.information[places])
 
-    def _settle(self, weights: FloatArray, poses: FloatArray) -> Work[RobustEstimate]:
+    def _fit_and_reclassify(self, weights: FloatArray, poses: FloatArray) -> Computation[RobustEstimate]:
         """Alternate fitting the inliers and reclassifying, from poses (N, 3), until the cost stops decreasing."""
-        best = RobustEstimate(Descent(poses, np.inf, 0, False), weights, np.inf)
+        best = RobustEstimate(DescentResult(poses, np.inf, 0, False), weights, np.inf)
         for _ in range(_REFITS):
             found = yield from self._refit(weights, best)
             if found.cost >= best.cost:
@@ -151,22 +151,22 @@ class _Search:
                 break
         return best
 
-    def _refit(self, weights: FloatArray, best: RobustEstimate) -> Work[RobustEstimate]:
+    def _refit(self, weights: FloatArray, best: RobustEstimate) -> Computation[RobustEstimate]:
         """Fit the inliers, from their own initial guess; from the best poses so far if that does not help."""
         found = best
-        for start in (initial_guess(scaled(self.graph, weights)), best.solution.poses):
+        for start in (initial_guess(scale_information(self.graph, weights)), best.solution.poses):
             solution = yield from self._fit(weights, start, _ENOUGH, _FINE)
             found = RobustEstimate(solution, weights, self._cost(solution.poses))
             if found.cost < best.cost:
                 break
         return found
 
-    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> Work[RobustEstimate]:
+    def finish(self, found: RobustEstimate, max_iterations: int, tolerance: float) -> Computation[RobustEstimate]:
         """Descend to the minimum, with the weights as they are."""
         solution = yield from self._fit(found.weights, found.solution.poses, max_iterations, tolerance)
         return replace(found, solution=replace(solution, iterations=self.iterations))
 
-    def _graduate(self, poses: FloatArray) -> Work[tuple[FloatArray, FloatArray]]:
+    def _graduate(self, poses: FloatArray) -> Computation[tuple[FloatArray, FloatArray]]:
         """Return poses (N, 3) and weights (M,), almost all 0 or 1, at the end of the family of costs."""
         doubted, weights = ~self.graph.trusted, np.ones(len(self.graph.edges))
         squared = self._squared(poses)[doubted]
@@ -182,22 +182,24 @@ class _Search:
             degree *= self.growth
         return poses, weights
 
-    def _fit(self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float) -> Work[Descent]:
+    def _fit(
+        self, weights: FloatArray, poses: FloatArray, max_iterations: int, tolerance: float
+    ) -> Computation[DescentResult]:
         yield
-        counted = scaled(self.graph, weights)
+        counted = scale_information(self.graph, weights)
         found = yield from descend(counted, poses, BlockSystem(counted.edges, len(poses), 3), max_iterations, tolerance)
         self.iterations += found.iterations
         return found
 
     def _squared(self, poses: FloatArray) -> FloatArray:
-        return squared_errors(self.graph, self.graph.errors(poses))
+        return squared_mahalanobis(self.graph, self.graph.errors(poses))
 
     def _cost(self, poses: FloatArray) -> float:
         squared = self._squared(poses)
         return float(np.where(self.graph.trusted, squared, np.minimum(squared, self.bound)).sum())
 
 
-def scaled(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
+def scale_information(graph: PoseGraph, weights: FloatArray) -> PoseGraph:
     """Return the graph with information times weights (M,), without what weighs nothing if that joins all poses yet."""
     counts = weights > 0.0
     if not is_connected(graph.edges[counts], len(graph.poses)):

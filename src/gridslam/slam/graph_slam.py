@@ -12,18 +12,18 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.slam.graph_cauchy import Cauchy
-from gridslam.slam.graph_descent import Descent, descend, squared_errors
+from gridslam.slam.graph_cauchy import CauchyEstimator
+from gridslam.slam.graph_descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.graph_initial import initial_guess
 from gridslam.slam.graph_linear import BlockSystem, require_connected
-from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.graph_robust import GraduatedNonConvexity, scale_information
+from gridslam.slam.incremental import Computation, run_to_completion
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.work import Work, done
 from gridslam.types import FloatArray
 
 __all__ = ["GraphSlam", "GraphSolution"]
 
-_DOUBTS = (0.1, 0.001)
+_RETRY_RATIOS = (0.1, 0.001)
 """Weights of what is not trusted, for first guesses: which one is fooled less by false measurements varies."""
 
 
@@ -59,9 +59,9 @@ class GraphSolution:
         return self.graph.poses
 
     @property
-    def counted(self) -> PoseGraph:
+    def weighted_graph(self) -> PoseGraph:
         """The solved graph as it was solved: information times weight, false measurements left out."""
-        return scaled(self.graph, self.weights)
+        return scale_information(self.graph, self.weights)
 
 
 @final
@@ -76,7 +76,7 @@ class GraphSlam:
         iterations, one if `max_iterations` is 1), at `initial_guess` (for poses that mean nothing), or where chi2 is
         less, and again from the other where the first answer is doubtful: it turned some pose by more than a right
         angle from the computed guess, or its chi2 is greater than the measurements' noise explains.
-    robust : GraduatedNonConvexity, Cauchy or None
+    robust : GraduatedNonConvexity, CauchyEstimator or None
         Robust estimator of the measurements that are not trusted; None for plain least squares.
     max_iterations : int
         Linear systems solved at most from one guess.
@@ -88,7 +88,7 @@ class GraphSlam:
     """
 
     first_guess: Literal["given", "computed", "either"] = "either"
-    robust: GraduatedNonConvexity | Cauchy | None = None
+    robust: GraduatedNonConvexity | CauchyEstimator | None = None
     max_iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-6, gt=0, lt=1)
 
@@ -100,15 +100,15 @@ class GraphSlam:
         ArgumentError
             The measurements do not join all poses.
         """
-        return done(self.solving(graph))
+        return run_to_completion(self.solve_in_steps(graph))
 
-    def prepare(self) -> None:
+    def import_solver(self) -> None:
         """Import what solving needs, a quarter of a second, by solving the smallest graph there is."""
         edges, measured = [[0, 1], [0, 1], [0, 1]], [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
         smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
         self.solve(replace(smallest, trusted=np.array([True, False, False])))
 
-    def solving(self, graph: PoseGraph) -> Work[GraphSolution]:
+    def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
         weights = np.ones(len(graph.edges))
@@ -117,14 +117,16 @@ class GraphSlam:
         if self.robust is None:
             found = yield from self._least_squares(graph)
         else:
-            estimate = yield from self.robust.estimate(graph, self._starts(graph), self.max_iterations, self.tolerance)
+            estimate = yield from self.robust.estimate(
+                graph, self._initial_guesses(graph), self.max_iterations, self.tolerance
+            )
             found, weights = estimate.solution, estimate.weights
         poses = found.poses.copy()
         poses[:, 2] = wrap(poses[:, 2])
-        before = float((weights * squared_errors(graph, graph.errors())).sum())
+        before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())
         return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
 
-    def _least_squares(self, graph: PoseGraph) -> Work[Descent]:
+    def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
         """Return the least chi2 met from the guesses there are."""
         system = BlockSystem(graph.edges, len(graph.poses), 3)
         if self.first_guess == "given":
@@ -140,16 +142,16 @@ class GraphSlam:
         best = min(found, other, key=lambda descent: descent.chi2)
         return replace(best, iterations=found.iterations + other.iterations)
 
-    def _starts(self, graph: PoseGraph) -> Iterator[FloatArray]:
+    def _initial_guesses(self, graph: PoseGraph) -> Iterator[FloatArray]:
         """Guesses for a robust estimation: the graph's poses, and where the trusted measurements put them."""
         if self.first_guess != "computed":
             yield graph.poses
         if self.first_guess != "given":
-            for weight in _DOUBTS:
-                yield initial_guess(scaled(graph, np.where(graph.trusted, 1.0, weight)))
+            for weight in _RETRY_RATIOS:
+                yield initial_guess(scale_information(graph, np.where(graph.trusted, 1.0, weight)))
 
 
-def _doubtful(found: Descent, computed: FloatArray, measurements: int) -> bool:
+def _doubtful(found: DescentResult, computed: FloatArray, measurements: int) -> bool:
     """Whether another guess may lead lower: see `GraphSlam`."""
     turned = np.abs(wrap(found.poses[:, 2] - computed[:, 2])).max()
     freedom = 3 * (measurements - len(computed) + 1)

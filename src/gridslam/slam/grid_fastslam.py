@@ -26,15 +26,15 @@ from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, 
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
 from gridslam.scan.thinning import Thinning
-from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.map_limit import MapLimit
 from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Peak, Proposal
+from gridslam.slam.proposals import Proposal, ScanMatchedProposal
+from gridslam.slam.report_builder import ReportBuilder
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.tracker import Tracked, Tracker
-from gridslam.slam.tracker_velocity import widened
+from gridslam.slam.tracker import TrackedScan, Tracker
+from gridslam.slam.tracker_velocity import widen_motion
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -79,7 +79,7 @@ class GridFastSlam:
         When resampling is worth its loss of diversity.
     map_limit : MapLimit
         How much the particles' maps may take.
-    confidence : Confidence
+    reports : ReportBuilder
         Builds the step reports: covariances and the lost flag.
     loop_closure : LoopClosure or None
         Detects loop closures and corrects the trajectory; None to disable it.
@@ -99,13 +99,13 @@ class GridFastSlam:
     tracker: Tracker | OdometryTracker = Tracker()
     motion: MotionModel = DiffusionMotion()
     sensor: SensorModel = CauchyAgreement()
-    proposal: Proposal = Peak()
+    proposal: Proposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     resampler: Resampler = Systematic()
     when_to_update: UpdatePolicy = MovedAtLeast()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
-    confidence: Confidence = Confidence()
+    reports: ReportBuilder = ReportBuilder()
     loop_closure: LoopClosure | None = None
     range_min_m: float = 0.05
     range_max_m: float = 30.0
@@ -141,7 +141,8 @@ class GridFastSlam:
         """
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
-        poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
+        is_count = isinstance(particles, int | np.integer)
+        poses = at_pose(int(particles), pose) if is_count else _check_particles(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = self._select(scan)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
@@ -152,10 +153,10 @@ class GridFastSlam:
             tracker, tracker.pose, {scan.sensor: tracker.pose}, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)),
             maps, Ancestry.start(poses),
         )  # fmt: skip
-        state.covariance = self.confidence.spread(state)
+        state.covariance = self.reports.spread(state)
         if self.loop_closure is not None:
             self.loop_closure.init(state, beams)
-        return state, self.confidence.first_scan(state, scan, effective_sample_size(state.log_weights))
+        return state, self.reports.first_scan(state, scan, effective_sample_size(state.log_weights))
 
     def step(
         self, state: GridFastSlamState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
@@ -172,14 +173,15 @@ class GridFastSlam:
         beams = tracked.beams
         moved = between(state.key_pose, tracked.pose)
         if reason := self._skip(state, tracked.pose, beams):
-            return self._close_loops(state, self.confidence.between_key_scans(state, scan, moved, reason), beams)
+            return self._close_loops(state, self.reports.between_key_scans(state, scan, moved, reason), beams)
         motion = self._predict(state, tracked, noise)  # predict
-        proposed = self.proposal(state.maps, state.poses, motion, self.sensor(beams), tracked.joint, rng)  # match
+        likelihood = self.sensor(beams)
+        proposed = self.proposal(state.maps, state.poses, motion, likelihood, tracked.merged_beams, rng)  # match
         state.move(proposed.poses, tracked.pose, scan.sensor)
         state.log_weights = normalize(state.log_weights + proposed.log_weights)  # weigh
         state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
         self.mapper(state.maps, state.poses, beams)  # map
-        estimate = self.confidence.estimate(state, proposed.match, tracked.joint)
+        estimate = self.reports.estimate(state, proposed.match, tracked.merged_beams)
         state.covariance = estimate.covariance
         state.lost = estimate.lost
         n_eff = effective_sample_size(state.log_weights)  # N_eff
@@ -188,7 +190,7 @@ class GridFastSlam:
             parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
             state.resample(parents)
         parents = self._bound(state, parents)
-        report = self.confidence.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
+        report = self.reports.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
         return self._close_loops(state, report, beams)
 
     def _select(self, scan: LaserScan) -> Beams:
@@ -205,27 +207,27 @@ class GridFastSlam:
 
     def _track(
         self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
-    ) -> tuple[Tracked, OdometryNoise | None]:
+    ) -> tuple[TrackedScan, OdometryNoise | None]:
         """Track a scan with the odometry, unless its reported noise makes it useless; also return that noise."""
         tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
         if odometry is not None and isinstance(tracker, Tracker):
             seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
             odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
-        noise = OdometryNoise.told(state, odometry, matched=isinstance(tracker, Tracker))
+        noise = OdometryNoise.from_reading(state, odometry, matched=isinstance(tracker, Tracker))
         state.odometry_covariance = None if noise is None else noise.covariance
         return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
 
-    def _predict(self, state: GridFastSlamState, tracked: Tracked, noise: OdometryNoise | None) -> MotionSampler:
+    def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
-        motion = widened(self.motion(between(state.key_pose, tracked.predicted)), tracked.spread)
-        return motion if noise is None else noise.added(motion, state.key_pose, tracked.predicted)
+        motion = widen_motion(self.motion(between(state.key_pose, tracked.predicted)), tracked.prediction_variances)
+        return motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
 
     def _close_loops(
         self, state: GridFastSlamState, report: StepReport, beams: Beams
     ) -> tuple[GridFastSlamState, StepReport]:
-        if self.loop_closure is None or state.memory is None:
+        if self.loop_closure is None or state.closure_state is None:
             return state, report
-        return state, self.loop_closure(state, state.memory, report, beams, self.mapper, self.threads)
+        return state, self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
 
     def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
         last = state.sensor_key_poses.get(beams.scan.sensor)
@@ -236,7 +238,7 @@ class GridFastSlam:
         return None if len(beams) else SkipReason.NO_VALID_BEAM
 
 
-def _given(particles: object) -> FloatArray:
+def _check_particles(particles: object) -> FloatArray:
     """Poses (N, 3) that were given as particles, copied."""
     try:
         poses = np.array(particles, np.float64)

@@ -87,7 +87,7 @@ class LandmarkGraphSlam:
             graph = problem.begin(until, nodes[: known + 1], nodes[known + 1 :])
             solution = self.solver.solve(graph)
             nodes, known = solution.poses, until
-        covariances = Marginals(solution.counted).covariances
+        covariances = Marginals(solution.weighted_graph).covariances
         poses, landmarks = slice(1, known + 1), slice(known + 1, None)
         sightings = np.bincount(problem.place, minlength=len(problem.names))
         found = LandmarkMap(problem.names, nodes[landmarks, :2], covariances[landmarks, :2, :2], sightings)

@@ -13,16 +13,16 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.drift import Drift
+from gridslam.slam.constraints import Constraint
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.graph_robust import GraduatedNonConvexity
 from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Correction, Memory, Rejection, Weighing
+from gridslam.slam.incremental import advance
+from gridslam.slam.loop_closure_state import Correction, LoopClosureState, PendingConstraints, RejectionReason
 from gridslam.slam.place_recognition import PlaceRecognition
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.submaps import draw
-from gridslam.slam.ties import Tie
-from gridslam.slam.work import worked
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.submaps import insert_key_scans
 from gridslam.types import BeamEnds, StepReport
 
 __all__ = ["LoopClosure"]
@@ -50,7 +50,7 @@ class LoopClosure:
         Which places are recognized.
     solver : GraphSlam
         How the graph is solved.
-    drift : Drift
+    drift : DriftModel
         How uncertain tracked motion is.
     disagree_m, disagree_rad : float
         The filter is not corrected if its trajectory satisfies the new constraints within this.
@@ -62,7 +62,7 @@ class LoopClosure:
 
     recognition: PlaceRecognition = PlaceRecognition()
     solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
-    drift: Drift = Drift()
+    drift: DriftModel = DriftModel()
     disagree_m: float = Field(default=0.3, gt=0)
     disagree_rad: float = Field(default=0.05, gt=0)
     scans_per_step: int = Field(default=60, ge=2)
@@ -70,98 +70,121 @@ class LoopClosure:
 
     def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
         """Begin with the filter's first scan."""
-        state.memory = memory = Memory()
-        memory.scans.append(beams, state.tracker.pose, is_key=True)
-        memory.said.append(state.poses[state.best])
-        memory.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
+        state.closure_state = closure_state = LoopClosureState()
+        closure_state.scans.append(beams, state.tracker.pose, is_key=True)
+        closure_state.online_poses.append(state.poses[state.best])
+        closure_state.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
 
     def __call__(
         self,
         state: GridFastSlamState,
-        memory: Memory,
+        closure_state: LoopClosureState,
         report: StepReport,
         beams: BeamEnds,
         mapper: OccupancyGridMapping,
         threads: int,
     ) -> StepReport:
         """Process a scan after the filter; may correct `state`, which the report indicates."""
-        memory.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
-        ties = [] if memory.weighing is None else self._weigh(memory, memory.weighing, mapper, threads)
+        closure_state.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
+        pending = closure_state.pending_constraints
+        constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
         if report.skipped is not None:
-            return replace(report, closures=_ends(ties)) if ties else report
-        self._remember(memory, state)
-        if len(memory.graph) == BLOCK:  # long before the first search
-            Thread(target=self.solver.prepare).start()
-        found = self.recognition(memory, mapper)
-        if found and memory.weighing is None and memory.correction is None and self._disagrees(memory, found, state):
-            memory.weighing = Weighing(len(memory.graph), len(memory.graph.ties), len(found))
+            return replace(report, closures=_key_scan_pairs(constraints)) if constraints else report
+        self._add_key_scan(closure_state, state)
+        if len(closure_state.graph) == KEY_SCANS_PER_SUBMAP:  # long before the first search
+            Thread(target=self.solver.import_solver).start()
+        found = self.recognition(closure_state, mapper)
+        is_busy = closure_state.pending_constraints is not None or closure_state.correction is not None
+        if found and not is_busy and self._contradicts_filter(closure_state, found, state):
+            closure_state.pending_constraints = PendingConstraints(
+                len(closure_state.graph), len(closure_state.graph.constraints), len(found)
+            )
         else:
-            ties = ties + found
-        corrected = memory.correction is not None and self._draw(memory, memory.correction, state)
-        return replace(report, pose=state.poses[state.best], closures=_ends(ties), corrected=corrected)
+            constraints = constraints + found
+        correction = closure_state.correction
+        corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
+        return replace(report, pose=state.poses[state.best], closures=_key_scan_pairs(constraints), corrected=corrected)
 
-    def _remember(self, memory: Memory, state: GridFastSlamState) -> None:
+    def _add_key_scan(self, closure_state: LoopClosureState, state: GridFastSlamState) -> None:
         """Add the newest key scan, where it was tracked to."""
-        graph = memory.graph
+        graph = closure_state.graph
         moved = between(graph.tracked[-1], state.key_pose)
         position, heading = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
-        doubts, before = (state.tracker.doubt_m2, state.tracker.doubt_rad2), memory.doubts
-        memory.doubts = doubts
-        times = self.drift.doubt**2
-        spread = position + times * (doubts[0] - before[0]), heading + times * (doubts[1] - before[1])
+        rejected = state.tracker.rejected_match_m2, state.tracker.rejected_match_rad2
+        before = closure_state.rejected_match_variances
+        closure_state.rejected_match_variances = rejected
+        times = self.drift.rejected_match_sigmas**2
+        spread = position + times * (rejected[0] - before[0]), heading + times * (rejected[1] - before[1])
         graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
-        memory.said.append(state.poses[state.best])
+        closure_state.online_poses.append(state.poses[state.best])
 
-    def _disagrees(self, memory: Memory, ties: list[Tie], state: GridFastSlamState) -> bool:
+    def _contradicts_filter(
+        self, closure_state: LoopClosureState, constraints: list[Constraint], state: GridFastSlamState
+    ) -> bool:
         """Whether the best particle violates the new constraints."""
         trajectory = state.ancestry.trajectory(state.best)
-        has = between(trajectory[[tie.from_ for tie in ties]], trajectory[[tie.to for tie in ties]])
-        missed = between(has, np.array([tie.measurement for tie in ties]))
+        ends = np.array([(constraint.from_, constraint.to) for constraint in constraints])
+        has = between(trajectory[ends[:, 0]], trajectory[ends[:, 1]])
+        missed = between(has, np.array([constraint.measurement for constraint in constraints]))
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
 
-    def _weigh(self, memory: Memory, weighing: Weighing, mapper: OccupancyGridMapping, threads: int) -> list[Tie]:
+    def _solve_pending(
+        self,
+        closure_state: LoopClosureState,
+        pending: PendingConstraints,
+        mapper: OccupancyGridMapping,
+        threads: int,
+    ) -> list[Constraint]:
         """Advance the graph solver; when it has finished, start the correction and return the accepted constraints.
 
         Returns none before the solver has finished, and none if it rejects them.
         """
-        graph = memory.graph
-        if weighing.work is None:
-            weighing.work = self.solver.solving(graph.graph(keys=weighing.keys, ties=weighing.ties))
-            worked(weighing.work, weighing.steps)
-        steps = max(1, min(8, self.poses_per_scan // weighing.keys))
-        weighing.steps += steps
-        solution = worked(weighing.work, steps)
+        graph = closure_state.graph
+        if pending.computation is None:
+            pending.computation = self.solver.solve_in_steps(
+                graph.graph(keys=pending.keys, constraints=pending.constraints)
+            )
+            advance(pending.computation, pending.steps)
+        steps = max(1, min(8, self.poses_per_scan // pending.keys))
+        pending.steps += steps
+        solution = advance(pending.computation, steps)
         if solution is None:
             return []
-        memory.weighing = None
-        poses = graph.continued(solution.poses)
-        new = slice(weighing.ties - weighing.new, weighing.ties)
-        true = solution.weights[-weighing.new :] >= 0.5
-        ties = [tie for tie, is_true in zip(graph.ties[new], true.tolist(), strict=True) if is_true]
-        memory.rejected[Rejection.IMPLAUSIBLE] += weighing.new - len(ties)
-        if 2 * len(ties) <= weighing.new:  # most of the new constraints were rejected
-            ties = []
-        graph.ties[new] = ties
-        if ties:
-            memory.correction = Correction(poses, mapper.empty(1, threads))
-        memory.correct(poses)
-        return ties
+        closure_state.pending_constraints = None
+        poses = graph.extend_with_tracked(solution.poses)
+        new = slice(pending.constraints - pending.new, pending.constraints)
+        true = solution.weights[-pending.new :] >= 0.5
+        constraints = [
+            constraint for constraint, is_true in zip(graph.constraints[new], true.tolist(), strict=True) if is_true
+        ]
+        closure_state.rejected[RejectionReason.IMPLAUSIBLE] += pending.new - len(constraints)
+        if 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
+            constraints = []
+        graph.constraints[new] = constraints
+        if constraints:
+            closure_state.correction = Correction(poses, mapper.empty(1, threads))
+        closure_state.correct(poses)
+        return constraints
 
-    def _draw(self, memory: Memory, correction: Correction, state: GridFastSlamState) -> bool:
+    def _build_corrected_map(
+        self, closure_state: LoopClosureState, correction: Correction, state: GridFastSlamState
+    ) -> bool:
         """Continue to rebuild the map and merge it when complete; return whether it was merged."""
-        correction.poses = poses = memory.graph.continued(correction.poses)
-        last = min(correction.drawn + self.scans_per_step, len(poses))
-        draw(correction.maps, memory.scans, range(correction.drawn, last), poses[correction.drawn : last])
-        correction.drawn = last
+        correction.poses = poses = closure_state.graph.extend_with_tracked(correction.poses)
+        last = min(correction.inserted + self.scans_per_step, len(poses))
+        insert_key_scans(
+            correction.maps, closure_state.scans, range(correction.inserted, last), poses[correction.inserted : last]
+        )
+        correction.inserted = last
         if last < len(poses):
             return False
-        memory.correct(poses)
-        memory.said = list(poses)
-        state.reseed(poses, correction.maps)
-        memory.correction = None
+        closure_state.correct(poses)
+        closure_state.online_poses = list(poses)
+        state.replace_trajectory(poses, correction.maps)
+        closure_state.correction = None
         return True
 
 
-def _ends(ties: list[Tie]) -> tuple[tuple[int, int], ...]:
-    return tuple((tie.from_, tie.to) for tie in ties)
+def _key_scan_pairs(constraints: list[Constraint]) -> tuple[tuple[int, int], ...]:
+    return tuple((constraint.from_, constraint.to) for constraint in constraints)

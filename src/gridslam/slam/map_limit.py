@@ -16,7 +16,7 @@ __all__ = ["MapLimit"]
 _EVERY = 16
 """Key scans from one count of the tiles to the next."""
 
-_LEFT = 0.75
+_KEPT_RATIO = 0.75
 """Share of the tiles beside the best map's down to which particles give way."""
 
 
@@ -49,12 +49,12 @@ class MapLimit:
             return None
         best, order = maps.tiles_of(np.array([state.best])), np.argsort(-state.log_weights, kind="stable")
         apart, kept = max(limit - best, limit // 3), count
-        while kept > 1 and maps.tiles_of(order[:kept]) - best > (apart if kept == count else _LEFT * apart):
+        while kept > 1 and maps.tiles_of(order[:kept]) - best > (apart if kept == count else _KEPT_RATIO * apart):
             kept = kept * 4 // 5
-        return None if kept == count else _shared_out(state.log_weights, order[:kept])
+        return None if kept == count else _apportion(state.log_weights, order[:kept])
 
 
-def _shared_out(log_weights: FloatArray, kept: IntArray) -> IntArray:
+def _apportion(log_weights: FloatArray, kept: IntArray) -> IntArray:
     """Particles `kept` (K,) in the numbers that their weights are worth, to a whole one, as many as there are weights.
 
     Each goes on once at least, and beyond that the greatest remainders do.

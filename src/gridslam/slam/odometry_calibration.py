@@ -15,14 +15,14 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
 
-__all__ = ["LearnedOdometry", "OdometryCalibration"]
+__all__ = ["OdometryCalibration", "OdometryErrorModel"]
 
 _EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 @final
 @dataclass(slots=True, eq=False)
-class LearnedOdometry:
+class OdometryErrorModel:
     """Estimated odometry model; arrays are replaced, never modified in place.
 
     Attributes
@@ -35,7 +35,7 @@ class LearnedOdometry:
         Normal equations of a, c, p, q and of g, b: the matrix, and the right side as the last column.
     variances : (2,) float64
         Of what is left over a stretch, m^2 (each of x and y) and rad^2.
-    stretches : float
+    segments : float
         Number of stretches learned from.
     sums : (4,) float64
         What was left and what was moved over the last stretches, m and rad: left, moved, left, turned.
@@ -51,36 +51,36 @@ class LearnedOdometry:
     position: FloatArray = field(default_factory=lambda: np.zeros((4, 5)))
     heading: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
     variances: FloatArray = field(default_factory=lambda: np.array([0.03**2, 0.05**2]))
-    stretches: float = 0.0
+    segments: float = 0.0
     sums: FloatArray = field(default_factory=lambda: np.zeros(4))
     trusted: bool = True
     begin_pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     begin_odometry: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     determined: bool = True
 
-    def corrected(self, increment: FloatArray) -> FloatArray:
+    def correct_increment(self, increment: FloatArray) -> FloatArray:
         """The increment (3,) of the odometry without its systematic errors."""
         x, y, theta = increment.tolist()
         a, c, p, q, g, b = self.factors.tolist()
         turn = math.remainder(g * theta + b * x, math.tau)
         return np.array([a * x - c * y + p * theta, c * x + a * y + q * theta, turn])
 
-    def snapshot(self) -> LearnedOdometry:
+    def snapshot(self) -> OdometryErrorModel:
         """Keep a copy for later."""
         return replace(self)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues with identical results."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
-        arrays["stretches"] = np.array(self.stretches)
+        arrays["segments"] = np.array(self.segments)
         return arrays | {"flags": np.array([self.trusted, self.determined])}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> LearnedOdometry:
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> OdometryErrorModel:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
         trusted, determined = arrays["flags"].tolist()
         own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
-        return cls(stretches=float(arrays["stretches"]), trusted=trusted, determined=determined, **own)
+        return cls(segments=float(arrays["segments"]), trusted=trusted, determined=determined, **own)
 
 
 _ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", "begin_odometry")
@@ -91,98 +91,104 @@ _ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", 
 class OdometryCalibration:
     """Estimates the odometry model from the tracked motion, segment by segment.
 
-    The six factors of `LearnedOdometry` are the least squares solution over past stretches, of which older ones count
-    less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which the
-    scans did not determine the position teach the heading alone, as the tracker has the rest from the odometry itself.
+    The six factors of `OdometryErrorModel` are the least squares solution over past stretches, of which older ones
+    count less. Stretches over which the wheels slipped are far off and count little (Cauchy weights); those along which
+    the scans did not determine the position teach the heading alone, as the tracker has the rest from the odometry
+    itself.
 
     Parameters
     ----------
-    stretch_m, stretch_rad : float
+    segment_m, segment_rad : float
         A stretch ends after either; the tracker's own error over it is a centimetre.
-    memory : float
+    forgetting_segments : float
         Number of stretches after which one counts a third (1/e).
     prior : float
         Weight of the odometry's being exact, in squared metres and radians moved.
-    known_stretches : float
+    min_segments : float
         Number of segments after which the errors of the odometry count as known,
-    known_sigma_m : float, m
+    converged_sigma_m : float, m
         ... if it keeps to them as closely as this over a stretch.
-    useless : float
+    max_unexplained_ratio : float
         Odometry that leaves so much of the motion unexplained, or of the turning, is not used; it is used again once it
         leaves half of that.
     """
 
-    stretch_m: float = Field(default=0.5, gt=0)
-    stretch_rad: float = Field(default=0.5, gt=0)
-    memory: float = Field(default=200.0, ge=1)
+    segment_m: float = Field(default=0.5, gt=0)
+    segment_rad: float = Field(default=0.5, gt=0)
+    forgetting_segments: float = Field(default=200.0, ge=1)
     prior: float = Field(default=0.5, gt=0)
-    known_stretches: float = Field(default=20, ge=0)
-    known_sigma_m: float = Field(default=0.05, gt=0)
-    useless: float = Field(default=0.6, gt=0)
+    min_segments: float = Field(default=20, ge=0)
+    converged_sigma_m: float = Field(default=0.05, gt=0)
+    max_unexplained_ratio: float = Field(default=0.6, gt=0)
 
-    def is_known(self, learned: LearnedOdometry) -> bool:
+    def is_known(self, errors: OdometryErrorModel) -> bool:
         """Whether the estimate has converged and the odometry is consistent with it."""
-        return learned.stretches >= self.known_stretches and learned.variances[0] < self.known_sigma_m**2
+        return errors.segments >= self.min_segments and errors.variances[0] < self.converged_sigma_m**2
 
     def learn(
-        self, learned: LearnedOdometry, pose: FloatArray, odometry: FloatArray, believed: bool, determined: bool
+        self,
+        errors: OdometryErrorModel,
+        pose: FloatArray,
+        odometry: FloatArray,
+        is_good_match: bool,
+        determined: bool,
     ) -> None:
         """Process a scan that was matched.
 
         Parameters
         ----------
-        learned : LearnedOdometry
+        errors : OdometryErrorModel
             Updated at the end of a stretch.
         pose, odometry : (3,) float64
             Of the scan, in the tracker's frame and in the odometry's; NaN where there is no odometry.
-        believed : bool
+        is_good_match : bool
             Whether the match was good; else a new stretch begins.
         determined : bool
             Whether the scan is not degenerate.
         """
-        learned.determined &= determined
-        known = believed and not math.isnan(odometry[0] + learned.begin_odometry[0])
-        if known and not (self._is_long(pose - learned.begin_pose) or self._is_long(odometry - learned.begin_odometry)):
+        errors.determined &= determined
+        known = is_good_match and not math.isnan(odometry[0] + errors.begin_odometry[0])
+        if known and not (self._is_long(pose - errors.begin_pose) or self._is_long(odometry - errors.begin_odometry)):
             return
         if known:
-            moved, told = between(learned.begin_pose, pose), between(learned.begin_odometry, odometry)
-            self._judge(learned, moved, told)
-            if learned.trusted:
-                self._fit(learned, moved, told)
-        learned.begin_pose, learned.begin_odometry, learned.determined = pose, odometry, True
+            moved, measured = between(errors.begin_pose, pose), between(errors.begin_odometry, odometry)
+            self._update_trust(errors, moved, measured)
+            if errors.trusted:
+                self._fit(errors, moved, measured)
+        errors.begin_pose, errors.begin_odometry, errors.determined = pose, odometry, True
 
     def _is_long(self, difference: FloatArray) -> bool:
         x, y, turn = difference.tolist()
-        return math.hypot(x, y) >= self.stretch_m or abs(math.remainder(turn, math.tau)) >= self.stretch_rad
+        return math.hypot(x, y) >= self.segment_m or abs(math.remainder(turn, math.tau)) >= self.segment_rad
 
-    def _judge(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+    def _update_trust(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Whether the odometry, as corrected, explains the motion."""
-        (x, y, turn), (dx, dy, left) = moved.tolist(), between(learned.corrected(told), moved).tolist()
-        new = [math.hypot(dx, dy), math.hypot(x, y), abs(left), abs(turn)]
-        learned.sums = 0.95 * learned.sums + np.array(new)
-        left_m, moved_m, left_rad, turned = learned.sums.tolist()
-        limit = self.useless if learned.trusted else 0.5 * self.useless
+        (x, y, turn), (dx, dy, dtheta) = moved.tolist(), between(errors.correct_increment(measured), moved).tolist()
+        new = [math.hypot(dx, dy), math.hypot(x, y), abs(dtheta), abs(turn)]
+        errors.sums = 0.95 * errors.sums + np.array(new)
+        left_m, moved_m, left_rad, turned = errors.sums.tolist()
+        limit = self.max_unexplained_ratio if errors.trusted else 0.5 * self.max_unexplained_ratio
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
-        learned.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
+        errors.trusted = left_m < limit * (moved_m + 2) and left_rad < limit * (turned + 1)
 
-    def _fit(self, learned: LearnedOdometry, moved: FloatArray, told: FloatArray) -> None:
+    def _fit(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
-        (x, y, theta), (mx, my, turned) = told.tolist(), moved.tolist()
-        left = between(learned.corrected(told), moved)
-        squares = np.array([0.5 * (left[0] ** 2 + left[1] ** 2), left[2] ** 2])
-        weights = 1 / np.square(1 + squares / (4 * learned.variances))
-        keep = 1 - 1 / self.memory
-        if learned.determined:
+        (x, y, theta), (mx, my, turned) = measured.tolist(), moved.tolist()
+        residual = between(errors.correct_increment(measured), moved)
+        squares = np.array([0.5 * (residual[0] ** 2 + residual[1] ** 2), residual[2] ** 2])
+        weights = 1 / np.square(1 + squares / (4 * errors.variances))
+        keep = 1 - 1 / self.forgetting_segments
+        if errors.determined:
             rows = np.array([[x, -y, theta, 0.0, mx], [y, x, 0.0, theta, my]])
-            learned.position = keep * learned.position + weights[0] * rows[:, :4].T @ rows
+            errors.position = keep * errors.position + weights[0] * rows[:, :4].T @ rows
         row = np.array([[theta, x, theta + math.remainder(turned - theta, math.tau)]])
-        learned.heading = keep * learned.heading + weights[1] * row[:, :2].T @ row
-        solved = self._solved(learned.position, _EXACT[:4]), self._solved(learned.heading, _EXACT[4:])
-        learned.factors = np.concatenate(solved)
-        learned.stretches = keep * learned.stretches + 1
-        news = np.minimum(squares, 9 * learned.variances) - learned.variances
-        learned.variances = learned.variances + news * [learned.determined, True] / (learned.stretches + 10)
+        errors.heading = keep * errors.heading + weights[1] * row[:, :2].T @ row
+        solved = self._solve(errors.position, _EXACT[:4]), self._solve(errors.heading, _EXACT[4:])
+        errors.factors = np.concatenate(solved)
+        errors.segments = keep * errors.segments + 1
+        change = np.minimum(squares, 9 * errors.variances) - errors.variances
+        errors.variances = errors.variances + change * [errors.determined, True] / (errors.segments + 10)
 
-    def _solved(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
+    def _solve(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
         matrix = equations[:, :-1] + self.prior * np.eye(len(exact))
         return np.asarray(np.linalg.solve(matrix, equations[:, -1] + self.prior * exact), np.float64)

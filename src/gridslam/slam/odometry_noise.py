@@ -32,7 +32,7 @@ def is_worse_than_velocity(odometry: Odometry, seconds: float, velocity: Constan
     """
     if odometry.covariance is None:
         return False
-    sigma_m, sigma_rad = velocity.sigmas(min(seconds, velocity.longest_s))
+    sigma_m, sigma_rad = velocity.sigmas(min(seconds, velocity.max_interval_s))
     variance_m2 = float(np.linalg.eigvalsh(odometry.covariance[:2, :2])[-1])
     return variance_m2 > sigma_m**2 or float(odometry.covariance[2, 2]) > sigma_rad**2
 
@@ -57,7 +57,9 @@ class OdometryNoise:
     covariance: FloatArray
 
     @classmethod
-    def told(cls, state: GridFastSlamState, odometry: Odometry | None, *, matched: bool) -> OdometryNoise | None:
+    def from_reading(
+        cls, state: GridFastSlamState, odometry: Odometry | None, *, matched: bool
+    ) -> OdometryNoise | None:
         """Add the noise of a reading to that accumulated up to the last scan; None if either is unknown.
 
         To be called before the tracker processes the scan. `matched`: whether it matches scans; else the control is
@@ -76,10 +78,10 @@ class OdometryNoise:
         moves = bool(increment.any())  # one reading may serve several scans
         covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
         since = between(tracker.matched_odometry, odometry.pose)
-        reached = compose(tracker.matched_pose, tracker.learned.corrected(since) if matched else since)
+        reached = compose(tracker.matched_pose, tracker.odometry_errors.correct_increment(since) if matched else since)
         return cls(base, reached, covariance)
 
-    def added(self, sampler: MotionSampler, key_pose: FloatArray, predicted: FloatArray) -> MotionSampler:
+    def add_to(self, sampler: MotionSampler, key_pose: FloatArray, predicted: FloatArray) -> MotionSampler:
         """The motion from `key_pose` (3,) to `predicted` (3,) with this noise beside that of its `sampler`.
 
         As it is where the prediction is not the odometry's.

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.tracker_state import Tracked, TrackerState
+from gridslam.slam.tracker_state import TrackedScan, TrackerState
 from gridslam.types import Beams, Odometry
 
 __all__ = ["OdometryTracker"]
@@ -25,16 +25,16 @@ class OdometryTracker:
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
     ) -> TrackerState:
         """Start at the origin of the tracker's frame; ArgumentError where there is no odometry."""
-        return TrackerState.start(mapper.empty(2), _needed(odometry, stamp_ns), stamp_ns, beams.scan.sensor)
+        return TrackerState.start(mapper.empty(2), _require_odometry(odometry, stamp_ns), stamp_ns, beams.scan.sensor)
 
-    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
+    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> TrackedScan:
         """Track one scan; updates `state`; ArgumentError where there is no odometry."""
-        state.odometry, state.stamp_ns = _needed(odometry, stamp_ns).pose, stamp_ns
+        state.odometry, state.stamp_ns = _require_odometry(odometry, stamp_ns).pose, stamp_ns
         state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
-        return Tracked(state.pose, state.pose, beams, beams)
+        return TrackedScan(state.pose, state.pose, beams, beams)
 
 
-def _needed(odometry: Odometry | None, stamp_ns: int) -> Odometry:
+def _require_odometry(odometry: Odometry | None, stamp_ns: int) -> Odometry:
     if odometry is None:
         expected = "a pose with every scan, as this tracker uses nothing else"
         raise ArgumentError("odometry", expected, f"none with the scan at {stamp_ns} ns")

@@ -10,21 +10,21 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.known_places import tie_known_place
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_parameters import PlaceParameters
-from gridslam.slam.place_search import candidate_pieces, search_place
-from gridslam.slam.submaps import anchor_of
-from gridslam.slam.ties import Tie
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint
+from gridslam.slam.key_graph import KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
+from gridslam.slam.place_search import find_candidate_submaps, search_place
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
+from gridslam.slam.tracked_revisits import match_tracked_revisit
 
 __all__ = ["PlaceRecognition"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class PlaceRecognition(PlaceParameters):
+class PlaceRecognition(PlaceRecognitionParameters):
     """Adds constraints from key scans to older submaps: tracked revisits and recognized places.
 
     A place is recognized if the points of the last key scans match the old map within the pose uncertainty (branch and
@@ -32,95 +32,110 @@ class PlaceRecognition(PlaceParameters):
     next searches.
     """
 
-    def __call__(self, memory: Memory, mapper: OccupancyGridMapping) -> list[Tie]:
+    def __call__(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> list[Constraint]:
         """Process the newest key scan; return the constraints of a newly recognized place, also added to the graph."""
-        graph = memory.graph
+        graph = closure_state.graph
         newest = len(graph) - 1
-        if newest // BLOCK < self.gap or len(memory.scans.key(newest)) < self.matcher.least_beams:
+        if submap_of(newest) < self.recent_submaps or len(closure_state.scans.key(newest)) < self.matcher.least_beams:
             return []
-        if tie_known_place(self, memory, mapper):
-            memory.hypotheses.clear()
+        if match_tracked_revisit(self, closure_state, mapper):
+            closure_state.unconfirmed.clear()
             return []
-        if newest < memory.next_search:
+        if newest < closure_state.next_search:
             return []
-        pieces = candidate_pieces(self, graph, newest)
-        if not pieces:
-            memory.area = memory.wide = ()
+        components = find_candidate_submaps(self, graph, newest)
+        if not components:
+            closure_state.search_submaps = closure_state.ambiguity_submaps = ()
             return []
-        found = search_place(self, memory, mapper, newest, pieces[memory.failures % len(pieces)])
+        found = search_place(
+            self, closure_state, mapper, newest, components[closure_state.failed_searches % len(components)]
+        )
         if found is None:
             return []
-        if isinstance(found, Rejection):
-            self._reject(memory, found)
+        if isinstance(found, RejectionReason):
+            self._count_rejection(closure_state, found)
             return []
-        memory.failures, memory.next_search = 0, newest + self.every
-        recent = [*(h for h in memory.hypotheses if newest - h.to <= 6 * self.every), found]
-        agreeing = [h for h in recent if self._agree(graph, h, found)]
-        memory.hypotheses = recent
+        closure_state.failed_searches, closure_state.next_search = 0, newest + self.search_interval
+        recent = [*(h for h in closure_state.unconfirmed if newest - h.to <= 6 * self.search_interval), found]
+        agreeing = [h for h in recent if self._are_consistent(graph, h, found)]
+        closure_state.unconfirmed = recent
         if len(agreeing) < len(recent):
-            memory.rejected[Rejection.INCONSISTENT] += 1
-        if not self._convinces(agreeing, recent):
+            closure_state.rejected[RejectionReason.INCONSISTENT] += 1
+        if not self._is_confirmed(agreeing, recent):
             return []
-        memory.hypotheses = []
-        for tie in agreeing:
-            graph.add(tie)
+        closure_state.unconfirmed = []
+        for constraint in agreeing:
+            graph.add(constraint)
         return agreeing
 
-    def search_all(
-        self, memory: Memory, mapper: OccupancyGridMapping, known: Sequence[Tie], tick: Callable[[], None]
-    ) -> list[Tie]:
+    def search_whole_log(
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        known: Sequence[Constraint],
+        on_progress: Callable[[], None],
+    ) -> list[Constraint]:
         """Search the whole log for revisits that the constraints `known` do not cover.
 
         Returns groups of constraints that are consistent with each other and with the tracked motion between them; each
         group is one confirmed revisit. The poses and constraints of the graph are those of the best candidate so far.
         """
-        graph, near = memory.graph, range(-self.every, self.every + 1)
-        tied, labels = {tie.to + k for tie in known for k in near}, graph.pieces()
-        groups: list[list[Tie]] = []
-        for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
-            if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
+        graph, near = closure_state.graph, range(-self.search_interval, self.search_interval + 1)
+        covered, labels = {constraint.to + k for constraint in known for k in near}, graph.label_rigid_components()
+        groups: list[list[Constraint]] = []
+        for key in range(
+            self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, len(graph), self.search_interval
+        ):
+            if key in covered or len(closure_state.scans.key(key)) < self.matcher.least_beams:
                 continue
-            for piece in candidate_pieces(self, graph, key):
-                if piece[0].sigma_m < 2 * self.known_m or labels[anchor_of(piece[0].block)] != labels[key]:
+            for component in find_candidate_submaps(self, graph, key):
+                if (
+                    component[0].sigma_m < 2 * self.certain_sigma_m
+                    or labels[anchor_of(component[0].submap)] != labels[key]
+                ):
                     continue  # tracked revisit: matched without a search; another piece is aligned as a whole
-                found = self._searched(memory, mapper, key, piece)
-                tick()
-                if isinstance(found, Rejection):
-                    memory.rejected[found] += 1
+                found = self._search_to_end(closure_state, mapper, key, component)
+                on_progress()
+                if isinstance(found, RejectionReason):
+                    closure_state.rejected[found] += 1
                 elif found is not None:
-                    self._group(graph, groups, found)
-        found_all = [tie for group in groups for tie in group]
-        return [tie for group in groups if self._convinces(group, found_all) for tie in group]
+                    self._add_to_group(graph, groups, found)
+        found_all = [constraint for group in groups for constraint in group]
+        return [constraint for group in groups if self._is_confirmed(group, found_all) for constraint in group]
 
-    def _searched(
-        self, memory: Memory, mapper: OccupancyGridMapping, key: int, piece: list[Nearby]
-    ) -> Tie | Rejection | None:
+    def _search_to_end(
+        self, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int, component: list[SubmapDistance]
+    ) -> Constraint | RejectionReason | None:
         """Run all stages of the search at one key scan."""
         found = None
         for _ in range(3):
-            found = found or search_place(self, memory, mapper, key, piece)
+            found = found or search_place(self, closure_state, mapper, key, component)
         return found
 
-    def _group(self, graph: KeyGraph, groups: list[list[Tie]], found: Tie) -> None:
+    def _add_to_group(self, graph: KeyGraph, groups: list[list[Constraint]], found: Constraint) -> None:
         """Add a constraint to the consistent group, or start a new one."""
         for group in reversed(groups):
-            if found.to - group[-1].to <= 6 * self.every and self._agree(graph, group[-1], found):
+            if found.to - group[-1].to <= 6 * self.search_interval and self._are_consistent(graph, group[-1], found):
                 group.append(found)
                 return
         groups.append([found])
 
-    def _convinces(self, group: list[Tie], found: list[Tie]) -> bool:
+    def _is_confirmed(self, group: list[Constraint], found: list[Constraint]) -> bool:
         """Whether a group has enough members, and a majority of the candidates in its interval."""
-        meanwhile = sum(group[0].to <= tie.to <= group[-1].to for tie in found)
-        return len(group) >= max(self.confirmations, 2 * (meanwhile - len(group)) + 1)
+        meanwhile = sum(group[0].to <= constraint.to <= group[-1].to for constraint in found)
+        return len(group) >= max(self.min_confirmations, 2 * (meanwhile - len(group)) + 1)
 
-    def _reject(self, memory: Memory, reason: Rejection) -> None:
+    def _count_rejection(self, closure_state: LoopClosureState, reason: RejectionReason) -> None:
         """Count a rejected candidate; after repeated failures the search interval grows."""
-        memory.rejected[reason] += 1
-        memory.failures = memory.failures + 1 if reason is Rejection.POOR else 0
-        memory.next_search = len(memory.graph) - 1 + self.every * 2 ** min(max(memory.failures - 1, 0), 3)
+        closure_state.rejected[reason] += 1
+        closure_state.failed_searches = (
+            closure_state.failed_searches + 1 if reason is RejectionReason.LOW_INLIER_RATIO else 0
+        )
+        closure_state.next_search = (
+            len(closure_state.graph) - 1 + self.search_interval * 2 ** min(max(closure_state.failed_searches - 1, 0), 3)
+        )
 
-    def _agree(self, graph: KeyGraph, earlier: Tie, later: Tie) -> bool:
+    def _are_consistent(self, graph: KeyGraph, earlier: Constraint, later: Constraint) -> bool:
         """Whether two candidates are consistent with the tracked motion between their key scans."""
-        missed = evidence.disagreement(graph, earlier, later)
-        return math.hypot(missed[0], missed[1]) < self.agree_m and abs(missed[2]) < self.agree_rad
+        missed = checks.relative_error(graph, earlier, later)
+        return math.hypot(missed[0], missed[1]) < self.consistency_m and abs(missed[2]) < self.consistency_rad

@@ -10,107 +10,126 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Found, thinned
-from gridslam.slam import place_evidence as evidence
-from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
-from gridslam.slam.memory import Memory, Rejection
-from gridslam.slam.place_parameters import PlaceParameters
-from gridslam.slam.submaps import anchor_of
-from gridslam.slam.ties import Source, Tie
+from gridslam.slam import place_checks as checks
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.key_graph import KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
+from gridslam.slam.submap_index import anchor_of, first_key_scan, submap_of
 from gridslam.types import FloatArray
 
-__all__ = ["candidate_pieces", "search_place"]
+__all__ = ["find_candidate_submaps", "search_place"]
 
-_FEW, _MOST_SUBMAPS = 12, 24
+_SEARCH_SUBMAPS, _AMBIGUITY_SUBMAPS = 12, 24
 """Maximum number of submaps in the search and in the ambiguity check."""
 
 
 def search_place(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int, candidates: list[Nearby]
-) -> Tie | Rejection | None:
-    """Match the points up to a key scan against old submaps within the pose uncertainty (one of `candidate_pieces`).
+    places: PlaceRecognitionParameters,
+    closure_state: LoopClosureState,
+    mapper: OccupancyGridMapping,
+    key: int,
+    candidates: list[SubmapDistance],
+) -> Constraint | RejectionReason | None:
+    """Match the points up to a key scan against old submaps within its uncertainty: one of `find_candidate_submaps`.
 
     If the joint map must be built first, only that is done and None is returned, so that no scan waits for both.
     """
-    graph, oldest = memory.graph, key // BLOCK - places.gap
-    way, blocks = candidates[0], tuple(n.block for n in candidates)
-    guess = compose(graph.poses[way.block * BLOCK], way.pose)
-    points = thinned(evidence.recent_points(memory, key, places.query), places.search.points)
-    if set(blocks[:_FEW]) <= set(memory.wide):
-        found = _told_apart(places, memory, mapper, key, guess, way.covariance, points)
-        memory.wide = () if isinstance(found, Rejection) else memory.wide
+    graph, oldest = closure_state.graph, submap_of(key) - places.recent_submaps
+    way, submaps = candidates[0], tuple(n.submap for n in candidates)
+    guess = compose(graph.poses[first_key_scan(way.submap)], way.pose)
+    points = thinned(checks.collect_recent_points(closure_state, key, places.query_key_scans), places.search.points)
+    if set(submaps[:_SEARCH_SUBMAPS]) <= set(closure_state.ambiguity_submaps):
+        found = _check_ambiguity(places, closure_state, mapper, key, guess, way.covariance, points)
+        closure_state.ambiguity_submaps = () if isinstance(found, RejectionReason) else closure_state.ambiguity_submaps
         return found
-    near = [n.block for n in candidates if _away(places, n) < places.search.gate][:_FEW]
-    if not set(near[:6]) <= set(memory.area):
-        seen_too = {b for block in near for b in range(block - 1, block + 2)}  # within the range of the sensor
-        memory.area = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
-        memory.submaps.joint(memory.area, mapper, memory.scans, graph)
+    near = [n.submap for n in candidates if _mahalanobis_distance(places, n) < places.search.gate][:_SEARCH_SUBMAPS]
+    if not set(near[:6]) <= set(closure_state.search_submaps):
+        seen_too = {b for submap in near for b in range(submap - 1, submap + 2)}  # within the range of the sensor
+        closure_state.search_submaps = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
+        closure_state.submap_cache.joint_map(closure_state.search_submaps, mapper, closure_state.scans, graph)
         return None
-    pyramid = memory.submaps.pyramid(memory.area, mapper, memory.scans, graph)
-    maps = memory.submaps.joint(memory.area, mapper, memory.scans, graph)
+    pyramid = closure_state.submap_cache.pyramid(closure_state.search_submaps, mapper, closure_state.scans, graph)
+    maps = closure_state.submap_cache.joint_map(closure_state.search_submaps, mapper, closure_state.scans, graph)
     near_place = places.search.search(pyramid, guess, way.covariance, points)
-    if near_place is None or not places.agrees(maps, near_place.pose, points):
-        return Rejection.POOR
-    memory.wide = tuple(sorted(blocks))
-    memory.submaps.joint(memory.wide, mapper, memory.scans, graph)
+    if near_place is None or not places.is_inlier_match(maps, near_place.pose, points):
+        return RejectionReason.LOW_INLIER_RATIO
+    closure_state.ambiguity_submaps = tuple(sorted(submaps))
+    closure_state.submap_cache.joint_map(closure_state.ambiguity_submaps, mapper, closure_state.scans, graph)
     return None
 
 
-def _told_apart(
-    places: PlaceParameters, memory: Memory, mapper: OccupancyGridMapping, key: int,
+def _check_ambiguity(
+    places: PlaceRecognitionParameters, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int,
     guess: FloatArray, spread: FloatArray, points: FloatArray,
-) -> Tie | Rejection:  # fmt: skip
+) -> Constraint | RejectionReason:  # fmt: skip
     """Check that no other place matches as well."""
-    graph, blocks = memory.graph, memory.wide
-    pyramid = memory.submaps.pyramid(blocks, mapper, memory.scans, graph)
-    maps = memory.submaps.joint(blocks, mapper, memory.scans, graph)
-    beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / places.search.gate)
+    graph, submaps = closure_state.graph, closure_state.ambiguity_submaps
+    pyramid = closure_state.submap_cache.pyramid(submaps, mapper, closure_state.scans, graph)
+    maps = closure_state.submap_cache.joint_map(submaps, mapper, closure_state.scans, graph)
+    beyond = np.square(
+        np.diag([places.ambiguity_window_m, places.ambiguity_window_m, places.ambiguity_window_rad])
+        / places.search.gate
+    )
     found = places.search.search(pyramid, guess, spread + beyond, points)
     if found is None:
-        return Rejection.POOR
-    if not places.is_plausible(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
-        return Rejection.IMPLAUSIBLE
-    if rejection := _judged(places, found, maps, points, memory, key):
+        return RejectionReason.LOW_INLIER_RATIO
+    if not places.is_within_gate(spread, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
+        return RejectionReason.IMPLAUSIBLE
+    if rejection := _find_rejection(places, found, maps, points, closure_state, key):
         return rejection
-    anchors = np.array([graph.poses[anchor_of(b)] for b in blocks])
-    block = blocks[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
-    anchor = graph.poses[anchor_of(block)]
-    seen, most_m = between(anchor, found.pose), 3 * places.known_m
-    tie = places.match_to(maps, anchor, memory, key, block, seen, most_m, Source.RECOGNIZED)
-    return tie if isinstance(tie, Rejection) or tie.determined else Rejection.UNDETERMINED
+    anchors = np.array([graph.poses[anchor_of(b)] for b in submaps])
+    submap = submaps[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
+    anchor = graph.poses[anchor_of(submap)]
+    in_submap = between(anchor, found.pose)
+    max_correction_m = 3 * places.certain_sigma_m
+    constraint = places.match_to(
+        maps, anchor, closure_state, key, submap, in_submap, max_correction_m, ConstraintSource.RECOGNIZED
+    )
+    if isinstance(constraint, Constraint) and not constraint.determined:
+        return RejectionReason.DEGENERATE
+    return constraint
 
 
-def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list[list[Nearby]]:
+def find_candidate_submaps(places: PlaceRecognitionParameters, graph: KeyGraph, key: int) -> list[list[SubmapDistance]]:
     """Candidate submaps by rigid component; first those that require the smallest correction of the robot's pose.
 
     Submaps separated by a gap in the laser data do not form a consistent map; each rigid component is searched on its
     own.
     """
-    oldest, labels = key // BLOCK - places.gap, graph.pieces()
-    found: dict[int, list[tuple[float, Nearby]]] = {}
-    for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
-        if nearby.block > oldest:
+    oldest, labels = submap_of(key) - places.recent_submaps, graph.label_rigid_components()
+    found: dict[int, list[tuple[float, SubmapDistance]]] = {}
+    for nearby in graph.find_nearby_submaps(key, places.search.window_m / places.search.gate, len(graph)):
+        if nearby.submap > oldest:
             continue
-        away, sigma_m = _away(places, nearby), nearby.sigma_m
-        if away * sigma_m < places.search.gate * sigma_m + places.unlike_m:
-            found.setdefault(int(labels[anchor_of(nearby.block)]), []).append((away, nearby))
-    for piece in found.values():
-        piece.sort(key=lambda f: (f[0], f[1].block))
-    near = sorted((piece for piece in found.values() if piece[0][0] < places.search.gate), key=lambda p: p[0][0])
-    return [[nearby for _, nearby in piece[:_MOST_SUBMAPS]] for piece in near]
+        away, sigma_m = _mahalanobis_distance(places, nearby), nearby.sigma_m
+        if away * sigma_m < places.search.gate * sigma_m + places.ambiguity_window_m:
+            found.setdefault(int(labels[anchor_of(nearby.submap)]), []).append((away, nearby))
+    for component in found.values():
+        component.sort(key=lambda f: (f[0], f[1].submap))
+    near = sorted(
+        (component for component in found.values() if component[0][0] < places.search.gate), key=lambda p: p[0][0]
+    )
+    return [[nearby for _, nearby in component[:_AMBIGUITY_SUBMAPS]] for component in near]
 
 
-def _away(places: PlaceParameters, nearby: Nearby) -> float:
+def _mahalanobis_distance(places: PlaceRecognitionParameters, nearby: SubmapDistance) -> float:
     """Distance to a submap in standard deviations of the relative pose."""
-    return max(math.hypot(nearby.pose[0], nearby.pose[1]) - places.near_m, 0.0) / nearby.sigma_m
+    return max(math.hypot(nearby.pose[0], nearby.pose[1]) - places.max_distance_m, 0.0) / nearby.sigma_m
 
 
-def _judged(
-    places: PlaceParameters, found: Found, maps: TileMaps, points: FloatArray, memory: Memory, key: int
-) -> Rejection | None:
+def _find_rejection(
+    places: PlaceRecognitionParameters,
+    found: Found,
+    maps: TileMaps,
+    points: FloatArray,
+    closure_state: LoopClosureState,
+    key: int,
+) -> RejectionReason | None:
     """Return the reason to reject a candidate, or None."""
-    if not places.agrees(maps, found.pose, points):
-        return Rejection.POOR
-    if found.other_share > places.other_share * found.share:
-        return Rejection.AMBIGUOUS
-    through = evidence.through_walls(maps, found.pose, memory.scans.key(key))
-    return Rejection.THROUGH_WALLS if through > places.through else None
+    if not places.is_inlier_match(maps, found.pose, points):
+        return RejectionReason.LOW_INLIER_RATIO
+    if found.other_share > places.ambiguity_ratio * found.share:
+        return RejectionReason.AMBIGUOUS
+    through = checks.compute_through_walls_ratio(maps, found.pose, closure_state.scans.key(key))
+    return RejectionReason.THROUGH_WALLS if through > places.max_through_walls_ratio else None

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from gridslam.slam.drift import Drift
-from gridslam.slam.full_trajectory import shares_of_way
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.full_trajectory import path_fractions
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -35,7 +35,7 @@ def drift_covariances(graph: PoseGraph) -> FloatArray:
 
 
 def scan_covariances(
-    graph: PoseGraph, of_keys: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: Drift
+    graph: PoseGraph, key_covariances: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
 ) -> FloatArray:
     """Covariances (N, 3, 3) of all scans; an upper bound where they are not key scans.
 
@@ -47,20 +47,20 @@ def scan_covariances(
     ----------
     graph : PoseGraph
         The T key scans; its first T - 1 measurements are the increments.
-    of_keys : (T, 3, 3) float64
+    key_covariances : (T, 3, 3) float64
         Covariances of the key scans.
     keys, key_from_base : (N,) int64, (N, 3) float64
         As for `full_trajectory`.
-    drift : Drift
+    drift : DriftModel
         How uncertain tracking is.
     """
-    share = shares_of_way(keys, key_from_base)[:, None, None]
-    bridge = np.zeros_like(of_keys)
+    fraction = path_fractions(keys, key_from_base)[:, None, None]
+    bridge = np.zeros_like(key_covariances)
     bridge[:-1, [0, 1, 2], [0, 1, 2]] = _variances(graph)[:, [0, 0, 1]]
-    nearer, farther = of_keys[keys], of_keys[np.minimum(keys + 1, len(of_keys) - 1)]
-    found: FloatArray = nearer + share * (farther - nearer) + share * (1 - share) * bridge[keys]
-    last = int(np.searchsorted(keys, len(of_keys) - 1))
-    found[last:] = of_keys[-1]
+    nearer, farther = key_covariances[keys], key_covariances[np.minimum(keys + 1, len(key_covariances) - 1)]
+    found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
+    last = int(np.searchsorted(keys, len(key_covariances) - 1))
+    found[last:] = key_covariances[-1]
     for scan in range(last + 1, len(keys)):
         dx, dy, turn = key_from_base[scan].tolist()
         position, heading = drift.variances(math.hypot(dx, dy), abs(turn))

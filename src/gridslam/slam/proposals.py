@@ -22,7 +22,7 @@ from gridslam.matching.gauss_newton import LOOK, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
 
-__all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
+__all__ = ["ImprovedProposal", "Matcher", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
 
 
 class Matcher(Protocol):
@@ -36,7 +36,7 @@ class Matcher(Protocol):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Proposed:
+class ProposedPoses:
     """New poses (N, 3), the increments (N,) of their log weights, and the match of the scan at the poses."""
 
     poses: FloatArray
@@ -55,7 +55,7 @@ class Proposal(Protocol):
         weigh: Weigher,
         beams: BeamEnds,
         rng: np.random.Generator,
-    ) -> Proposed:
+    ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
 
 
@@ -82,7 +82,7 @@ def _information(motion: MotionSampler, poses: FloatArray) -> FloatArray:
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Prior:
+class MotionModelProposal:
     """Plain FastSLAM: draw from the motion model, weigh by the measurement model.
 
     x ~ p(x | u, x'), w = p(z | x, m). Exact, and wasteful where the scan is much more certain than the control.
@@ -98,16 +98,16 @@ class Prior:
         weigh: Weigher,
         beams: BeamEnds,
         rng: np.random.Generator,
-    ) -> Proposed:
+    ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
         match = LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
-        return Proposed(drawn, weigh(maps, rows, drawn), match)
+        return ProposedPoses(drawn, weigh(maps, rows, drawn), match)
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Peak:
+class ScanMatchedProposal:
     """Draw from the motion model, climb to the nearest peak of the posterior, weigh there. The default.
 
     x ~ p(x | u, x'), x* = the peak that the matcher reaches from x, w = p(z | x*, m). A heuristic, as GMapping does it:
@@ -127,8 +127,8 @@ class Peak:
 
     matcher: GaussNewton | HillClimbing = GaussNewton()
     beam_sigma_m: float = Field(default=1.6e-4, gt=0)
-    still_m: float = Field(default=0.02, ge=0)
-    still_rad: float = Field(default=0.02, ge=0)
+    standstill_m: float = Field(default=0.02, ge=0)
+    standstill_rad: float = Field(default=0.02, ge=0)
 
     def __call__(
         self,
@@ -138,21 +138,21 @@ class Peak:
         weigh: Weigher,
         beams: BeamEnds,
         rng: np.random.Generator,
-    ) -> Proposed:
+    ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
         matcher = self.matcher if self._moved(motion, poses) else LOOK
         match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
-        return Proposed(match.poses, weigh(maps, rows, match.poses), match)
+        return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 
     def _moved(self, motion: MotionSampler, poses: FloatArray) -> bool:
         dx, dy, turn = (motion.moments(poses[:1])[0][0] - poses[0]).tolist()
-        return math.hypot(dx, dy) > self.still_m or abs(math.remainder(turn, math.tau)) > self.still_rad
+        return math.hypot(dx, dy) > self.standstill_m or abs(math.remainder(turn, math.tau)) > self.standstill_rad
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Gaussian:
+class ImprovedProposal:
     """The improved proposal: draw from a Gaussian about the peak of p(z | x, m) p(x | u, x'), weigh by its normalizer.
 
     x ~ N(x*, C) with C^-1 = H / sigma^2 + P, H the matcher's information and P the motion model's; the weight is
@@ -181,7 +181,7 @@ class Gaussian:
         weigh: Weigher,
         beams: BeamEnds,
         rng: np.random.Generator,
-    ) -> Proposed:
+    ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
         means, prior = motion.moments(poses)[0], _information(motion, poses)
@@ -195,4 +195,4 @@ class Gaussian:
         away[:, 2] = wrap(away[:, 2])
         log_prior = -0.5 * np.einsum("ni,nij,nj->n", away, prior, away) + 0.5 * np.linalg.slogdet(prior)[1]
         log_volume = -np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        return Proposed(drawn, weigh(maps, rows, match.poses) + log_prior + log_volume, match)
+        return ProposedPoses(drawn, weigh(maps, rows, match.poses) + log_prior + log_volume, match)

@@ -13,13 +13,13 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
-from gridslam.slam.memory import Memory
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/6"
+STATE_SCHEMA = "gridslam.state/7"
 
 
 @final
@@ -49,7 +49,7 @@ class GridFastSlamState:
         All particles' trajectories over the key scans.
     lost : bool
         Whether the last key scan agreed with the best map too little.
-    memory : Memory or None
+    closure_state : LoopClosureState or None
         What loop closure remembers, where it is at work.
     odometry_covariance : (3, 3) float64 or None
         Reported noise of the odometry since its last accepted pose (see `OdometryNoise`).
@@ -65,7 +65,7 @@ class GridFastSlamState:
     maps: TileMaps
     ancestry: Ancestry
     lost: bool = False
-    memory: Memory | None = None
+    closure_state: LoopClosureState | None = None
     odometry_covariance: FloatArray | None = None
     consumed: bool = False
 
@@ -87,7 +87,7 @@ class GridFastSlamState:
         self.consumed = True
         return GridFastSlamState(
             self.tracker, self.key_pose, self.sensor_key_poses, self.poses, self.log_weights, self.log_ancestry,
-            self.covariance, self.maps, self.ancestry, self.lost, self.memory, self.odometry_covariance,
+            self.covariance, self.maps, self.ancestry, self.lost, self.closure_state, self.odometry_covariance,
         )  # fmt: skip
 
     def move(self, poses: FloatArray, key_pose: FloatArray, sensor: str) -> None:
@@ -109,9 +109,9 @@ class GridFastSlamState:
         """Let the best particle be the only one, and give back the memory of the others' maps and of all caches."""
         self.resample(np.array([self.best]))
         self.maps.compact()
-        self.memory = None if self.memory is None else self.memory.snapshot()
+        self.closure_state = None if self.closure_state is None else self.closure_state.snapshot()
 
-    def reseed(self, trajectory: FloatArray, maps: TileMaps) -> None:
+    def replace_trajectory(self, trajectory: FloatArray, maps: TileMaps) -> None:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
         count = len(self.poses)
         self.poses = np.repeat(trajectory[-1:], count, axis=0)
@@ -126,7 +126,7 @@ class GridFastSlamState:
             tracker=self.tracker.snapshot(),
             maps=self.maps.snapshot(),
             ancestry=self.ancestry.snapshot(),
-            memory=None if self.memory is None else self.memory.snapshot(),
+            closure_state=None if self.closure_state is None else self.closure_state.snapshot(),
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -139,8 +139,8 @@ class GridFastSlamState:
         own["sensors"] = np.array(list(self.sensor_key_poses), np.str_)
         parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
         parts.append(("ancestry", self.ancestry.to_arrays()))
-        if self.memory is not None:
-            parts.append(("memory", self.memory.to_arrays()))
+        if self.closure_state is not None:
+            parts.append(("closure_state", self.closure_state.to_arrays()))
         nested = {f"{name}.{key}": array for name, arrays in parts for key, array in arrays.items()}
         return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
 
@@ -159,14 +159,14 @@ class GridFastSlamState:
         try:
             own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
             own["odometry_covariance"] = arrays.get("odometry_covariance")
-            memory = part("memory")
+            closure_state = part("closure_state")
             return cls(
                 tracker=TrackerState.from_arrays(part("tracker"), mapper),
                 sensor_key_poses=dict(zip(arrays["sensors"].tolist(), arrays["sensor_key_poses"], strict=True)),
                 maps=mapper.restore(part("maps"), threads),
                 ancestry=Ancestry.from_arrays(part("ancestry")),
                 lost=bool(arrays["lost"]),
-                memory=Memory.from_arrays(memory, mapper, threads) if memory else None,
+                closure_state=LoopClosureState.from_arrays(closure_state, mapper, threads) if closure_state else None,
                 **own,
             )
         except KeyError as missing:

@@ -11,11 +11,12 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.slam.key_graph import BLOCK, KeyGraph
+from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
+from gridslam.slam.submap_index import anchor_of, first_key_scan
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "Submaps", "anchor_of", "draw", "drawn", "joint_map", "keys_of"]
+__all__ = ["ROW", "SubmapCache", "build_joint_map", "build_map", "insert_key_scans", "key_scans_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -27,39 +28,36 @@ _FEW = 12
 """Up to this many submaps every second key scan is inserted into the joint map, above it every fourth."""
 
 
-def keys_of(block: int, graph: KeyGraph) -> IntArray:
+def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
     """Key scans of a submap that no gap in the laser data separates from its anchor."""
-    return graph.unbroken(np.arange(block * BLOCK, (block + 1) * BLOCK), anchor_of(block))
+    return graph.select_without_gap(np.arange(first_key_scan(submap), first_key_scan(submap + 1)), anchor_of(submap))
 
 
-def anchor_of(block: int) -> int:
-    """The key scan in whose frame a submap is."""
-    return block * BLOCK + BLOCK // 2
-
-
-def draw(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterable[FloatArray]) -> None:
+def insert_key_scans(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterable[FloatArray]) -> None:
     """Draw key scans into the one map of `maps`, each at its pose (3,)."""
     for key, pose in zip(keys, poses, strict=True):
         maps.update(ROW, pose[None], scans.key(key))
 
 
-def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
+def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
     """Build a map of key scans `keys` (K,) at poses (K, 3)."""
     maps = mapper.empty(1)
-    draw(maps, scans, keys.tolist(), poses)
+    insert_key_scans(maps, scans, keys.tolist(), poses)
     return maps
 
 
-def joint_map(blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
+def build_joint_map(
+    submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+) -> TileMaps:
     """Build one map of several blocks, each at the pose of its anchor in the graph."""
-    stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
-    keys = [keys_of(block, graph)[::stride] for block in blocks]
-    poses = [graph.local_poses(anchor_of(b), k) for b, k in zip(blocks, keys, strict=True)]
-    return drawn(mapper, scans, np.concatenate(keys), np.concatenate(poses))
+    stride = 2 if len(submaps) <= _FEW else 4  # neighbouring scans show much the same
+    keys = [key_scans_of(submap, graph)[::stride] for submap in submaps]
+    poses = [graph.tracked_poses_in_map(anchor_of(b), k) for b, k in zip(submaps, keys, strict=True)]
+    return build_map(mapper, scans, np.concatenate(keys), np.concatenate(poses))
 
 
 @final
-class Submaps:
+class SubmapCache:
     """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
 
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
@@ -74,15 +72,15 @@ class Submaps:
         self._pyramids: dict[tuple[int, ...], Pyramid] = {}
         self._most = most
 
-    def __call__(self, block: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
-        """Give the submap of a block that is complete."""
-        maps = self._kept.pop(block, None)
+    def __call__(self, submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
+        """Give a submap that is complete."""
+        maps = self._kept.pop(submap, None)
         if maps is None:
-            keys, anchor = keys_of(block, graph), anchor_of(block)
-            maps = drawn(mapper, scans, keys, graph.tracked_from(anchor, keys))
+            keys, anchor = key_scans_of(submap, graph), anchor_of(submap)
+            maps = build_map(mapper, scans, keys, graph.tracked_poses_from(anchor, keys))
             while self._kept and (len(self._kept) >= self._most or self.nbytes + maps.nbytes > _MOST_BYTES):
                 del self._kept[next(iter(self._kept))]
-        self._kept[block] = maps  # the last used one comes last
+        self._kept[submap] = maps  # the last used one comes last
         return maps
 
     @property
@@ -90,26 +88,26 @@ class Submaps:
         """Bytes of the submaps that are kept."""
         return sum(maps.nbytes for maps in self._kept.values())
 
-    def joint(
-        self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+    def joint_map(
+        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
     ) -> TileMaps:
-        """Give `joint_map`, drawn once as long as the blocks are those of one of the last two; see `forget`."""
-        if blocks not in self._joint:
+        """Give `build_joint_map`, drawn once as long as the submaps are those of one of the last two; see `forget`."""
+        if submaps not in self._joint:
             if len(self._joint) > 1:
                 oldest = next(iter(self._joint))
                 del self._joint[oldest]
                 self._pyramids.pop(oldest, None)
-            self._joint[blocks] = joint_map(blocks, mapper, scans, graph)
-        return self._joint[blocks]
+            self._joint[submaps] = build_joint_map(submaps, mapper, scans, graph)
+        return self._joint[submaps]
 
     def pyramid(
-        self, blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
     ) -> Pyramid:
         """Give the pyramid of `joint`, made once."""
-        maps = self.joint(blocks, mapper, scans, graph)
-        if blocks not in self._pyramids:
-            self._pyramids[blocks] = Pyramid.of(maps, 0)
-        return self._pyramids[blocks]
+        maps = self.joint_map(submaps, mapper, scans, graph)
+        if submaps not in self._pyramids:
+            self._pyramids[submaps] = Pyramid.of(maps, 0)
+        return self._pyramids[submaps]
 
     def forget(self) -> None:
         """Drop the cached joint maps after the poses have changed."""

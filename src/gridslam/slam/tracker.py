@@ -19,13 +19,22 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
 from gridslam.slam.odometry_calibration import OdometryCalibration
-from gridslam.slam.tracker_deskew import Deskew
+from gridslam.slam.tracker_deskew import TrackerDeskew
+from gridslam.slam.tracker_motion import motion_of, odometry_sigmas
 from gridslam.slam.tracker_search import OdometrySearch
-from gridslam.slam.tracker_state import Found, Prediction, Seen, Tracked, TrackerState, is_within, pose_of
+from gridslam.slam.tracker_state import (
+    PoseEstimate,
+    Prediction,
+    SensorTrack,
+    TrackedScan,
+    TrackerState,
+    is_within,
+    pose_of,
+)
 from gridslam.slam.tracker_velocity import ConstantVelocity
 from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
-__all__ = ["Tracked", "Tracker", "TrackerState"]
+__all__ = ["TrackedScan", "Tracker", "TrackerState"]
 
 _NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
 
@@ -37,7 +46,7 @@ class Tracker:
 
     Parameters
     ----------
-    still_m, still_rad : float
+    standstill_m, standstill_rad : float
         A scan after less odometry than both takes the odometry, unless fewer of its beams agree than before: there is
         nothing to learn from it. Without odometry the robot stands while its matches stay within both.
     insert_m, insert_rad : float
@@ -52,7 +61,7 @@ class Tracker:
     jump_m, jump_rad : float
         Odometry that moves farther between two scans than this and the speeds in `velocity` allow has jumped: it was
         reset, or a message was lost. Its increment is not used, as if there had been no odometry.
-    poor_share : float
+    min_inlier_ratio : float
         Minimum inlier ratio of a match; below it (mostly unmapped area, or a turn too fast for the scan rate) the
         prediction is used.
     slip_m : float, m
@@ -60,51 +69,51 @@ class Tracker:
         deviations, requires a gain in inliers (`slip_gain`): wheel slip or delayed odometry. Else something misled it
         (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position
         keeps the odometry, and only the heading is taken.
-    slip_gain : float
+    slip_inlier_gain : float
         Minimum gain of the inlier ratio by such a match.
     matcher : GaussNewton
         How a scan is matched.
-    steady_matcher : GaussNewton
+    calibrated_matcher : GaussNewton
         The same once the odometry is calibrated: it then constrains weak directions better than the scan. Where
         directions are better determined than that, the odometry's errors are learned.
     velocity : ConstantVelocity
         Motion prediction without odometry.
-    join_m, join_rad : float
+    merge_max_m, merge_max_rad : float
         A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry;
         where there is none, from a twentieth of that.
-    search_share : float
+    search_inlier_ratio : float
         Inlier ratio of a match below which a better one is searched for from the velocity's
         prediction and all around: on real logs more agree in the right place, and fewer in others.
-    patience : int
+    max_unmatched_scans : int
         Without odometry, a scan is inserted without a valid match after this many consecutive failures.
     search : OdometrySearch
         How a scan is searched for around the odometry where scans are far apart.
-    deskew : Deskew or None
+    deskew : TrackerDeskew or None
         How scans with beam times are deskewed; None: they are taken as they are.
     calibration : OdometryCalibration or None
         Online calibration of the odometry; None: disabled.
     """
 
-    still_m: float = Field(default=0.005, ge=0)
-    still_rad: float = Field(default=0.005, ge=0)
+    standstill_m: float = Field(default=0.005, ge=0)
+    standstill_rad: float = Field(default=0.005, ge=0)
     insert_m: float = Field(default=0.2, gt=0)
     insert_rad: float = Field(default=0.1, gt=0)
     map_scans: int = Field(default=20, ge=1)
     beam_sigma_m: float = Field(default=0.0016, gt=0)
     jump_m: float = Field(default=1.0, gt=0)
     jump_rad: float = Field(default=1.0, gt=0)
-    poor_share: float = Field(default=0.5, ge=0, le=1)
+    min_inlier_ratio: float = Field(default=0.5, ge=0, le=1)
     slip_m: float = Field(default=0.08, gt=0)
-    slip_gain: float = Field(default=0.1, ge=0, le=1)
+    slip_inlier_gain: float = Field(default=0.1, ge=0, le=1)
     matcher: GaussNewton = GaussNewton()
-    steady_matcher: GaussNewton = GaussNewton(min_information=0.05)
+    calibrated_matcher: GaussNewton = GaussNewton(min_information=0.05)
     velocity: ConstantVelocity = ConstantVelocity()
-    join_m: float = Field(default=0.3, ge=0)
-    join_rad: float = Field(default=0.3, ge=0)
-    search_share: float = Field(default=0.7, ge=0, le=1)
-    patience: int = Field(default=3, ge=1)
+    merge_max_m: float = Field(default=0.3, ge=0)
+    merge_max_rad: float = Field(default=0.3, ge=0)
+    search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
+    max_unmatched_scans: int = Field(default=3, ge=1)
     search: OdometrySearch = OdometrySearch()
-    deskew: Deskew | None = Deskew()
+    deskew: TrackerDeskew | None = TrackerDeskew()
     calibration: OdometryCalibration | None = OdometryCalibration()
 
     def init(
@@ -115,175 +124,175 @@ class Tracker:
         state.maps.update(state.row, state.pose[None], beams)
         return state
 
-    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> Tracked:
+    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> TrackedScan:
         """Track one scan; updates `state`."""
         at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
-        predicted, spread = self._predicted(state, at, stamp_ns, seconds), state.spread
+        predicted, spread = self._predict(state, at, stamp_ns, seconds), state.velocity_variances
         if self.deskew is None or beams.scan.beam_times_s is None:
-            found = self._found(state, predicted, beams)
+            found = self._locate(state, predicted, beams)
         else:
             found, beams = self.deskew(
-                state, predicted, lambda pose: self.velocity.twist(state, pose, seconds), beams,
-                lambda sharp: self._found(state, predicted, sharp),
+                state, predicted, lambda pose: self.velocity.update_twist(state, pose, seconds), beams,
+                lambda sharp: self._locate(state, predicted, sharp),
             )  # fmt: skip
-        joint = self._joined(state, found.pose, found.predicted, beams)
+        joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
-        state.overruled += odometry is not None and not found.predicted.by_odometry
-        if found.matched or not found.predicted.by_odometry:
+        state.rejected_odometry += odometry is not None and not found.prediction.by_odometry
+        if found.matched or not found.prediction.by_odometry:
             state.matched_pose, state.matched_odometry = found.pose, at
         state.stamp_ns, state.odometry = stamp_ns, at
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
-        if not found.predicted.by_odometry:
-            return Tracked(found.pose, found.predicted.pose, beams, joint, spread)
+        if not found.prediction.by_odometry:
+            return TrackedScan(found.pose, found.prediction.pose, beams, joint, spread)
         control, widening = self.search.control(state, found)
-        return Tracked(found.pose, control, beams, joint, widening)
+        return TrackedScan(found.pose, control, beams, joint, widening)
 
-    def _predicted(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
-        told = between(state.matched_odometry, at)
-        useless = not (state.learned.trusted or self.search.comes_seldom(state))  # else velocities are worse
-        if math.isnan(told[0]) or useless or self._jumped(state, at, stamp_ns):
-            return self._by_velocity(state, seconds)
-        increment = state.learned.corrected(told)
-        moved, turned = _motion(increment)
-        sigmas = self._odometry_sigma(moved, turned, state.maps.resolution_m)
+    def _predict(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
+        measured = between(state.matched_odometry, at)
+        useless = not (state.odometry_errors.trusted or self.search.is_sparse(state))  # else velocities are worse
+        if math.isnan(measured[0]) or useless or self._has_jumped(state, at, stamp_ns):
+            return self._predict_by_velocity(state, seconds)
+        increment = state.odometry_errors.correct_increment(measured)
+        moved, turned = motion_of(increment)
+        sigmas = odometry_sigmas(moved, turned, state.maps.resolution_m)
         pose = compose(state.matched_pose, increment)
         return Prediction(pose, True, seconds, moved, turned, *sigmas, self.beam_sigma_m)
 
-    def _by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
+    def _predict_by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
         velocity = self.velocity
-        pose, sigmas = velocity.predicted(state, seconds), velocity.sigmas(seconds)
+        pose, sigmas = velocity.predict(state, seconds), velocity.sigmas(seconds)
         turned = abs(float(state.twist[2])) * seconds
         return Prediction(pose, False, seconds, 0.0, turned, *sigmas, velocity.beam_sigma_m)
 
-    def _jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
+    def _has_jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
         dx, dy, turn = (at - state.odometry).tolist()
         seconds = abs(stamp_ns - state.stamp_ns) * 1e-9
         far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
         return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
 
-    def _found(self, state: TrackerState, predicted: Prediction, beams: Beams) -> Found:
+    def _locate(self, state: TrackerState, predicted: Prediction, beams: Beams) -> PoseEstimate:
         """Where a scan was taken."""
-        seen = state.sensors.get(beams.scan.sensor)
-        if seen is None:  # the other lasers may look elsewhere
-            return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
-        joint = self._joined(state, predicted.pose, predicted, beams)
+        track = state.sensors.get(beams.scan.sensor)
+        if track is None:  # the other lasers may look elsewhere
+            return PoseEstimate(predicted.pose, predicted, matched=len(beams) > 0, lost=False)
+        joint = self._merge_lasers(state, predicted.pose, predicted, beams)
         if not len(beams) or len(joint) < self.matcher.least_beams:
-            return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
+            return PoseEstimate(predicted.pose, predicted, matched=False, lost=not predicted.by_odometry)
         if not predicted.by_odometry:
-            return self._searched(state, predicted, joint)
-        if self._still(state, seen, predicted, joint):
-            return Found(predicted.pose, predicted, matched=False, poor=False)
-        found = self._matched(state, predicted, joint)
-        if found.share < self.search_share:  # it may be the odometry that is wrong: a reading came late
-            other = self._found_elsewhere(state, predicted, joint)
-            convinces = other.share >= self.search_share and other.share - found.share > self.slip_gain
-            found = other if convinces else found
+            return self._match_from_velocity(state, predicted, joint)
+        if self._is_standing(state, track, predicted, joint):
+            return PoseEstimate(predicted.pose, predicted, matched=False, lost=False)
+        found = self._match_from_odometry(state, predicted, joint)
+        if found.inlier_ratio < self.search_inlier_ratio:  # it may be the odometry that is wrong: a reading came late
+            other = self._locate_by_search(state, predicted, joint)
+            is_better = other.inlier_ratio - found.inlier_ratio > self.slip_inlier_gain
+            found = other if is_better and other.inlier_ratio >= self.search_inlier_ratio else found
         return found
 
-    def _found_elsewhere(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _locate_by_search(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search around the velocity's prediction; around that of the odometry if the velocity is invalid."""
-        if self.search.is_far(state, predicted):
+        if self.search.is_far_from_last(state, predicted):
             return self.search(state, predicted, beams)
-        return self._searched(state, self._by_velocity(state, predicted.seconds), beams)
+        return self._match_from_velocity(state, self._predict_by_velocity(state, predicted.seconds), beams)
 
-    def _joined(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
+    def _merge_lasers(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""
         trusted = 1.0 if predicted.by_odometry else 0.05
-        return state.joined(beams, pose, trusted * self.join_m, trusted * self.join_rad)
+        return state.merge_lasers(beams, pose, trusted * self.merge_max_m, trusted * self.merge_max_rad)
 
-    def _still(self, state: TrackerState, seen: Seen, predicted: Prediction, beams: BeamEnds) -> bool:
+    def _is_standing(self, state: TrackerState, track: SensorTrack, predicted: Prediction, beams: BeamEnds) -> bool:
         """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
-        if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
+        if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
-        return bool(share > seen.share - self.slip_gain)
+        ratio = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
 
-    def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
-        known = self.calibration is not None and self.calibration.is_known(state.learned)
-        matcher = self.steady_matcher if known else self.matcher
+        known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
+        matcher = self.calibrated_matcher if known else self.matcher
         match = matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         best, score = match.poses[0], float(match.score[0])
         pose = best
-        if score < self.poor_share * len(beams):
-            return Found(predicted.pose, predicted, matched=True, poor=True)
+        if score < self.min_inlier_ratio * len(beams):
+            return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
-            pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
-        determined = pose is best and self._determined(match)
-        return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
+            pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
+        determined = pose is best and self._is_determined(match)
+        return PoseEstimate(
+            pose, predicted, matched=True, lost=False, inlier_ratio=score / len(beams), determined=determined
+        )
 
-    def _searched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
+    def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
         maps, row, count = state.maps, state.row, len(beams)
         match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
-        if match.score[0] < self.search_share * count:
+        if match.score[0] < self.search_inlier_ratio * count:
             search = self.velocity.search(state, predicted.seconds)
-            place = search.search(Pyramid.of(maps, state.active), predicted.pose, None, beams.ends)
+            place = search.search(Pyramid.of(maps, state.matched_map), predicted.pose, None, beams.ends)
             if place is not None:
                 other = self.matcher(maps, row, place.pose[None], _NO_PRIOR, beams)
-                convinces = other.score[0] - match.score[0] > self.slip_gain * count
-                match = other if convinces and other.score[0] >= self.search_share * count else match
-        if match.score[0] < self.poor_share * count:
-            return Found(predicted.pose, predicted, matched=True, poor=True)
+                convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
+                match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
+        if match.score[0] < self.min_inlier_ratio * count:
+            return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         pose, score = match.poses[0], float(match.score[0])
-        stands = is_within(state.pose, pose, self.still_m, self.still_rad)
-        determined = self._determined(match)
-        return Found(state.pose if stands else pose, predicted, True, False, score / count, determined)
+        stands = is_within(state.pose, pose, self.standstill_m, self.standstill_rad)
+        determined = self._is_determined(match)
+        return PoseEstimate(state.pose if stands else pose, predicted, True, False, score / count, determined)
 
-    def _advance(self, state: TrackerState, found: Found) -> None:
+    def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
-        predicted = found.predicted
-        if found.poor or self.search.was_blind(state, predicted):
-            state.doubt_m2 += predicted.sigma_m**2
-            state.doubt_rad2 += predicted.sigma_rad**2
-        moved, turned = _motion(between(state.pose, found.pose))
-        if moved + turned > self.still_m + self.still_rad:
-            state.stride += 0.05 * (min(moved + turned, self.search.gap_way) - state.stride)
-        blind = found.poor and not predicted.by_odometry
-        state.twist = 0.5 * state.twist if blind else self.velocity.twist(state, found.pose, predicted.seconds)
-        if found.share and not predicted.by_odometry:
-            state.spread = self.velocity.spread(state.spread, between(predicted.pose, found.pose))
-        state.blind_scans = state.blind_scans + 1 if blind else 0
+        predicted = found.prediction
+        if found.lost or self.search.had_blind_gap(state, predicted):
+            state.rejected_match_m2 += predicted.sigma_m**2
+            state.rejected_match_rad2 += predicted.sigma_rad**2
+        moved, turned = motion_of(between(state.pose, found.pose))
+        if moved + turned > self.standstill_m + self.standstill_rad:
+            state.mean_step += 0.05 * (min(moved + turned, self.search.blind_step) - state.mean_step)
+        blind = found.lost and not predicted.by_odometry
+        state.twist = 0.5 * state.twist if blind else self.velocity.update_twist(state, found.pose, predicted.seconds)
+        if found.inlier_ratio and not predicted.by_odometry:
+            state.velocity_variances = self.velocity.update_variances(
+                state.velocity_variances, between(predicted.pose, found.pose)
+            )
+        state.unlocalized_scans = state.unlocalized_scans + 1 if blind else 0
         state.pose = found.pose
 
-    def _learn(self, state: TrackerState, found: Found) -> None:
+    def _learn(self, state: TrackerState, found: PoseEstimate) -> None:
         """Learn what the odometry's errors are, from where the scan was taken."""
         if self.calibration is not None:
-            believed = found.share >= self.search_share
-            self.calibration.learn(state.learned, found.pose, state.odometry, believed, found.determined)
+            is_good_match = found.inlier_ratio >= self.search_inlier_ratio
+            self.calibration.learn(state.odometry_errors, found.pose, state.odometry, is_good_match, found.determined)
 
-    def _determined(self, match: Match) -> bool:
+    def _is_determined(self, match: Match) -> bool:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
-        least = self.steady_matcher.min_information
+        least = self.calibrated_matcher.min_information
         return undetermined(match.information[0], float(match.score[0]), least) is None
 
-    def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
-        """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
-        return 0.1 * cell + 0.15 * moved + 0.5 * cell * turned, 0.003 + 0.05 * turned + 0.04 * moved
-
-    def _insert(self, state: TrackerState, found: Found, beams: Beams) -> None:
+    def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""
-        seen = state.sensors.get(beams.scan.sensor)
-        state.even = state.even or (seen is not None and self.velocity.doubts_stamps(seen, state.stamp_ns, found.pose))
-        due = seen is None or not is_within(seen.inserted_pose, found.pose, self.insert_m, self.insert_rad)
-        if found.poor and found.predicted.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
-            due = due and (self.search.is_far(state, found.predicted) or found.predicted.turned_rad <= self.insert_rad)
-        elif found.poor:  # what is seen is new, but one scan does not decide that
-            due = state.blind_scans >= self.patience
-        last = seen or Seen.first(state.stamp_ns, found.pose)
+        track = state.sensors.get(beams.scan.sensor)
+        state.stamps_unreliable = state.stamps_unreliable or (
+            track is not None and self.velocity.are_stamps_unreliable(track, state.stamp_ns, found.pose)
+        )
+        due = track is None or not is_within(track.inserted_pose, found.pose, self.insert_m, self.insert_rad)
+        if found.lost and found.prediction.by_odometry:  # smeared by a turn, or seen at another time than the stamp's
+            due = due and (
+                self.search.is_far_from_last(state, found.prediction) or found.prediction.turned_rad <= self.insert_rad
+            )
+        elif found.lost:  # what is seen is new, but one scan does not decide that
+            due = state.unlocalized_scans >= self.max_unmatched_scans
+        last = track or SensorTrack.first(state.stamp_ns, found.pose)
         ends = beams.ends if len(state.sensors) > 1 else last.ends
-        last = last._replace(stamp_ns=state.stamp_ns, matched_pose=found.pose, share=found.share, ends=ends)
-        state.note(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
+        last = last._replace(
+            stamp_ns=state.stamp_ns, matched_pose=found.pose, inlier_ratio=found.inlier_ratio, ends=ends
+        )
+        state.update_track(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
-
-
-def _motion(increment: FloatArray) -> tuple[float, float]:
-    """Metres and radians of an increment (3,)."""
-    x, y, turn = increment.tolist()
-    return math.hypot(x, y), abs(turn)

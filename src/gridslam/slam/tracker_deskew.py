@@ -9,17 +9,17 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.tracker_state import Found, Prediction, Seen, TrackerState
+from gridslam.slam.tracker_state import PoseEstimate, Prediction, SensorTrack, TrackerState
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["Deskew"]
+__all__ = ["TrackerDeskew"]
 
 _ORDERS = (1, 0, -1)
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Deskew:
+class TrackerDeskew:
     """Deskews a scan by the motion that its match yields.
 
     A scan goes on after its stamp, so its beams depend on the following twist: that of the motion up to the stamp, by
@@ -32,22 +32,22 @@ class Deskew:
     ----------
     turn_rad : float, rad
         A scan contributes to the estimate of the beam order if the robot turns by more than this during the scan.
-    doubt : float
+    order_margin : float
         Gain of the inlier ratio, averaged over the scans, required to use an order other than the reported one.
-    scans : int
+    prior_scans : int
         Prior weight of the reported order, in scans.
     """
 
     turn_rad: float = Field(default=0.02, gt=0)
-    doubt: float = Field(default=0.005, ge=0)
-    scans: int = Field(default=20, ge=1)
+    order_margin: float = Field(default=0.005, ge=0)
+    prior_scans: int = Field(default=20, ge=1)
 
-    def order(self, seen: Seen | None) -> int:
+    def find_order(self, track: SensorTrack | None) -> int:
         """Order of the beams of a laser: 1 as reported, 0 if none fits, -1 reversed."""
-        if seen is None:
+        if track is None:
             return 1
-        count, none, backward = seen.orders.tolist()
-        gains = (self.doubt, none / (count + self.scans), backward / (count + self.scans))
+        count, none, backward = track.beam_order_sums.tolist()
+        gains = (self.order_margin, none / (count + self.prior_scans), backward / (count + self.prior_scans))
         return _ORDERS[gains.index(max(gains))]
 
     def __call__(
@@ -56,8 +56,8 @@ class Deskew:
         predicted: Prediction,
         twist_to: Callable[[FloatArray], FloatArray],
         beams: Beams,
-        find: Callable[[Beams], Found],
-    ) -> tuple[Found, Beams]:
+        find: Callable[[Beams], PoseEstimate],
+    ) -> tuple[PoseEstimate, Beams]:
         """Find where a scan was taken, and how its beams are seen from there at its stamp; `state` learns the order.
 
         Parameters
@@ -73,24 +73,26 @@ class Deskew:
         find : callable
             Matches beams to the map.
         """
-        order = self.order(state.sensors.get(beams.scan.sensor))
+        order = self.find_order(state.sensors.get(beams.scan.sensor))
         sharp = beams.deskewed(order * twist_to(predicted.pose))
         best = find(sharp)
-        if not best.matched or not best.share:
+        if not best.matched or not best.inlier_ratio:
             return best, sharp
         twist = twist_to(best.pose)
         for other in (twist, 2 * twist - state.twist):
             again = beams.deskewed(order * other)
             found = find(again)
-            if found.share > best.share:
+            if found.inlier_ratio > best.inlier_ratio:
                 best, sharp = found, again
         self._learn(state, twist, beams, find)
         return best, sharp
 
-    def _learn(self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], Found]) -> None:
+    def _learn(
+        self, state: TrackerState, twist: FloatArray, beams: Beams, find: Callable[[Beams], PoseEstimate]
+    ) -> None:
         """Update the number of scans used for the beam order, and the gains in agreement of the other orders."""
-        seen, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
+        track, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:
-            told, none, backward = (find(beams.deskewed(order * twist)).share for order in _ORDERS)
-            orders = seen.orders + np.array([1.0, none - told, backward - told])
-            state.note(beams.scan.sensor, seen._replace(orders=orders))
+            told, none, backward = (find(beams.deskewed(order * twist)).inlier_ratio for order in _ORDERS)
+            orders = track.beam_order_sums + np.array([1.0, none - told, backward - told])
+            state.update_track(beams.scan.sensor, track._replace(beam_order_sums=orders))

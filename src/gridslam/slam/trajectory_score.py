@@ -19,7 +19,7 @@ from gridslam.slam.scan_archive import ScanArchive
 from gridslam.slam.submaps import ROW
 from gridslam.types import FloatArray
 
-__all__ = ["JointMapScore", "TrajectoryScore", "ways"]
+__all__ = ["TrajectoryScore", "TrajectoryScorer", "path_lengths"]
 
 
 @final
@@ -47,7 +47,7 @@ class TrajectoryScore:
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class JointMapScore:
+class TrajectoryScorer:
     """Scores trajectories: log p(z_1:t | x_1:t) + log p(x_1:t | u_1:t), tempered, up to a constant.
 
     The map is drawn scan by scan, and each scan is compared with what was mapped of the places around it long before,
@@ -58,7 +58,7 @@ class JointMapScore:
 
     Parameters
     ----------
-    gap : float, m + rad
+    same_visit_distance : float, m + rad
         Path length (plus rotation) within which mapped scans count as the same visit.
     scale_m : float, m
         Distance at which a beam agrees by half, that of the measurement model `CauchyAgreement`.
@@ -76,7 +76,7 @@ class JointMapScore:
     Source: the weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
     """
 
-    gap: float = Field(default=15.0, gt=0)
+    same_visit_distance: float = Field(default=15.0, gt=0)
     scale_m: float = Field(default=0.1, gt=0)
     tempering: float = Field(default=0.03, gt=0, le=1)
     neutral: float = Field(default=0.7, gt=0, lt=1)
@@ -89,21 +89,21 @@ class JointMapScore:
         scans: ScanArchive,
         poses: FloatArray,
         mapper: OccupancyGridMapping,
-        tick: Callable[[], None] = lambda: None,
+        on_progress: Callable[[], None] = lambda: None,
     ) -> tuple[TrajectoryScore, TileMaps]:
         """Score poses (T, 3) of the key scans; returns the map of all of them, too."""
         tracked = np.array(graph.tracked)
-        way, maps, inserted = ways(tracked), mapper.empty(1), 0
+        way, maps, inserted = path_lengths(tracked), mapper.empty(1), 0
         agreeing, beams = 0.0, 0
         for key, (pose, passed) in enumerate(zip(poses, way.tolist(), strict=True)):
-            while way[inserted] < passed - self.gap:
+            while way[inserted] < passed - self.same_visit_distance:
                 maps.update(ROW, poses[inserted][None], scans.key(inserted))
                 inserted += 1
             if inserted:
                 share, count = self._agreement(maps, pose, scans.key(key).ends)
                 agreeing, beams = agreeing + share, beams + count
             if key % 256 == 0:
-                tick()
+                on_progress()
         for key in range(inserted, len(poses)):
             maps.update(ROW, poses[key][None], scans.key(key))
         motion = self._motion(tracked, np.array(graph.variances), poses)
@@ -127,7 +127,7 @@ class JointMapScore:
         return -self.motion_tempering * float(np.log1p(squared / self.motion_sigma**2).sum())
 
 
-def ways(poses: FloatArray) -> FloatArray:
+def path_lengths(poses: FloatArray) -> FloatArray:
     """Metres and radians driven up to each of poses (T, 3), (T,)."""
     steps = np.diff(poses, axis=0)
     moved = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(wrap(steps[:, 2]))

@@ -145,7 +145,7 @@ class StepReport:
         Of the best particle, the one of greatest log weight accumulated along its ancestry; map frame.
     key_from_base : (3,) float64
         The robot seen from the last key scan before this one, as tracked.
-    undetermined : (2,) float64 or None
+    degenerate_direction : (2,) float64 or None
         Unit vector in the map frame along which the scan did not determine the position.
     lost : bool
         The scan agrees with the map too little to trust the pose.
@@ -169,7 +169,7 @@ class StepReport:
     pose: FloatArray
     covariance: FloatArray
     key_from_base: FloatArray
-    undetermined: FloatArray | None = None
+    degenerate_direction: FloatArray | None = None
     lost: bool = False
     skipped: SkipReason | None = None
     best: int = 0

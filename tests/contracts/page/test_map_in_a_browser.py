@@ -55,7 +55,7 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         speed.find_element("css selector", "option[value='']").click()
         wait(lambda: page.control.speed is None, "as fast as can be")
         click(browser, "pause")
-        wait(lambda: told(browser)["stage"] == "last word", "the last scan")
+        wait(lambda: told(browser)["stage"] == "final refinement", "the last scan")
         assert "loop closure" in text(browser, "#facts")
         wait(lambda: pixels_of(browser, "closure") > 5, "the loop closure is seen")
         screenshot("closed")

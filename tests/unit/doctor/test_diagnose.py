@@ -52,7 +52,7 @@ def rooms():
 
 def test_a_healthy_log_is_said_to_be_healthy(rooms):
     ticks = []
-    diagnosis = diagnose(Memory(rooms.measurements), tick=lambda: ticks.append(0))
+    diagnosis = diagnose(Memory(rooms.measurements), on_progress=lambda: ticks.append(0))
     assert len(ticks) == len(rooms)
     assert diagnosis.faults == ()
     assert diagnosis.worst is Severity.INFO

@@ -18,7 +18,7 @@ def test_round_trip(tmp_path):
     reports = [
         report(10**18, seed=1),
         report(5, seed=2, parents=np.array([0, 0, 2]), lost=True),
-        report(7, seed=3, undetermined=np.array([1.0, 0.0])),
+        report(7, seed=3, degenerate_direction=np.array([1.0, 0.0])),
     ]
     writer = RecordWriter()
     for i, step in enumerate(reports):

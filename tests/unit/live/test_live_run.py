@@ -175,7 +175,7 @@ def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     assert len(onlooker.series) == onlooker.status["keys"]
 
 
-def test_the_last_word_replaces_what_was_seen(drive):
+def test_final_refinement_replaces_what_was_seen(drive):
     sight, onlooker = Sight(every=20), Onlooker()
     viewer = sight.live.join(lambda: None)
     state = sight.go(drive[:100])

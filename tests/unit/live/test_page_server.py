@@ -83,7 +83,7 @@ def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
             assert page.viewers == 2
             receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 2)
         assert onlooker.status["particles"] == 4
-        assert onlooker.status["stage"] == "last word"
+        assert onlooker.status["stage"] == "final refinement"
 
 
 def test_a_connection_that_is_lost_comes_back_to_all_there_is(drive):

@@ -29,7 +29,7 @@ def out(tmp_path_factory):
     configuration = override(PROVOKED, "when_to_resample.fraction=0.9", "particles=5")
     result = map_log(folder / "loop.clf.gz", configuration=configuration, repair="none")
     result.save(folder / "out")
-    assert len(result.loops.closures), "the drive was to close its loop"
+    assert len(result.loop_summary.closures), "the drive was to close its loop"
     return folder / "out"
 
 

@@ -103,7 +103,7 @@ def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
         raise KeyboardInterrupt
 
     world.spun = script
-    run_ros2([], given={"out": str(tmp_path / "out")}, tick=interrupted)
+    run_ros2([], given={"out": str(tmp_path / "out")}, on_progress=interrupted)
     assert world.signals == "NO"
     assert (tmp_path / "out" / "map.pgm").is_file()
     assert f"40 scans, which are written to {tmp_path / 'out'}" in world.logged[-1][1]

@@ -65,24 +65,31 @@ def test_a_run_that_is_written_and_read_goes_on_to_the_same_bytes(loop, contents
         observers = [saved.trajectory, saved.statistics]
         measurements = loop.measurements[first:last]
         state = run(measurements, slam, particles=3, rng=saved.rng, observers=observers, state=saved.state)
-        pending.append(state.memory.correction is not None)
+        pending.append(state.closure_state.correction is not None)
         write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, saved.rng, saved.trajectory, saved.statistics))
         saved = read_state(tmp_path / "run.npz", threads=2)
         assert contents(saved.state) == contents(state)
     assert pending[:6] == [False, False, True, True, True, False]
     assert contents(saved.state) == contents(whole[0])
     assert saved.statistics.summary().corrections == sum(report.corrected for report in whole[1])
-    assert saved.state.memory.rejected == whole[0].memory.rejected
+    assert saved.state.closure_state.rejected == whole[0].closure_state.rejected
 
 
-def test_the_last_word_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
+def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, contents, tmp_path):
     first = SavedRun(CONFIG, None, np.random.default_rng(7))
     state = run(loop.measurements, SLAM, particles=3, rng=first.rng, observers=[first.trajectory])
     before = contents(state)
     write_state(tmp_path / "run.npz", SavedRun(CONFIG, state, first.rng, first.trajectory))
     read = read_state(tmp_path / "run.npz")
     words = [
-        full_slam(s, first.trajectory.keys, first.trajectory.from_key, CONFIG.mapper, CONFIG.closure, CONFIG.last_word)
+        full_slam(
+            s,
+            first.trajectory.keys,
+            first.trajectory.key_from_base,
+            CONFIG.mapper,
+            CONFIG.closure,
+            CONFIG.final_refinement,
+        )
         for s in (state, state, read.state)
     ]
     assert contents(state) == before
@@ -97,5 +104,5 @@ def test_the_page_on_the_state_names_every_array(loop, play, cuts):
     page = (Path(__file__).parents[3] / "docs" / "state.md").read_text(encoding="utf-8")
     state, _ = play(SLAM, loop.measurements[: cuts[3]], particles=3, seed=7)
     for name in state.to_arrays():
-        own = name.removeprefix("memory.")
+        own = name.removeprefix("closure_state.")
         assert f"`{own.rpartition('maps.')[2]}`" in page, name

@@ -9,9 +9,9 @@ from gridslam.config import build, override
 from gridslam.evaluation import absolute_errors, false_closures
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.full_slam import full_slam
-from gridslam.slam.memory import Rejection
-from gridslam.slam.ties import Source
+from gridslam.slam.loop_closure_state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED, loop_drive
 
@@ -23,12 +23,12 @@ def loop():
     return loop_drive()
 
 
-def answered(config, measurements, tick=lambda: None):
+def answered(config, measurements, on_progress=lambda: None):
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    keys, from_key = recorder.keys, recorder.from_key
-    answer = full_slam(state, keys, from_key, config.mapper, config.closure, config.last_word, tick)
+    keys, key_from_base = recorder.keys, recorder.key_from_base
+    answer = full_slam(state, keys, key_from_base, config.mapper, config.closure, config.final_refinement, on_progress)
     return state, recorder, answer
 
 
@@ -39,7 +39,7 @@ def closed(loop):
 
 def test_the_filter_alone_is_the_best_particles_past(loop):
     state, recorder, answer = answered(OFF, loop.measurements)
-    assert answer.loops is None
+    assert answer.loop_summary is None
     assert answer.poses.tobytes() == recorder.full(state).poses.tobytes()
     assert answer.map.log_odds.tobytes() == state.maps.occupancy(state.best).log_odds.tobytes()
     assert np.array_equal(answer.graph.poses, state.ancestry.trajectory(state.best))
@@ -50,7 +50,7 @@ def test_the_filter_alone_is_the_best_particles_past(loop):
     assert headings[0] == 0 < headings[len(headings) // 2] < headings[-1]
 
 
-def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
+def test_loops_make_the_end_as_certain_as_what_it_was_matched_to(loop, closed):
     _, _, answer = closed
     _, _, alone = answered(OFF, loop.measurements)
     assert answer.covariances.shape == alone.covariances.shape == (len(loop.measurements), 3, 3)
@@ -58,13 +58,15 @@ def test_loops_make_the_end_as_certain_as_what_it_was_tied_to(loop, closed):
     assert answer.covariances[-1].trace() < 0.2 * alone.covariances[-1].trace()
 
 
-def test_closures_are_recognized_ties_and_true(loop, closed):
+def test_closures_are_recognized_constraints_and_true(loop, closed):
     _, recorder, answer = closed
-    loops = answer.loops
-    assert len(loops.closures) == loops.ties[Source.RECOGNIZED] > 0
-    assert loops.doubted == 0
-    assert loops.joint_ties == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
-    assert set(loops.rejected) <= set(Rejection)
+    loops = answer.loop_summary
+    assert len(loops.closures) == loops.constraints[ConstraintSource.RECOGNIZED] > 0
+    assert loops.removed == 0
+    assert (
+        loops.refinement_constraints == len(answer.graph.edges) - len(answer.graph.poses) + 1 - len(loops.closures) > 0
+    )
+    assert set(loops.rejected) <= set(RejectionReason)
     key_scans = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     tied = {tuple(edge): z for edge, z in zip(answer.graph.edges.tolist(), answer.graph.measurements, strict=True)}
     measured = [tied[tuple(pair)] for pair in loops.closures.tolist()]
@@ -77,7 +79,7 @@ def test_the_trajectory_is_near_the_truth(loop, closed):
     assert absolute_errors(estimate, loop.truth).trans_rmse_m < 0.06  # about a cell, after 80 m
 
 
-def test_the_last_word_ticks_and_can_be_interrupted(loop):
+def test_final_refinement_ticks_and_can_be_interrupted(loop):
     def stop():
         raise KeyboardInterrupt
 

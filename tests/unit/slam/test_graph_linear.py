@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.slam.graph_linear import Blocks, BlockSystem, linearize, require_connected
+from gridslam.slam.graph_linear import BlockSystem, MatrixBlocks, linearize, require_connected
 from support.random_graphs import random_graph
 
 
@@ -65,7 +65,7 @@ def test_solutions_are_those_of_dense_systems(size):
             full[np.ix_(at, at)] += square
         own, other = slice(0, size), slice(size, None)
         none = np.zeros((len(edges), size))
-        blocks = Blocks(squares[:, own, own], squares[:, own, other], squares[:, other, other], none, none)
+        blocks = MatrixBlocks(squares[:, own, own], squares[:, own, other], squares[:, other, other], none, none)
         system.factorize(system.assemble(blocks)[0])
         found = system.solve(right)
         np.testing.assert_allclose(found[1:].ravel(), np.linalg.solve(full[size:, size:], right), rtol=1e-9, atol=1e-12)

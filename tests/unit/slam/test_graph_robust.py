@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.graph_robust import GraduatedNonConvexity, scaled
+from gridslam.slam.graph_robust import GraduatedNonConvexity, scale_information
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.pose_graph import PoseGraph
 from support.random_graphs import random_graph
@@ -19,7 +19,7 @@ def test_false_closures_are_found_out(seed):
     known = random_graph(np.random.default_rng(seed), poses=60, closures=20, false=2 + seed % 5)
     solution = ROBUST.solve(known.graph)
     assert solution.weights.tolist() == (~known.false).astype(float).tolist()
-    without = GraphSlam().solve(scaled(known.graph, (~known.false).astype(float)))
+    without = GraphSlam().solve(scale_information(known.graph, (~known.false).astype(float)))
     assert solution.chi2_after == pytest.approx(without.chi2_after, rel=1e-6)
     np.testing.assert_allclose(between(without.poses, solution.poses), 0, atol=1e-4)
 
@@ -75,7 +75,7 @@ def test_a_lower_probability_doubts_more():
 def test_scaling_leaves_out_what_weighs_nothing_while_all_is_joined():
     graph = random_graph(np.random.default_rng(4)).graph
     weights = np.where(graph.trusted, 1.0, 0.0)
-    assert len(scaled(graph, weights).edges) == graph.trusted.sum()
-    half = scaled(graph, 0.5 * np.ones(len(graph.edges)))
+    assert len(scale_information(graph, weights).edges) == graph.trusted.sum()
+    half = scale_information(graph, 0.5 * np.ones(len(graph.edges)))
     assert (half.information == 0.5 * graph.information).all()
-    assert len(scaled(graph, 1.0 - weights).edges) == len(graph.edges)
+    assert len(scale_information(graph, 1.0 - weights).edges) == len(graph.edges)

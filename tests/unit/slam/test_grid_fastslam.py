@@ -13,7 +13,14 @@ from gridslam.geometry.se2 import between
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import DiffusionMotion, OdometryMotion
 from gridslam.particles import Always, Multinomial, Never, ResamplingWheel, Residual, Stratified, Systematic, spread
-from gridslam.slam import Gaussian, GridFastSlam, OdometryTracker, Peak, Prior, Tracker
+from gridslam.slam import (
+    GridFastSlam,
+    ImprovedProposal,
+    MotionModelProposal,
+    OdometryTracker,
+    ScanMatchedProposal,
+    Tracker,
+)
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry, SkipReason, Trajectory
 
 LIVELY = GridFastSlam(when_to_resample=Always())
@@ -99,7 +106,7 @@ def test_the_seed_decides_and_nothing_else(drive, play, contents):
     assert runs[0] != runs[2]
 
 
-@pytest.mark.parametrize("proposal", [Peak(), Gaussian()])
+@pytest.mark.parametrize("proposal", [ScanMatchedProposal(), ImprovedProposal()])
 def test_the_number_of_threads_never_changes_a_byte(drive, play, contents, proposal):
     slam = replace(LIVELY, proposal=proposal)
     alone, reports = play(slam, drive.measurements[:80], particles=7)
@@ -277,13 +284,13 @@ def test_a_gap_of_ten_seconds_is_bridged(drive, play):
 @pytest.mark.parametrize(
     "slam",
     [
-        GridFastSlam(proposal=Prior()),
-        GridFastSlam(proposal=Peak(matcher=HillClimbing())),
-        GridFastSlam(proposal=Gaussian()),
-        GridFastSlam(proposal=Peak(matcher=GaussNewton(max_passes=3))),
+        GridFastSlam(proposal=MotionModelProposal()),
+        GridFastSlam(proposal=ScanMatchedProposal(matcher=HillClimbing())),
+        GridFastSlam(proposal=ImprovedProposal()),
+        GridFastSlam(proposal=ScanMatchedProposal(matcher=GaussNewton(max_passes=3))),
         GridFastSlam(tracker=Tracker(map_scans=5)),
         GridFastSlam(tracker=OdometryTracker(), motion=OdometryMotion()),
-        GridFastSlam(tracker=OdometryTracker(), motion=DiffusionMotion(0.05, 0.05), proposal=Gaussian()),
+        GridFastSlam(tracker=OdometryTracker(), motion=DiffusionMotion(0.05, 0.05), proposal=ImprovedProposal()),
         GridFastSlam(when_to_resample=Never()),
         *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Multinomial, Residual, ResamplingWheel)),
         *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Stratified, Systematic)),
@@ -291,9 +298,9 @@ def test_a_gap_of_ten_seconds_is_bridged(drive, play):
     ids=lambda slam: f"{type(slam.tracker).__name__}-{type(slam.proposal).__name__}-{type(slam.resampler).__name__}",
 )
 def test_every_part_can_be_swapped(drive, play, slam):
-    """`Prior` needs more particles than 10 to be as good: its worst of 6 seeds is 0.40 m."""
+    """`MotionModelProposal` needs more particles than 10 to be as good: its worst of 6 seeds is 0.40 m."""
     state, reports = play(slam, drive.measurements, particles=10)
-    assert worst_error(reports, drive.truth) < (0.6 if isinstance(slam.proposal, Prior) else BAND_M)
+    assert worst_error(reports, drive.truth) < (0.6 if isinstance(slam.proposal, MotionModelProposal) else BAND_M)
     assert state.ancestry.steps == sum(report.skipped is None for report in reports)
     resampled = {report.parents is not None for report in reports[1:] if report.skipped is None}
     if isinstance(slam.when_to_resample, Always | Never):

@@ -12,7 +12,7 @@ from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion
 from gridslam.models.sightings import LandmarkStep, Sightings
 from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.graph_cauchy import Cauchy
+from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_graph import LandmarkGraph
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
@@ -135,7 +135,7 @@ def test_misread_landmarks_are_left_out_by_robust_estimation():
         wrong = step.sightings.landmarks.copy()
         wrong[0] = 100 + (wrong[0] - 100 + 6) % 12
         steps[t] = LandmarkStep(step.stamp_ns, step.increment, None, Sightings.of(step.sightings.values, wrong))
-    robust = GraphSlam(first_guess="given", robust=Cauchy())
+    robust = GraphSlam(first_guess="given", robust=CauchyEstimator())
     errors = []
     for solver in (robust, GraphSlam(first_guess="given")):
         solved = LandmarkGraphSlam(SENSOR, solver).solve(steps, MOTION)

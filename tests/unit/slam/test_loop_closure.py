@@ -14,19 +14,19 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam import GridFastSlam
+from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.loop_closure import LoopClosure
 from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import Prior
-from gridslam.slam.submaps import drawn
-from gridslam.slam.ties import Source
+from gridslam.slam.proposals import MotionModelProposal
+from gridslam.slam.submaps import build_map
 from gridslam.types import Odometry, StepReport
 from support import hall
 
 SLIPS = slice(70, 150)
-RECOGNITION = replace(hall.EAGER, believed_m=1e-3)
+RECOGNITION = replace(hall.EAGER, filter_max_correction_m=1e-3)
 """A filter that is lost by a metre is not believed."""
 CLOSURE = LoopClosure(recognition=RECOGNITION, drift=hall.DOUBTFUL, scans_per_step=20)
-SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=Prior(), loop_closure=CLOSURE)
+SLAM = GridFastSlam(tracker=OdometryTracker(), proposal=MotionModelProposal(), loop_closure=CLOSURE)
 RNG = np.random.default_rng(0)
 RUNS = [(2, 5), (3, 5)]
 """Seeds of the hall, and numbers of particles."""
@@ -109,16 +109,16 @@ def test_after_it_all_particles_are_one(closed):
     np.testing.assert_array_equal(pasts, np.repeat(pasts[:1], count, axis=0))
     tiles = len(state.maps.snapshot(np.array([0])).to_arrays()["log_odds"]) - 1
     assert state.maps.tiles_used == tiles
-    assert state.memory.correction is None
+    assert state.closure_state.correction is None
 
 
 def test_the_past_is_the_graphs_and_the_map_is_drawn_from_it(closed):
     _, state, _, _, _, _ = closed
-    trajectory, memory = state.ancestry.trajectory(0), state.memory
-    assert len(trajectory) == len(memory.graph) == len(memory.scans.keys)
-    np.testing.assert_array_equal(trajectory, np.array(memory.graph.poses))
-    np.testing.assert_array_equal(trajectory, np.array(memory.said))
-    maps = drawn(SLAM.mapper, memory.scans, np.arange(len(trajectory)), trajectory)
+    trajectory, closure_state = state.ancestry.trajectory(0), state.closure_state
+    assert len(trajectory) == len(closure_state.graph) == len(closure_state.scans.keys)
+    np.testing.assert_array_equal(trajectory, np.array(closure_state.graph.poses))
+    np.testing.assert_array_equal(trajectory, np.array(closure_state.online_poses))
+    maps = build_map(SLAM.mapper, closure_state.scans, np.arange(len(trajectory)), trajectory)
     arrays = state.maps.snapshot(np.array([0])).to_arrays()
     for name, array in maps.to_arrays().items():
         np.testing.assert_array_equal(arrays[name], array, err_msg=name)
@@ -130,9 +130,9 @@ def test_the_past_is_right_as_far_as_the_closure_knows(closed):
     Between them what is missed is spread over the loop, whose second quarter alone was wrong: less than half is left.
     """
     log, state, _, poses, found, _ = closed
-    keys = np.array(state.memory.scans.keys)
+    keys = np.array(state.closure_state.scans.keys)
     errors = np.hypot(*between(log.truth[keys], state.ancestry.trajectory(0))[:, :2].T)
-    assert errors[: state.memory.graph.ties[0].from_ + 1].max() < 1e-6
+    assert errors[: state.closure_state.graph.constraints[0].from_ + 1].max() < 1e-6
     assert errors[keys > found].max() < 0.1
     assert errors.max() < 0.5 * off_m(log, found, poses[found]).max()
 
@@ -140,9 +140,11 @@ def test_the_past_is_right_as_far_as_the_closure_knows(closed):
 def test_what_was_recognized_is_told_once(closed):
     log, state, reports, _, _, _ = closed
     pairs = [pair for report in reports for pair in report.closures]
-    assert pairs == [(t.from_, t.to) for t in state.memory.graph.ties if t.source is Source.RECOGNIZED]
-    recognized = [t for t in state.memory.graph.ties if t.source is Source.RECOGNIZED]
-    assert (hall.errors(log.truth[state.memory.scans.keys], recognized) < [0.1, 0.02]).all()
+    assert pairs == [
+        (t.from_, t.to) for t in state.closure_state.graph.constraints if t.source is ConstraintSource.RECOGNIZED
+    ]
+    recognized = [t for t in state.closure_state.graph.constraints if t.source is ConstraintSource.RECOGNIZED]
+    assert (hall.errors(log.truth[state.closure_state.scans.keys], recognized) < [0.1, 0.02]).all()
 
 
 @pytest.mark.parametrize("scans_per_step", [2, 7, 1000])
@@ -161,7 +163,7 @@ def test_the_merge_comes_a_number_of_key_scans_later_that_follows_from_counts(lo
             assert merged[0] == keys[count + steps - 1]
         else:
             assert merged == []
-            assert state.memory.correction.drawn == (len(keys) - count) * scans_per_step
+            assert state.closure_state.correction.inserted == (len(keys) - count) * scans_per_step
         ends.append([told(report) for report in reports])
         if scans_per_step != 7:
             break
@@ -176,10 +178,12 @@ def test_the_graph_is_solved_as_many_poses_a_scan_as_allowed(logs):
         state, waits = None, 0
         for odometry, scan in logs[2].measurements:
             state, report = slam.step(state, odometry, scan, RNG) if state else slam.init(odometry, scan, 1)
-            waits += state.memory.weighing is not None
+            waits += state.closure_state.pending_constraints is not None
             if report.closures:
                 break
-        ends.append((report.closures, np.array(state.memory.graph.poses)[: len(state.memory.graph) - waits]))
+        ends.append(
+            (report.closures, np.array(state.closure_state.graph.poses)[: len(state.closure_state.graph) - waits])
+        )
         waited.append(waits)
     assert waited[0] > 4 * waited[1]
     assert ends[0][0] == ends[1][0]
@@ -190,7 +194,7 @@ def test_the_graph_is_solved_as_many_poses_a_scan_as_allowed(logs):
 def test_until_the_correction_the_filter_is_what_it_is_without(closed):
     log, state, reports, _, _, merged = closed
     alone, others, _ = run(replace(SLAM, loop_closure=None), log, len(state.poses), until=merged)
-    assert alone.memory is None
+    assert alone.closure_state is None
     for one, other in zip(reports[:merged], others[:merged], strict=True):
         assert told(one) == told(other)
         assert other.closures == ()
@@ -205,13 +209,13 @@ def test_a_filter_that_agrees_is_left_alone(logs):
     _, others, other_poses = run(replace(SLAM, loop_closure=None), logs[2], 5)
     assert any(report.closures for report in reports)
     assert not any(report.corrected for report in reports)
-    assert state.memory.correction is None
+    assert state.closure_state.correction is None
     assert [told(one) for one in reports] == [told(other) for other in others]
     for one, other in zip(poses, other_poses, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("during", ["weighing", "correction"])
+@pytest.mark.parametrize("during", ["pending_constraints", "correction"])
 def test_a_snapshot_taken_while_the_graph_is_solved_or_drawn_goes_on_to_the_same_bytes(logs, during):
     """And so do arrays, and none of the three reaches into another."""
     log, slow = logs[2], replace(SLAM, loop_closure=replace(CLOSURE, scans_per_step=5, poses_per_scan=1))
@@ -220,8 +224,8 @@ def test_a_snapshot_taken_while_the_graph_is_solved_or_drawn_goes_on_to_the_same
     rest = iter(log.measurements[1:])
     for odometry, scan in rest:
         state, report = slow.step(state, odometry, scan, rng)
-        pending = getattr(state.memory, during)
-        if pending is not None and (pending.steps > 5 if during == "weighing" else pending.drawn > 30):
+        pending = getattr(state.closure_state, during)
+        if pending is not None and (pending.steps > 5 if during == "pending_constraints" else pending.inserted > 30):
             break
     rest = list(rest)[:80]
     twins = [state.snapshot(), type(state).from_arrays(state.to_arrays(), slow.mapper, threads=2)]
@@ -244,7 +248,7 @@ def test_after_the_correction_the_filter_goes_on(closed):
     """
     log, state, _, _, _, merged = closed
     end, reports, poses = run(SLAM, log, len(state.poses), until=merged + 20)
-    assert end.ancestry.steps == len(end.memory.graph) > state.ancestry.steps + 5
+    assert end.ancestry.steps == len(end.closure_state.graph) > state.ancestry.steps + 5
     assert off_m(log, merged + 20, poses[-1]).max() < 0.5
     past = end.ancestry.trajectories()[:, : state.ancestry.steps]
     np.testing.assert_array_equal(past, np.repeat(state.ancestry.trajectories()[:1], len(past), axis=0))

@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.particles import Never
 from gridslam.slam import GridFastSlam
-from gridslam.slam.map_limit import MapLimit, _shared_out
+from gridslam.slam.map_limit import MapLimit, _apportion
 
 FREE = GridFastSlam(when_to_resample=Never(), map_limit=MapLimit(tiles_per_particle=10_000))
 TIGHT = GridFastSlam(when_to_resample=Never(), map_limit=MapLimit(tiles_per_particle=20))
@@ -55,7 +55,7 @@ def test_those_that_stay_go_on_in_the_numbers_that_they_are_worth():
     These are 3.89, 2.33 and 0.78: 3, 2 and 0 for sure, and the two that are left go to the greatest remainders.
     """
     weights = np.array([0.02, 0.1, 0.01, 0.3, 0.5, *[0.014] * 5])
-    parents = _shared_out(np.log(weights), np.array([4, 3, 1]))
+    parents = _apportion(np.log(weights), np.array([4, 3, 1]))
     assert parents.tolist() == [4] * 5 + [3] * 3 + [1] * 2
 
 

@@ -10,7 +10,7 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.models import DiffusionMotion, GaussianIncrement
 from gridslam.particles import Never
-from gridslam.slam import GridFastSlam, OdometryTracker, Prior
+from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
 from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.state import GridFastSlamState
 from gridslam.slam.tracker_velocity import ConstantVelocity
@@ -18,7 +18,7 @@ from gridslam.types import Odometry
 
 SKEWED = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 2e-4, -1e-5], [2e-5, -1e-5, 9e-4]])
 EXACT = DiffusionMotion(0.0, 0.0, 0.0, 0.0)
-FILTER = GridFastSlam(particles=200, motion=EXACT, proposal=Prior(), when_to_resample=Never())
+FILTER = GridFastSlam(particles=200, motion=EXACT, proposal=MotionModelProposal(), when_to_resample=Never())
 """Its particles spread by what the log tells and by nothing else, and keep where they were drawn."""
 
 
@@ -79,7 +79,7 @@ def test_noise_of_increments_is_compounded_as_draws_of_them_are(drive):
             break
         expected = state.odometry_covariance
         assert expected is not None
-    noise = OdometryNoise.told(state, measurements[k + 1][0], matched=False)
+    noise = OdometryNoise.from_reading(state, measurements[k + 1][0], matched=False)
     np.testing.assert_allclose(noise.covariance, SKEWED, rtol=1e-9)  # begins anew at the key scan
     # Linear in noise of 1 to 7 degrees: a few percent; 20000 draws: one percent.
     moved = between(np.zeros(3), drawn)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.drift import Drift
-from gridslam.slam.full_trajectory import full_trajectory, shares_of_way
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.full_trajectory import full_trajectory, path_fractions
 from gridslam.slam.graph_marginals import marginal_covariances
 from gridslam.slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.pose_graph import PoseGraph
@@ -46,24 +46,24 @@ def test_between_key_scans_it_is_no_less_than_drift_and_at_them_it_is_theirs():
     steps = graph.measurements
     at = np.array([0.0, 0.3, 0.6, 1.0, 0.5, 1.0, 0.25, 1.0, 0.0])  # share of the way since the key scan before
     before = np.array([0, 0, 0, 0, 1, 1, 2, 2, 0])
-    from_key = steps[before] * at[:, None]
-    from_key[0], from_key[-1] = 0.0, (0.4, 0.0, 0.1)
-    assert shares_of_way(keys, from_key)[[0, 3, 5, 7]].tolist() == [0, 0, 0, 0]
-    found = scan_covariances(graph, of_keys, keys, from_key, Drift())
+    key_from_base = steps[before] * at[:, None]
+    key_from_base[0], key_from_base[-1] = 0.0, (0.4, 0.0, 0.1)
+    assert path_fractions(keys, key_from_base)[[0, 3, 5, 7]].tolist() == [0, 0, 0, 0]
+    found = scan_covariances(graph, of_keys, keys, key_from_base, DriftModel())
     assert np.array_equal(found[[0, 3, 5, 7]], of_keys)
     for scan in (1, 2, 4, 6):
-        k, share = keys[scan], shares_of_way(keys, from_key)[scan]
+        k, share = keys[scan], path_fractions(keys, key_from_base)[scan]
         drifted = (1 - share) * of_keys[k] + share * of_keys[k + 1]  # of a random walk, exactly
         assert np.linalg.eigvalsh(found[scan] - drifted).min() >= -1e-12
         assert np.linalg.eigvalsh(found[scan]).min() > 0
-    position, heading = Drift().variances(0.4, 0.1)
+    position, heading = DriftModel().variances(0.4, 0.1)
     assert np.allclose(found[8], of_keys[3] + np.diag([position, position, heading]))
 
 
 def test_shares_are_those_of_the_full_trajectory():
     keys = np.array([0, 0, 0, 1, 1, 1])
-    from_key = np.array([[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0.5], [0.5, 0, 1.5], [0.5, 0, 0], [1.0, 0, 0]])
+    key_from_base = np.array([[0, 0, 0], [0.25, 0, 0], [0.5, 0, 0.5], [0.5, 0, 1.5], [0.5, 0, 0], [1.0, 0, 0]])
     # metres and radians together: 0, 0.25, 1.0 of 2; after the last key scan what was driven
-    assert shares_of_way(keys, from_key) == pytest.approx([0, 0.125, 0.5, 0, 0.5, 1.0])
+    assert path_fractions(keys, key_from_base) == pytest.approx([0, 0.125, 0.5, 0, 0.5, 1.0])
     exact = np.array([[0, 0, 0], [0.5, 0, 1.5]])
-    assert np.allclose(full_trajectory(exact, keys, from_key)[:3], from_key[:3])
+    assert np.allclose(full_trajectory(exact, keys, key_from_base)[:3], key_from_base[:3])

@@ -9,7 +9,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import CauchyAgreement, DiffusionMotion, GaussianIncrement, LikelihoodField
-from gridslam.slam import Gaussian, Peak, Prior
+from gridslam.slam import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.types import LaserScan, ScanGeometry
 
 GEOMETRY = ScanGeometry(np.deg2rad(np.arange(0, 360, 2) - 179.0))
@@ -41,7 +41,7 @@ BEAMS = scan_at(INCREMENT)
 
 @pytest.mark.parametrize("sensor", [CauchyAgreement(), LikelihoodField()])
 def test_prior_draws_from_the_motion_and_weighs_by_the_sensor(room, sensor):
-    proposed = Prior()(room, BEFORE, WIDE, sensor(BEAMS), BEAMS, np.random.default_rng(3))
+    proposed = MotionModelProposal()(room, BEFORE, WIDE, sensor(BEAMS), BEAMS, np.random.default_rng(3))
     np.testing.assert_array_equal(proposed.poses, WIDE(BEFORE, np.random.default_rng(3)))
     np.testing.assert_array_equal(proposed.log_weights, sensor(BEAMS)(room, np.arange(10), proposed.poses))
     np.testing.assert_allclose(proposed.match.poses, proposed.poses, atol=1e-12)
@@ -57,7 +57,7 @@ def cost(maps, pose, guess, prior, sigma_m, cauchy_m=0.1):
 
 def test_peaks_are_local_optima(room):
     """Nowhere 1 cm or 6 mrad around a peak is the posterior higher; from the draw to the peak it has risen."""
-    peak = Peak()
+    peak = ScanMatchedProposal()
     proposed = peak(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(1))
     drawn = WIDE(BEFORE, np.random.default_rng(1))
     prior = np.linalg.inv(WIDE.moments(BEFORE)[1][0])
@@ -73,12 +73,15 @@ def test_peaks_are_local_optima(room):
 @pytest.mark.parametrize("matcher", [GaussNewton(), HillClimbing()])
 def test_peak_weighs_at_the_peak(room, matcher):
     weigh = CauchyAgreement()(BEAMS)
-    proposed = Peak(matcher=matcher)(room, BEFORE, WIDE, weigh, BEAMS, np.random.default_rng(1))
+    proposed = ScanMatchedProposal(matcher=matcher)(room, BEFORE, WIDE, weigh, BEAMS, np.random.default_rng(1))
     np.testing.assert_array_equal(proposed.log_weights, weigh(room, np.arange(10), proposed.poses))
     np.testing.assert_array_equal(proposed.match.poses, proposed.poses)
 
 
-@pytest.mark.parametrize("proposal", [Prior(), Peak(), Peak(matcher=HillClimbing()), Gaussian()])
+@pytest.mark.parametrize(
+    "proposal",
+    [MotionModelProposal(), ScanMatchedProposal(), ScanMatchedProposal(matcher=HillClimbing()), ImprovedProposal()],
+)
 def test_what_goes_in_stays_as_it_is(room, proposal):
     before, maps = BEFORE.copy(), room.to_arrays()
     proposed = proposal(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
@@ -89,7 +92,10 @@ def test_what_goes_in_stays_as_it_is(room, proposal):
     assert not np.shares_memory(proposed.poses, BEFORE)
 
 
-@pytest.mark.parametrize("proposal", [Prior(), Peak(), Peak(matcher=HillClimbing()), Gaussian()])
+@pytest.mark.parametrize(
+    "proposal",
+    [MotionModelProposal(), ScanMatchedProposal(), ScanMatchedProposal(matcher=HillClimbing()), ImprovedProposal()],
+)
 def test_in_an_empty_map_only_the_motion_counts(proposal):
     maps = OccupancyGridMapping().empty(10)
     proposed = proposal(maps, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
@@ -138,7 +144,7 @@ MARGINAL = log_normal(MEASURED, PREDICTED, SPREAD + NOISE)
 
 @pytest.fixture
 def linear():
-    return LinearMaps(DRAWS, MEASURED, NOISE, Gaussian().beam_sigma_m)
+    return LinearMaps(DRAWS, MEASURED, NOISE, ImprovedProposal().beam_sigma_m)
 
 
 def test_the_improved_proposal_is_the_kalman_filter_where_all_is_linear(linear):
@@ -146,7 +152,9 @@ def test_the_improved_proposal_is_the_kalman_filter_where_all_is_linear(linear):
 
     A mean's standard error is sigma / sqrt(n); a covariance's element has one of at most sqrt(2 / n) sigma_i sigma_j.
     """
-    proposed = Gaussian()(linear, np.repeat(PLACE, DRAWS, 0), MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    proposed = ImprovedProposal()(
+        linear, np.repeat(PLACE, DRAWS, 0), MOTION, linear.weigh, BEAMS, np.random.default_rng(0)
+    )
     gain = SPREAD @ np.linalg.inv(SPREAD + NOISE)
     mean, covariance = PREDICTED + gain @ (MEASURED - PREDICTED), (np.eye(3) - gain) @ SPREAD
     sigma = np.sqrt(np.diag(covariance))
@@ -160,7 +168,7 @@ def test_the_improved_proposal_is_the_kalman_filter_where_all_is_linear(linear):
 def test_plain_fastslam_weighs_the_same_on_average(linear):
     """E[p(z | x)] over the prior is the marginal likelihood; within 5 standard errors of the sample itself."""
     places = np.repeat(PLACE, DRAWS, 0)
-    proposed = Prior()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    proposed = MotionModelProposal()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
     weights = np.exp(proposed.log_weights)
     assert abs(weights.mean() - np.exp(MARGINAL)) < 5 * weights.std() / np.sqrt(DRAWS)
     assert weights.std() > 0.5 * weights.mean()  # which is what the improved proposal saves
@@ -169,8 +177,8 @@ def test_plain_fastslam_weighs_the_same_on_average(linear):
 def test_particles_are_told_apart_by_their_marginal_likelihoods():
     """At different places and headings, each with the motion's covariance turned to its own heading."""
     places = PLACE + np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.0, -0.1, 0.05], [0.1, 0.1, 1.3]])
-    linear = LinearMaps(4, MEASURED, NOISE, Gaussian().beam_sigma_m)
-    found = Gaussian()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    linear = LinearMaps(4, MEASURED, NOISE, ImprovedProposal().beam_sigma_m)
+    found = ImprovedProposal()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
     moments = zip(*MOTION.moments(places), strict=True)
     expected = [log_normal(MEASURED, mean, spread + NOISE) for mean, spread in moments]
     np.testing.assert_allclose(found.log_weights, expected, rtol=1e-5, atol=1e-4)
@@ -181,8 +189,8 @@ def test_headings_are_wrapped_where_they_cross_pi():
     places = np.repeat(PLACE + np.array([0.0, 0.0, np.pi - 0.199]), DRAWS, 0)
     (mean, *_), (spread, *_) = MOTION.moments(places)
     measured = mean + np.array([0.1, 0.05, 0.04])
-    linear = LinearMaps(DRAWS, measured, NOISE, Gaussian().beam_sigma_m)
-    proposed = Gaussian()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
+    linear = LinearMaps(DRAWS, measured, NOISE, ImprovedProposal().beam_sigma_m)
+    proposed = ImprovedProposal()(linear, places, MOTION, linear.weigh, BEAMS, np.random.default_rng(0))
     assert mean[2] < -3.1
     assert (proposed.poses[:, 2] >= -np.pi).all()
     assert (proposed.poses[:, 2] < np.pi).all()

@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.particles import Always
-from gridslam.slam import STATE_SCHEMA, Gaussian, GridFastSlam, GridFastSlamState, OdometryTracker
+from gridslam.slam import STATE_SCHEMA, GridFastSlam, GridFastSlamState, ImprovedProposal, OdometryTracker
 
 SLAM = GridFastSlam(when_to_resample=Always())
 
@@ -31,7 +31,7 @@ def middle(drive, play):
 
 @pytest.mark.parametrize(
     "slam",
-    [SLAM, GridFastSlam(proposal=Gaussian()), GridFastSlam(tracker=OdometryTracker())],
+    [SLAM, GridFastSlam(proposal=ImprovedProposal()), GridFastSlam(tracker=OdometryTracker())],
     ids=["always", "gaussian", "odometry"],
 )
 @pytest.mark.parametrize("cut", [1, 47, 60])

@@ -15,7 +15,7 @@ from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spre
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
-from gridslam.slam.proposals import Peak
+from gridslam.slam.proposals import ScanMatchedProposal
 from gridslam.slam.tracker import Tracker
 from gridslam.types import LaserScan, SkipReason
 
@@ -108,7 +108,9 @@ def test_between_key_scans_a_random_walk_is_added(run):
             key = report.covariance
             continue
         moved = math.hypot(*report.key_from_base[:2]) + abs(report.key_from_base[2])
-        drift = moved * np.square([slam.confidence.drift_m, slam.confidence.drift_m, slam.confidence.drift_rad])
+        drift = moved * np.square(
+            [slam.reports.drift_sigma_m, slam.reports.drift_sigma_m, slam.reports.drift_sigma_rad]
+        )
         np.testing.assert_allclose(report.covariance - key, np.diag(drift), atol=1e-15)
 
 
@@ -119,10 +121,10 @@ def test_reports_read_the_state_and_never_write(run, drive):
     beams = scan.beams(0.05, 30.0)
     rows = np.arange(PARTICLES, dtype=np.int32)
     match = LOOK(state.maps, rows, state.poses, np.zeros((PARTICLES, 3, 3)), beams)
-    estimate = slam.confidence.estimate(state, match, beams)
-    slam.confidence.first_scan(state, scan, 1.0)
-    slam.confidence.between_key_scans(state, scan, np.ones(3), SkipReason.BETWEEN_KEY_SCANS)
-    slam.confidence.key_scan(state, scan, np.ones(3), estimate, 1.0, None)
+    estimate = slam.reports.estimate(state, match, beams)
+    slam.reports.first_scan(state, scan, 1.0)
+    slam.reports.between_key_scans(state, scan, np.ones(3), SkipReason.BETWEEN_KEY_SCANS)
+    slam.reports.key_scan(state, scan, np.ones(3), estimate, 1.0, None)
     after = state.to_arrays()
     assert after.keys() == before.keys()
     for name, array in before.items():
@@ -186,7 +188,7 @@ def corridor_drive(seed):
 
 def played_bare(play, sparse_m):
     matcher, runs = GaussNewton(sparse_m=sparse_m), []
-    slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=Peak(matcher=matcher))
+    slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=ScanMatchedProposal(matcher=matcher))
     for log in map(corridor_drive, range(3)):
         reports, odometry = play(slam, log.measurements, particles=PARTICLES)[1], log.odometry.poses
         driven = np.hypot(*(reports[-1].pose - reports[0].pose)[:2])
@@ -224,7 +226,7 @@ def assert_axis_told(runs):
     """The axis is told as a unit vector; the map's x axis is where the robot looked at first."""
     for reports, _, _ in runs:
         keys = [report for report in reports[1:] if not report.skipped]
-        told = [report.undetermined for report in keys if report.undetermined is not None]
+        told = [report.degenerate_direction for report in keys if report.degenerate_direction is not None]
         assert len(keys) > 12
         assert len(told) > 0.9 * len(keys)
         assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in told)
@@ -262,4 +264,4 @@ def room_drive():
 
 def test_a_closed_room_determines_everything(play):
     _, reports = play(GridFastSlam(), room_drive().measurements, particles=PARTICLES)
-    assert all(report.undetermined is None for report in reports)
+    assert all(report.degenerate_direction is None for report in reports)

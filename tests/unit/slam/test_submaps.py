@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.key_graph import BLOCK
-from gridslam.slam.memory import Memory
-from gridslam.slam.submaps import ROW, Submaps, anchor_of, drawn, keys_of
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
+from gridslam.slam.submaps import ROW, SubmapCache, build_map, key_scans_of
 from support import hall
 
 COUNT = 65
 
 
 @pytest.fixture(scope="module")
-def memory():
+def closure_state():
     """65 key scans, tracked in a frame that drifts against that of the map."""
-    seen, made = hall.key_scans(hall.drive(0)), Memory()
+    seen, made = hall.key_scans(hall.drive(0)), LoopClosureState()
     hall.remember(made, seen, hall.tracked(seen.truth, 0.002), until=COUNT)
     return made
 
@@ -26,80 +26,86 @@ def contents(maps):
     return {name: array.tobytes() for name, array in maps.to_arrays().items()}
 
 
-def test_blocks_and_anchors_partition_the_key_scans(memory):
-    assert np.concatenate([keys_of(block, memory.graph) for block in range(6)]).tolist() == list(range(6 * BLOCK))
-    for block in range(6):
-        assert anchor_of(block) in keys_of(block, memory.graph)[1:-1]  # in its midst: all of it is near
+def test_blocks_and_anchors_partition_the_key_scans(closure_state):
+    assert np.concatenate([key_scans_of(submap, closure_state.graph) for submap in range(6)]).tolist() == list(
+        range(6 * KEY_SCANS_PER_SUBMAP)
+    )
+    for submap in range(6):
+        assert anchor_of(submap) in key_scans_of(submap, closure_state.graph)[1:-1]  # in its midst: all of it is near
 
 
-def test_a_submap_is_drawn_as_tracked_about_its_anchor(memory):
-    poses = np.array(memory.graph.tracked)
-    for block in (0, 3, 5):
+def test_a_submap_is_drawn_as_tracked_about_its_anchor(closure_state):
+    poses = np.array(closure_state.graph.tracked)
+    for submap in (0, 3, 5):
         maps = hall.MAPPER.empty(1)
-        for key in keys_of(block, memory.graph):
-            maps.update(ROW, between(poses[anchor_of(block)], poses[key])[None], memory.scans.key(key))
-        assert contents(Submaps()(block, hall.MAPPER, memory.scans, memory.graph)) == contents(maps)
+        for key in key_scans_of(submap, closure_state.graph):
+            maps.update(ROW, between(poses[anchor_of(submap)], poses[key])[None], closure_state.scans.key(key))
+        assert contents(SubmapCache()(submap, hall.MAPPER, closure_state.scans, closure_state.graph)) == contents(maps)
 
 
-def test_what_is_kept_changes_nothing(memory):
+def test_what_is_kept_changes_nothing(closure_state):
     """Asked for in any order, with room for one or for many, before and after a correction."""
-    many, one = Submaps(), Submaps(most=1)
+    many, one = SubmapCache(), SubmapCache(most=1)
     order = np.random.default_rng(0).integers(0, 6, 20).tolist()
-    graph = memory.graph.snapshot()
-    once = {block: contents(Submaps()(block, hall.MAPPER, memory.scans, graph)) for block in range(6)}
-    for k, block in enumerate(order):
+    graph = closure_state.graph.snapshot()
+    once = {submap: contents(SubmapCache()(submap, hall.MAPPER, closure_state.scans, graph)) for submap in range(6)}
+    for k, submap in enumerate(order):
         if k == 10:
             graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)) * [1.01, 1.0, 1.0])
         for submaps in (many, one):
-            assert contents(submaps(block, hall.MAPPER, memory.scans, graph)) == once[block]
-    assert many(order[-1], hall.MAPPER, memory.scans, graph) is many(order[-1], hall.MAPPER, memory.scans, graph)
+            assert contents(submaps(submap, hall.MAPPER, closure_state.scans, graph)) == once[submap]
+    assert many(order[-1], hall.MAPPER, closure_state.scans, graph) is many(
+        order[-1], hall.MAPPER, closure_state.scans, graph
+    )
 
 
-def test_room_is_made_by_dropping_what_was_not_used_for_longest(memory):
-    submaps = Submaps(most=2)
-    drawn_first = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 1, 0, 2)]
-    again = [submaps(block, hall.MAPPER, memory.scans, memory.graph) for block in (0, 2, 1)]
+def test_room_is_made_by_dropping_what_was_not_used_for_longest(closure_state):
+    submaps = SubmapCache(most=2)
+    drawn_first = [submaps(submap, hall.MAPPER, closure_state.scans, closure_state.graph) for submap in (0, 1, 0, 2)]
+    again = [submaps(submap, hall.MAPPER, closure_state.scans, closure_state.graph) for submap in (0, 2, 1)]
     assert again[0] is drawn_first[0]
     assert again[1] is drawn_first[3]
     assert again[2] is not drawn_first[1]
 
 
-def test_large_submaps_are_kept_only_as_far_as_they_fit(memory, monkeypatch):
-    parts = hall.MAPPER, memory.scans, memory.graph
-    sizes = [Submaps()(block, *parts).nbytes for block in range(4)]
+def test_large_submaps_are_kept_only_as_far_as_they_fit(closure_state, monkeypatch):
+    parts = hall.MAPPER, closure_state.scans, closure_state.graph
+    sizes = [SubmapCache()(submap, *parts).nbytes for submap in range(4)]
     monkeypatch.setattr("gridslam.slam.submaps._MOST_BYTES", sizes[2] + sizes[3])
-    submaps = Submaps()
-    drawn_first = [submaps(block, *parts) for block in range(4)]
+    submaps = SubmapCache()
+    drawn_first = [submaps(submap, *parts) for submap in range(4)]
     assert submaps.nbytes == sizes[2] + sizes[3]
     assert submaps(3, *parts) is drawn_first[3]
     assert contents(submaps(0, *parts)) == contents(drawn_first[0])
     assert submaps.nbytes <= sizes[2] + sizes[3]
 
 
-def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(memory):
+def test_a_joint_map_has_each_block_where_the_graph_has_its_anchor(closure_state):
     """One block alone is every other of its scans, moved to the anchor's pose in the map."""
-    graph = memory.graph.snapshot()
+    graph = closure_state.graph.snapshot()
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
-    submaps, parts = Submaps(), (hall.MAPPER, memory.scans, graph)
-    maps, pyramid = submaps.joint((3,), *parts), submaps.pyramid((3,), *parts)
-    keys, anchor = keys_of(3, graph)[::2], anchor_of(3)
+    submaps, parts = SubmapCache(), (hall.MAPPER, closure_state.scans, graph)
+    maps, pyramid = submaps.joint_map((3,), *parts), submaps.pyramid((3,), *parts)
+    keys, anchor = key_scans_of(3, graph)[::2], anchor_of(3)
     local = between(graph.tracked[anchor], np.array(graph.tracked)[keys])
-    assert contents(maps) == contents(drawn(hall.MAPPER, memory.scans, keys, compose(graph.poses[anchor], local)))
+    assert contents(maps) == contents(
+        build_map(hall.MAPPER, closure_state.scans, keys, compose(graph.poses[anchor], local))
+    )
     field, corner = maps.field(0)
     assert pyramid.corner == corner
     assert pyramid.fine.shape[-2:] >= field.shape
 
 
-def test_joint_maps_are_drawn_once_until_they_are_forgotten(memory):
-    submaps, graph = Submaps(), memory.graph.snapshot()
-    parts = (hall.MAPPER, memory.scans, graph)
-    first, pyramid = submaps.joint((1, 2), *parts), submaps.pyramid((1, 2), *parts)
-    assert contents(submaps.joint((1, 3), *parts)) != contents(first)
-    assert submaps.joint((1, 2), *parts) is first
+def test_joint_maps_are_drawn_once_until_they_are_forgotten(closure_state):
+    submaps, graph = SubmapCache(), closure_state.graph.snapshot()
+    parts = (hall.MAPPER, closure_state.scans, graph)
+    first, pyramid = submaps.joint_map((1, 2), *parts), submaps.pyramid((1, 2), *parts)
+    assert contents(submaps.joint_map((1, 3), *parts)) != contents(first)
+    assert submaps.joint_map((1, 2), *parts) is first
     assert submaps.pyramid((1, 2), *parts) is pyramid
-    submaps.joint((2, 3), *parts)
-    assert submaps.joint((1, 2), *parts) is not first  # two are kept
-    assert contents(submaps.joint((1, 2), *parts)) == contents(first)
+    submaps.joint_map((2, 3), *parts)
+    assert submaps.joint_map((1, 2), *parts) is not first  # two are kept
+    assert contents(submaps.joint_map((1, 2), *parts)) == contents(first)
     graph.correct(compose(np.array([5.0, -3.0, 1.0]), np.array(graph.poses)))
     submaps.forget()
-    assert contents(submaps.joint((1, 2), *parts)) != contents(first)
+    assert contents(submaps.joint_map((1, 2), *parts)) != contents(first)

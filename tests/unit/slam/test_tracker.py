@@ -13,7 +13,7 @@ from gridslam.models import DiffusionMotion
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room, wall
 from gridslam.slam import OdometryTracker, Tracker
-from gridslam.slam.tracker_velocity import widened
+from gridslam.slam.tracker_velocity import widen_motion
 from gridslam.types import LaserScan, Trajectory
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -74,7 +74,7 @@ def test_biased_odometry_is_corrected_in_a_room(biased):
 
 def test_the_prediction_is_the_last_match_moved_by_odometry(biased):
     """It must not know the scan: only the scans before it."""
-    told, predicted, _ = track(Tracker(still_m=0, still_rad=0, calibration=None), biased)
+    told, predicted, _ = track(Tracker(standstill_m=0, standstill_rad=0, calibration=None), biased)
     increments = between(biased.odometry.poses[:-1], biased.odometry.poses[1:])
     moving = np.flatnonzero(np.abs(increments).max(axis=1) > 0)
     np.testing.assert_allclose(between(told[moving], predicted[moving + 1]), increments[moving], atol=1e-9)
@@ -135,7 +135,7 @@ def without(log, lost=slice(None)):
 def test_without_odometry_it_is_as_good(perfect):
     told, _, state = track(Tracker(), perfect, without(perfect))
     assert (missed(told, perfect).max(axis=0) < BAND).all()
-    assert state.doubt_m2 == state.doubt_rad2 == 0
+    assert state.rejected_match_m2 == state.rejected_match_rad2 == 0
 
 
 def test_without_odometry_the_prediction_is_the_velocity_of_the_scans_before(perfect):
@@ -155,17 +155,17 @@ def test_a_control_by_velocity_is_as_uncertain_as_those_before_were_wrong(perfec
     for _, scan in rest:
         tracked = Tracker().step(state, None, scan.stamp_ns, scan.beams(0.05, 30.0))
         missed_by.append(between(tracked.predicted, tracked.pose))
-        told.append(tracked.spread)
+        told.append(tracked.prediction_variances)
     squares, claimed = np.square(missed_by[50:]), np.mean(told[50:], axis=0)
     assert claimed[0] == pytest.approx(squares[:, :2].mean(), rel=0.5)
     assert np.percentile(squares[:, 2], 75) < claimed[1] < np.percentile(squares[:, 2], 98)
-    assert track(Tracker(), perfect)[2].spread.tolist() == [0.02**2, 0.03**2]
+    assert track(Tracker(), perfect)[2].velocity_variances.tolist() == [0.02**2, 0.03**2]
 
 
 def test_noise_of_the_control_is_added_to_that_of_the_motion():
     motion, variances = DiffusionMotion()(np.array([0.4, 0.0, 0.3])), np.array([0.03**2, 0.02**2])
-    assert widened(motion, None) is motion
-    wide, poses = widened(motion, variances), np.tile([1.0, 2.0, 0.7], (20000, 1))
+    assert widen_motion(motion, None) is motion
+    wide, poses = widen_motion(motion, variances), np.tile([1.0, 2.0, 0.7], (20000, 1))
     means, covariances = wide.moments(poses[:1])
     np.testing.assert_array_equal(means, motion.moments(poses[:1])[0])
     np.testing.assert_allclose(covariances - motion.moments(poses[:1])[1], [np.diag([9e-4, 9e-4, 4e-4])], atol=1e-12)
@@ -222,7 +222,7 @@ def test_odometry_that_helps_nothing_is_noticed_and_done_without(perfect, times)
         told.append(compose(told[-1], increment))
     log = [(type(o).at(o.stamp_ns, pose), scan) for pose, (o, scan) in zip(told, perfect.measurements, strict=True)]
     poses, _, state = track(Tracker(), perfect, log)
-    assert not state.learned.trusted
+    assert not state.odometry_errors.trusted
     assert (missed(poses, perfect).max(axis=0) < BAND).all()
 
 
@@ -238,7 +238,7 @@ def test_along_a_bare_corridor_the_odometry_is_believed_as_it_was_learned_before
     noise = OdometryNoise(distance_scale=1.05, turn_scale=1.0, bias_rad_per_m=0.0)
     log = simulate(world, RobotConfig(v_max_m_s=1.0), noise, LidarConfig(range_max_m=8.0), np.random.default_rng(0))
     told, _, state = track(Tracker(), log)
-    assert state.learned.factors[0] == pytest.approx(1 / 1.05, abs=0.015)
+    assert state.odometry_errors.factors[0] == pytest.approx(1 / 1.05, abs=0.015)
     assert abs(between(between(log.truth.poses[0], log.truth.poses[-1]), told[-1])[0]) < 0.5
 
 
@@ -272,8 +272,8 @@ def test_without_odometry_another_place_is_mapped_anew(perfect):
     star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
     there = [(None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)]
     told, _, state = track(Tracker(), perfect, [*here, *there])
-    assert state.doubt_m2 > 0
-    assert state.blind_scans == 0
+    assert state.rejected_match_m2 > 0
+    assert state.unlocalized_scans == 0
     np.testing.assert_allclose(told[-5:], told[-5:-4].repeat(5, axis=0), atol=0.02)
 
 
@@ -284,16 +284,16 @@ def test_local_maps_take_turns(perfect):
     state = tracker.init(odometry, scan.stamp_ns, scan.beams(0.05, 30.0), OccupancyGridMapping())
     seen, turns = [state.scans], 0
     for odometry, scan in rest:
-        before = state.active
+        before = state.matched_map
         tracker.step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-        active, other = state.scans[state.active], state.scans[1 - state.active]
-        turns += state.active != before
+        active, other = state.scans[state.matched_map], state.scans[1 - state.matched_map]
+        turns += state.matched_map != before
         if state.scans != seen[-1]:
             seen.append(state.scans)
         assert active <= 2 * tracker.map_scans
         assert other < tracker.map_scans
         assert other == 0 or active >= tracker.map_scans + other
-        known = [state.maps.occupancy(row).known.any() for row in (state.active, 1 - state.active)]
+        known = [state.maps.occupancy(row).known.any() for row in (state.matched_map, 1 - state.matched_map)]
         assert known == [True, other > 0]
     assert turns >= 5
     assert seen[:6] == [(1, 0), (2, 0), (3, 0), (4, 0), (5, 1), (6, 2)]

@@ -12,7 +12,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import GridFastSlam, Tracker
-from gridslam.slam.tracker_deskew import Deskew
+from gridslam.slam.tracker_deskew import TrackerDeskew
 
 BAND_RAD = 0.08
 """Greatest error of the heading. Scans that are taken in an instant leave 0.009 rad; those that take 0.1 s leave 0.06
@@ -58,7 +58,7 @@ def turned_wrong(told, log):
 
 
 def order(state):
-    return Deskew().order(state.sensors["laser"])
+    return TrackerDeskew().find_order(state.sensors["laser"])
 
 
 @pytest.mark.parametrize("with_odometry", [True, False])
@@ -95,14 +95,14 @@ def test_beam_times_that_are_none_are_noticed():
 
 def test_scans_without_beam_times_are_not_touched():
     log = driven(0.0)
-    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (Deskew(), None)]
+    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (TrackerDeskew(), None)]
     assert runs[0].tobytes() == runs[1].tobytes()
 
 
 def test_particles_take_the_scan_as_it_was_sharpened(skewed):
     """Mapping the drive from blurred scans leaves more cells occupied: thicker walls."""
     occupied = []
-    for deskew in (Deskew(), None):
+    for deskew in (TrackerDeskew(), None):
         slam, rng = GridFastSlam(tracker=Tracker(deskew=deskew)), np.random.default_rng(0)
         (odometry, scan), *rest = skewed.measurements
         state, _ = slam.init(odometry, scan, 3)

@@ -19,7 +19,7 @@ from support import hall
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SEARCH = OdometrySearch()
-NEVER = OdometrySearch(seldom_s=1e6, seldom_way=1e6, gap_s=1e6, gap_way=1e6)
+NEVER = OdometrySearch(sparse_period_s=1e6, sparse_step=1e6, blind_period_s=1e6, blind_step=1e6)
 """No scan is far from the one before it: what the tracker does is what it does at full rate."""
 
 CELL_M = 0.05
@@ -126,7 +126,7 @@ def states(sparse):
 def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
     for state, beams, pose in states:
         found = SEARCH(state, predicted_off(pose, turn), beams)
-        assert not found.poor
+        assert not found.lost
         assert found.matched
         assert (away(found.pose[None], pose[None]) < FAR).all()
 
@@ -135,17 +135,17 @@ def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
 def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_said(states, turn):
     """Where nothing lies within the gates; two of three scans see enough of what is mapped to be found again so.
 
-    A place that claims `anywhere_share` of the beams is the right one.
+    A place that claims `global_inlier_ratio` of the beams is the right one.
     """
-    around = OdometrySearch(gates=(), gains=())
+    around = OdometrySearch(gate_sigmas=(), inlier_gains=())
     right = 0
     for state, beams, pose in states:
         found = around(state, predicted_off(pose, turn), beams)
-        if found.poor:
-            assert found.share == 0
+        if found.lost:
+            assert found.inlier_ratio == 0
             np.testing.assert_array_equal(found.pose, predicted_off(pose, turn).pose)
         else:
-            assert found.share >= around.anywhere_share
+            assert found.inlier_ratio >= around.global_inlier_ratio
             assert (away(found.pose[None], pose[None]) < FAR).all()
             right += 1
     assert right > 0.66 * len(states)
@@ -153,10 +153,10 @@ def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_sa
 
 def test_a_half_turn_is_not_believed(states):
     """Corridors and rooms look alike after one, and wheels do not miss so much."""
-    around = OdometrySearch(gates=(), gains=())
+    around = OdometrySearch(gate_sigmas=(), inlier_gains=())
     for state, beams, pose in states:
         found = around(state, predicted_off(pose, math.pi), beams)
-        assert found.poor or not (away(found.pose[None], pose[None]) < FAR).all()
+        assert found.lost or not (away(found.pose[None], pose[None]) < FAR).all()
 
 
 @pytest.mark.parametrize("errors_m", [0.02, 0.3])
@@ -165,7 +165,9 @@ def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(state
     found = []
     for before, beams, pose in states:
         state = before.snapshot()
-        state.learned = replace(state.learned, stretches=50.0, variances=np.array([errors_m**2, 0.02**2]))
+        state.odometry_errors = replace(
+            state.odometry_errors, stretches=50.0, variances=np.array([errors_m**2, 0.02**2])
+        )
         prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
         found.append((away(SEARCH(state, prediction, beams).pose[None], pose[None]) < FAR).all())
     assert np.mean(found) > 0.66 if errors_m > 0.1 else np.mean(found) < 0.1
@@ -178,10 +180,10 @@ def test_odometry_is_given_up_for_velocities_only_where_scans_come_often(sparse,
         state = start(tracker, log)
         for odometry, scan in log[1:-1]:
             step(tracker, state, odometry, scan)
-        state.learned = replace(state.learned, trusted=False)
-        state.overruled = 0
+        state.odometry_errors = replace(state.odometry_errors, trusted=False)
+        state.rejected_odometry = 0
         step(tracker, state, *log[-1])
-        assert state.overruled == (not by_odometry)
+        assert state.rejected_odometry == (not by_odometry)
 
 
 @pytest.mark.parametrize("turn", [-1.4, 1.4])
@@ -202,12 +204,12 @@ def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
         ahead = Prediction(
             compose(before.matched_pose, told), True, 0.1, math.hypot(told[0], told[1]), turned, 0.01, 0.01, 0.0016
         )
-        assert not SEARCH.is_far(before, ahead)
-        assert not SEARCH.was_blind(before, ahead)
+        assert not SEARCH.is_far_from_last(before, ahead)
+        assert not SEARCH.had_blind_gap(before, ahead)
         poses.append(step(tracker, state, odometry, scan).pose)
     never, _ = track(Tracker(search=NEVER), whole.measurements[:300])
     np.testing.assert_array_equal(np.array(poses), never)
-    assert state.doubt_m2 == 0
+    assert state.rejected_match_m2 == 0
 
 
 @pytest.mark.parametrize(
@@ -224,10 +226,10 @@ def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
 def test_scans_are_far_where_they_come_seldom_or_the_laser_was_blind(
     states, period_s, stride, way, seconds, far, blind
 ):
-    state = replace(states[0][0], period_s=period_s, stride=stride)
+    state = replace(states[0][0], period_s=period_s, mean_step=stride)
     told = Prediction(state.pose, True, seconds, way, 0.0, 0.1, 0.03, 0.0016)
-    assert SEARCH.is_far(state, told) is far
-    assert SEARCH.was_blind(state, told) is blind
+    assert SEARCH.is_far_from_last(state, told) is far
+    assert SEARCH.had_blind_gap(state, told) is blind
 
 
 STRETCHED = OdometryNoise(1.03, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -249,7 +251,9 @@ def after_a_gap(halls, scans, tracker):
     log, known = halls
     state = known.snapshot()
     odometry, scan = log.measurements[60 + scans]
-    ahead = compose(known.matched_pose, known.learned.corrected(between(known.matched_odometry, odometry.pose)))
+    ahead = compose(
+        known.matched_pose, known.odometry_errors.correct_increment(between(known.matched_odometry, odometry.pose))
+    )
     told = step(tracker, state, odometry, scan)
     true = compose(known.matched_pose, between(log.truth.poses[59], log.truth.poses[60 + scans]))
     return told, ahead, state, away(told.pose[None], true[None])[0]
@@ -265,17 +269,17 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     np.testing.assert_allclose(told.pose, ahead, atol=1e-9)
     way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
     assert off[0] < 0.04 * (way + 3.0)
-    assert told.spread is not None  # particles are told how little is known
-    assert told.spread[0] == pytest.approx(state.doubt_m2)
+    assert told.prediction_variances is not None  # particles are told how little is known
+    assert told.prediction_variances[0] == pytest.approx(state.rejected_match_m2)
 
 
 @pytest.mark.parametrize("scans", [37, 45])
 def test_the_velocity_would_drag_a_scan_after_a_gap_back_to_where_it_fits(halls, scans):
-    """What `was_blind` is for: nothing farther than a second's drive from the last scan is looked at, or doubted."""
+    """What `had_blind_gap` is for: nothing farther than a second's drive from the last scan is searched, or doubted."""
     _, ahead, state, off = after_a_gap(halls, scans, Tracker(search=NEVER))
     way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
     assert off[0] > 0.5 * way
-    assert state.doubt_m2 == 0
+    assert state.rejected_match_m2 == 0
 
 
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
@@ -284,10 +288,10 @@ def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
     for scans in (5, 9, 13, 25, 33, 45):
         _, ahead, state, _ = after_a_gap(halls, scans, Tracker())
         way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
-        assert 0.15 * way < math.sqrt(state.doubt_m2)
-        assert state.doubt_rad2 > 0
-        doubts.append(state.doubt_m2)
-    assert halls[1].doubt_m2 == 0
+        assert 0.15 * way < math.sqrt(state.rejected_match_m2)
+        assert state.rejected_match_rad2 > 0
+        doubts.append(state.rejected_match_m2)
+    assert halls[1].rejected_match_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
 
 

@@ -9,15 +9,15 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift import Drift
+from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.key_graph import KeyGraph
 from gridslam.slam.scan_archive import ScanArchive
-from gridslam.slam.submaps import drawn
-from gridslam.slam.trajectory_score import JointMapScore, ways
+from gridslam.slam.submaps import build_map
+from gridslam.slam.trajectory_score import TrajectoryScorer, path_lengths
 from support import hall
 
-SCORE = JointMapScore()
-DRIFT = Drift()
+SCORE = TrajectoryScorer()
+DRIFT = DriftModel()
 
 
 class Log:
@@ -54,7 +54,7 @@ def true(returning):
 @pytest.fixture(scope="module")
 def leaving(seen):
     """The first third of a lap."""
-    way = ways(seen.truth)
+    way = path_lengths(seen.truth)
     keys = int(np.searchsorted(way, 18.0))
     return Log(seen.truth[:keys], seen.beams[:keys])
 
@@ -98,26 +98,29 @@ def test_a_trajectory_scores_the_same_wherever_the_map_has_its_origin(returning,
 def test_the_map_is_that_of_all_key_scans(returning, offset):
     poses = shifted(returning.truth, offset)
     _, maps = returning.score(poses)
-    whole = drawn(hall.MAPPER, returning.scans, np.arange(len(poses)), poses)
+    whole = build_map(hall.MAPPER, returning.scans, np.arange(len(poses)), poses)
     given, expected = maps.to_arrays(), whole.to_arrays()
     assert given.keys() == expected.keys()
     assert {n: a.tobytes() for n, a in given.items()} == {n: a.tobytes() for n, a in expected.items()}
 
 
 def test_where_no_place_is_seen_again_only_the_motion_is_scored(leaving):
-    own, maps = leaving.score(leaving.truth, JointMapScore(gap=18.0))
+    own, maps = leaving.score(leaving.truth, TrajectoryScorer(same_visit_distance=18.0))
     assert own.beams == 0
     assert math.isnan(own.agreement)
     assert own.log_likelihood == own.motion == 0
     assert maps.occupancy(0).known.any()
-    bent, _ = leaving.score(shifted(leaving.truth, (0.3, 0.0, 0.0)), JointMapScore(gap=18.0))
+    bent, _ = leaving.score(shifted(leaving.truth, (0.3, 0.0, 0.0)), TrajectoryScorer(same_visit_distance=18.0))
     assert bent.beams == 0
     assert bent.log_likelihood == bent.motion < 0
 
 
 def test_what_was_mapped_within_the_gap_is_the_scans_own_time(returning):
     """Longer gaps leave fewer beams to compare; one longer than the drive leaves none."""
-    beams = [returning.score(returning.truth, JointMapScore(gap=gap))[0].beams for gap in (5.0, 15.0, 60.0, 1000.0)]
+    beams = [
+        returning.score(returning.truth, TrajectoryScorer(same_visit_distance=gap))[0].beams
+        for gap in (5.0, 15.0, 60.0, 1000.0)
+    ]
     assert beams == sorted(set(beams), reverse=True)
     assert beams[-1] == 0
 
@@ -157,5 +160,5 @@ def test_a_loop_left_open_by_drift_scores_less_than_the_truth_although_its_motio
 
 def test_ways_are_metres_and_radians_driven():
     poses = np.array([[0.0, 0.0, 3.0], [3.0, 4.0, 3.0], [3.0, 4.0, -3.0], [3.0, 3.0, -3.0]])
-    np.testing.assert_allclose(ways(poses), [0.0, 5.0, 5.0 + wrap(-6.0), 6.0 + wrap(-6.0)])
-    assert ways(poses[:1]).tolist() == [0.0]
+    np.testing.assert_allclose(path_lengths(poses), [0.0, 5.0, 5.0 + wrap(-6.0), 6.0 + wrap(-6.0)])
+    assert path_lengths(poses[:1]).tolist() == [0.0]

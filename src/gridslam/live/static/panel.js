@@ -11,7 +11,7 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
-const WORDS = { "last word": "finding the final map", writing: "writing the results", done: "finished" };
+const WORDS = { "final refinement": "finding the final map", writing: "writing the results", done: "finished" };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
 const share = (value) => `${(100 * value).toFixed(0)} %`;
 const few = (value) => value.toFixed(value < 100 ? 1 : 0);

@@ -7,39 +7,43 @@ from typing import final
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-__all__ = ["Drift"]
+__all__ = ["DriftModel"]
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Drift:
+class DriftModel:
     """Uncertainty of a tracked increment: a random walk, plus extra variance where the tracker rejected its scan match.
 
     Parameters
     ----------
-    still_m, still_rad : float
+    standstill_sigma_m, standstill_sigma_rad : float
         Standard deviation of an increment without motion.
-    m, rad : float
+    sigma_m_per_sqrt_m, sigma_rad_per_sqrt_rad : float
         Standard deviation of the position after a metre, of the heading after a radian.
-    m_of_turn, rad_of_way : float
+    sigma_m_per_sqrt_rad, sigma_rad_per_sqrt_m : float
         Standard deviation of the position after a radian, of the heading after a metre.
-    doubt : float
+    rejected_match_sigmas : float
         Multiple of the odometry's standard deviations that is added where the tracker rejected its match and used the
         odometry, which may suffer from slip or latency.
     """
 
-    still_m: float = Field(default=0.002, gt=0)
-    still_rad: float = Field(default=0.0005, gt=0)
-    m: float = Field(default=0.025, ge=0)
-    rad: float = Field(default=0.004, ge=0)
-    m_of_turn: float = Field(default=0.02, ge=0)
-    rad_of_way: float = Field(default=0.002, ge=0)
+    standstill_sigma_m: float = Field(default=0.002, gt=0)
+    standstill_sigma_rad: float = Field(default=0.0005, gt=0)
+    sigma_m_per_sqrt_m: float = Field(default=0.025, ge=0)
+    sigma_rad_per_sqrt_rad: float = Field(default=0.004, ge=0)
+    sigma_m_per_sqrt_rad: float = Field(default=0.02, ge=0)
+    sigma_rad_per_sqrt_m: float = Field(default=0.002, ge=0)
 
-    doubt: float = Field(default=1.5, ge=0)
+    rejected_match_sigmas: float = Field(default=1.5, ge=0)
 
     def variances(self, moved_m: float, turned_rad: float) -> tuple[float, float]:
         """Variances (m^2, rad^2) of an increment."""
         return (
-            self.still_m**2 + self.m**2 * moved_m + self.m_of_turn**2 * turned_rad,
-            self.still_rad**2 + self.rad**2 * turned_rad + self.rad_of_way**2 * moved_m,
+            self.standstill_sigma_m**2
+            + self.sigma_m_per_sqrt_m**2 * moved_m
+            + self.sigma_m_per_sqrt_rad**2 * turned_rad,
+            self.standstill_sigma_rad**2
+            + self.sigma_rad_per_sqrt_rad**2 * turned_rad
+            + self.sigma_rad_per_sqrt_m**2 * moved_m,
         )

@@ -10,11 +10,11 @@ import pytest
 
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift import Drift
-from gridslam.slam.memory import Memory
-from gridslam.slam.piece_alignment import PieceAlignment
+from gridslam.slam.component_alignment import ComponentAlignment
+from gridslam.slam.constraints import ConstraintSource
+from gridslam.slam.drift_model import DriftModel
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition import PlaceRecognition
-from gridslam.slam.ties import Source
 from support import hall
 
 LAP = 95
@@ -30,31 +30,36 @@ def seen():
 
 def interrupted(seen, at, *, wrong=BLIND, until=None):
     """Remember a drive whose increment to key scan `at` is wrong, and known to be uncertain."""
-    memory, poses = Memory(), [seen.truth[0]]
+    closure_state, poses = LoopClosureState(), [seen.truth[0]]
     for k, increment in enumerate(between(seen.truth[:-1], seen.truth[1:]), start=1):
         poses.append(compose(poses[-1], compose(increment, wrong) if k == at else increment))
     for k, pose in enumerate(poses[:until]):
-        memory.scans.append(seen.beams[k], pose, is_key=True)
-        memory.graph.extend(pose, pose, (1.5**2, 0.3**2) if k == at else Drift().variances(0.4, 0.1))
-    return memory
+        closure_state.scans.append(seen.beams[k], pose, is_key=True)
+        closure_state.graph.extend(pose, pose, (1.5**2, 0.3**2) if k == at else DriftModel().variances(0.4, 0.1))
+    return closure_state
 
 
-def aligned(memory, alignment=None):
-    return (alignment or PieceAlignment())(memory, hall.MAPPER, PlaceRecognition(), lambda: None)
+def aligned(closure_state, alignment=None):
+    return (alignment or ComponentAlignment())(closure_state, hall.MAPPER, PlaceRecognition(), lambda: None)
 
 
-def test_a_piece_is_laid_where_its_key_scans_fit(seen):
-    ties = aligned(interrupted(seen, LAP + 5))
-    assert len(ties) >= 10
-    assert all(tie.from_ < LAP + 5 <= tie.to and tie.source is Source.RECOGNIZED and tie.determined for tie in ties)
-    assert (hall.errors(seen.truth, ties) < [0.1, 0.02]).all()
+def test_a_component_is_laid_where_its_key_scans_fit(seen):
+    constraints = aligned(interrupted(seen, LAP + 5))
+    assert len(constraints) >= 10
+    assert all(
+        constraint.from_ < LAP + 5 <= constraint.to
+        and constraint.source is ConstraintSource.RECOGNIZED
+        and constraint.determined
+        for constraint in constraints
+    )
+    assert (hall.errors(seen.truth, constraints) < [0.1, 0.02]).all()
 
 
 def test_without_a_blind_stretch_there_is_nothing_to_align(seen):
-    memory = interrupted(seen, LAP + 5)
-    memory.graph.variances[LAP + 5] = Drift().variances(0.4, 0.1)
-    whole = Memory(scans=memory.scans)
-    for pose, spread in zip(memory.graph.poses, memory.graph.variances, strict=True):
+    closure_state = interrupted(seen, LAP + 5)
+    closure_state.graph.variances[LAP + 5] = DriftModel().variances(0.4, 0.1)
+    whole = LoopClosureState(scans=closure_state.scans)
+    for pose, spread in zip(closure_state.graph.poses, closure_state.graph.variances, strict=True):
         whole.graph.extend(pose, pose, spread)
     assert aligned(whole) == []
 
@@ -77,8 +82,8 @@ def test_another_building_fits_nowhere(seen):
 def test_where_places_are_alike_nothing_false_is_aligned(kind, seed):
     """The second half of the drive hangs on a blind stretch; a shift by a room would fit nearly as well."""
     seen = hall.key_scans(deceptive(kind, seed).stream())
-    memory = interrupted(seen, len(seen.truth) // 2)
-    assert (hall.errors(seen.truth, aligned(memory)).reshape(-1, 2) < [0.5, 0.09]).all()
+    closure_state = interrupted(seen, len(seen.truth) // 2)
+    assert (hall.errors(seen.truth, aligned(closure_state)).reshape(-1, 2) < [0.5, 0.09]).all()
 
 
 def test_a_rival_that_says_as_much_refutes(seen):
@@ -87,25 +92,31 @@ def test_a_rival_that_says_as_much_refutes(seen):
     truth = seen.truth[:half]
     shifted = truth + np.array([12.0, 12.0, 0.0])
     twice = np.concatenate([truth, shifted, truth])
-    memory, beams = Memory(), [*seen.beams[:half]] * 3
+    closure_state, beams = LoopClosureState(), [*seen.beams[:half]] * 3
     for k, pose in enumerate(twice):
-        memory.scans.append(beams[k], pose, is_key=True)
-        memory.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else Drift().variances(0.4, 0.1))
-    assert aligned(memory) == []
-    assert aligned(memory, PieceAlignment(rival=0.99, rival_alone=0.99, alike=1.0)) == []
+        closure_state.scans.append(beams[k], pose, is_key=True)
+        closure_state.graph.extend(pose, pose, (6.0**2, 0.3**2) if k == 2 * half else DriftModel().variances(0.4, 0.1))
+    assert aligned(closure_state) == []
+    assert (
+        aligned(
+            closure_state,
+            ComponentAlignment(ambiguity_ratio=0.99, distinct_ambiguity_ratio=0.99, self_similarity_ratio=1.0),
+        )
+        == []
+    )
     once = interrupted(hall.Seen(np.concatenate([truth, truth]), beams[: 2 * half]), half, wrong=np.zeros(3))
     assert len(aligned(once)) >= 3
 
 
 def test_too_few_constraints_are_no_alignment(seen):
-    memory = interrupted(seen, LAP + 5, until=LAP + 45)
-    assert len(aligned(memory)) >= 3
-    assert aligned(memory, PieceAlignment(least=math.ceil(40 / 3) + 1)) == []
+    closure_state = interrupted(seen, LAP + 5, until=LAP + 45)
+    assert len(aligned(closure_state)) >= 3
+    assert aligned(closure_state, ComponentAlignment(min_constraints=math.ceil(40 / 3) + 1)) == []
 
 
 def test_a_scan_without_a_beam_is_passed_over(seen):
     blind = replace(seen.beams[0], indices=seen.beams[0].indices[:0], ends=seen.beams[0].ends[:0])
     beams = [blind if k % 9 == 0 else b for k, b in enumerate(seen.beams)]
-    ties = aligned(interrupted(hall.Seen(seen.truth, beams), LAP + 5))
-    assert len(ties) >= 5
-    assert not any(tie.to % 9 == 0 for tie in ties)
+    constraints = aligned(interrupted(hall.Seen(seen.truth, beams), LAP + 5))
+    assert len(constraints) >= 5
+    assert not any(constraint.to % 9 == 0 for constraint in constraints)

@@ -9,17 +9,17 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["Moments", "Nearby", "covariances", "moments_of"]
+__all__ = ["Moments", "SubmapDistance", "compute_moments", "propagate_covariances"]
 
 Moments = tuple[float, ...]
-"""Sums of the result of `moments_of` along a path."""
+"""Sums of the result of `compute_moments` along a path."""
 
 
 @final
-class Nearby(NamedTuple):
+class SubmapDistance(NamedTuple):
     """A submap with the relative pose of a key scan along the least uncertain path."""
 
-    block: int
+    submap: int
     pose: FloatArray  # (3,)
     covariance: FloatArray  # (3, 3), map frame
 
@@ -30,7 +30,7 @@ class Nearby(NamedTuple):
         return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
 
 
-def moments_of(poses: FloatArray, spread: FloatArray) -> FloatArray:
+def compute_moments(poses: FloatArray, spread: FloatArray) -> FloatArray:
     """Variances of position and heading of steps, and the heading's with where it happened, (K, 7)."""
     position, heading = spread.T
     x, y = poses[:, 0], poses[:, 1]
@@ -39,7 +39,7 @@ def moments_of(poses: FloatArray, spread: FloatArray) -> FloatArray:
     )
 
 
-def covariances(pose: FloatArray, moments: FloatArray) -> FloatArray:
+def propagate_covariances(pose: FloatArray, moments: FloatArray) -> FloatArray:
     """Covariances (K, 3, 3) of a pose (3,): a heading error in q moves it across, by the distance from q."""
     position, s, sx, sy, sxx, sxy, syy = moments.T
     x, y, _ = pose.tolist()

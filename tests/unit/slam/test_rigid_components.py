@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
-from gridslam.slam.key_graph import BLOCK, GAP_M, GAP_RAD, KeyGraph
-from gridslam.slam.memory import Memory
-from gridslam.slam.place_evidence import recent_points
-from gridslam.slam.submaps import anchor_of, keys_of
-from gridslam.slam.ties import Source, Tie
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.key_graph import BLIND_SIGMA_M, BLIND_SIGMA_RAD, KeyGraph
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.place_checks import collect_recent_points
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
+from gridslam.slam.submaps import key_scans_of
 from gridslam.types import EndPoints
 
 SURE = (0.02**2, 0.01**2)
@@ -27,25 +28,25 @@ def chain(count, gaps=(), blind=BLIND):
     return graph
 
 
-def tie(graph, from_, to, source=Source.RECOGNIZED, *, determined=True):
-    return Tie(from_, to, between(graph.tracked[from_], graph.tracked[to]), 1e4 * np.eye(3), source, determined)
+def constraint(graph, from_, to, source=ConstraintSource.RECOGNIZED, *, determined=True):
+    return Constraint(from_, to, between(graph.tracked[from_], graph.tracked[to]), 1e4 * np.eye(3), source, determined)
 
 
 def told(graph):
     """The pieces as lists of key scans, in the order of their first ones."""
-    labels = graph.pieces().tolist()
+    labels = graph.label_rigid_components().tolist()
     return [[k for k, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]
 
 
-def test_without_a_gap_there_is_one_piece_whatever_is_tied():
+def test_without_a_gap_there_is_one_component_whatever_is_constrained():
     graph = chain(40)
     assert told(graph) == [list(range(40))]
-    graph.add(tie(graph, 3, 35, Source.BELIEVED))
+    graph.add(constraint(graph, 3, 35, ConstraintSource.PROXIMITY))
     assert told(graph) == [list(range(40))]
 
 
 @pytest.mark.parametrize("at", [1, 17, 20, 39])
-def test_a_gap_makes_two_pieces_and_the_scan_it_leads_to_belongs_to_the_second(at):
+def test_a_gap_makes_two_components_and_the_scan_it_leads_to_belongs_to_the_second(at):
     assert told(chain(40, [at])) == [list(range(at)), list(range(at, 40))]
 
 
@@ -56,41 +57,41 @@ def test_every_gap_begins_a_piece():
 @pytest.mark.parametrize(
     ("variances", "pieces"),
     [
-        ((0.99 * GAP_M**2, 0.99 * GAP_RAD**2), 1),
-        ((1.01 * GAP_M**2, 0.0), 2),
-        ((0.0, 1.01 * GAP_RAD**2), 2),
+        ((0.99 * BLIND_SIGMA_M**2, 0.99 * BLIND_SIGMA_RAD**2), 1),
+        ((1.01 * BLIND_SIGMA_M**2, 0.0), 2),
+        ((0.0, 1.01 * BLIND_SIGMA_RAD**2), 2),
     ],
 )  # fmt: skip
 def test_a_gap_is_where_the_position_or_the_heading_is_next_to_unknown(variances, pieces):
     assert len(told(chain(20, [9], variances))) == pieces
 
 
-@pytest.mark.parametrize("source", Source)
+@pytest.mark.parametrize("source", ConstraintSource)
 @pytest.mark.parametrize("determined", [True, False])
-def test_only_a_tie_that_is_known_and_determined_joins_two_pieces(source, determined):
+def test_only_a_constraint_that_is_known_and_determined_joins_two_components(source, determined):
     graph = chain(40, [20])
-    graph.add(tie(graph, 5, 33, source, determined=determined))
-    joined = determined and source in (Source.KNOWN, Source.RECOGNIZED)
+    graph.add(constraint(graph, 5, 33, source, determined=determined))
+    joined = determined and source in (ConstraintSource.TRACKED, ConstraintSource.RECOGNIZED)
     assert len(told(graph)) == (1 if joined else 2)
 
 
-def test_a_tie_within_a_piece_joins_nothing():
+def test_a_constraint_within_a_component_joins_nothing():
     graph = chain(40, [20])
-    graph.add(tie(graph, 2, 19))
-    graph.add(tie(graph, 20, 39))
+    graph.add(constraint(graph, 2, 19))
+    graph.add(constraint(graph, 20, 39))
     assert len(told(graph)) == 2
 
 
-def test_pieces_are_joined_through_others_in_whatever_order_the_ties_came():
+def test_components_are_joined_through_others_in_whatever_order_the_constraints_came():
     """0-9, 10-19, 20-29, 30-39, 40-49: the last to the second, that to the fourth; the third to the first."""
     ends = [(15, 45), (12, 33), (5, 22), (18, 39)]
     whole = [[*range(10), *range(20, 30)], [*range(10, 20), *range(30, 50)]]
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [1, 0, 3, 2]):
         graph = chain(50, [10, 20, 30, 40])
         for i in order:
-            graph.add(tie(graph, *ends[i]))
+            graph.add(constraint(graph, *ends[i]))
         assert told(graph) == whole
-    graph.add(tie(graph, 25, 49))
+    graph.add(constraint(graph, 25, 49))
     assert told(graph) == [list(range(50))]
 
 
@@ -99,59 +100,67 @@ def test_pieces_are_joined_through_others_in_whatever_order_the_ties_came():
 )
 def test_unbroken_keeps_the_side_of_the_anchor_only(anchor, kept):
     graph = chain(40, [14, 18, 30])
-    assert graph.unbroken(np.arange(10, 20), anchor).tolist() == list(kept)
+    assert graph.select_without_gap(np.arange(10, 20), anchor).tolist() == list(kept)
 
 
-def test_a_tie_over_a_gap_leaves_it_a_gap_for_what_is_drawn_as_tracked():
+def test_a_constraint_over_a_gap_leaves_it_a_gap_for_what_is_drawn_as_tracked():
     """Where the scans lie about each other is known then, but not as the tracker has it."""
     graph = chain(40, [14])
-    graph.add(tie(graph, 12, 16))
+    graph.add(constraint(graph, 12, 16))
     assert len(told(graph)) == 1
-    assert graph.unbroken(np.arange(10, 20), 12).tolist() == [10, 11, 12, 13]
+    assert graph.select_without_gap(np.arange(10, 20), 12).tolist() == [10, 11, 12, 13]
 
 
 def test_where_nothing_is_broken_everything_is_kept():
     graph = chain(40, [5, 30])
-    assert graph.unbroken(np.arange(5, 30), 12).tolist() == list(range(5, 30))
+    assert graph.select_without_gap(np.arange(5, 30), 12).tolist() == list(range(5, 30))
 
 
-@pytest.mark.parametrize("within", range(1, BLOCK))
+@pytest.mark.parametrize("within", range(1, KEY_SCANS_PER_SUBMAP))
 def test_a_submap_ends_at_a_gap_and_keeps_its_anchor(within):
-    graph = chain(4 * BLOCK, [BLOCK + within])
-    keys = keys_of(1, graph).tolist()
+    graph = chain(4 * KEY_SCANS_PER_SUBMAP, [KEY_SCANS_PER_SUBMAP + within])
+    keys = key_scans_of(1, graph).tolist()
     anchor = anchor_of(1)
-    before = list(range(BLOCK, BLOCK + within))
-    assert keys == (before if anchor < BLOCK + within else list(range(BLOCK + within, 2 * BLOCK)))
+    before = list(range(KEY_SCANS_PER_SUBMAP, KEY_SCANS_PER_SUBMAP + within))
+    assert keys == (
+        before
+        if anchor < KEY_SCANS_PER_SUBMAP + within
+        else list(range(KEY_SCANS_PER_SUBMAP + within, 2 * KEY_SCANS_PER_SUBMAP))
+    )
     assert anchor in keys
-    for block in (0, 2, 3):
-        assert keys_of(block, graph).tolist() == list(range(block * BLOCK, (block + 1) * BLOCK))
+    for submap in (0, 2, 3):
+        assert key_scans_of(submap, graph).tolist() == list(
+            range(submap * KEY_SCANS_PER_SUBMAP, (submap + 1) * KEY_SCANS_PER_SUBMAP)
+        )
 
 
 @pytest.mark.parametrize(("key", "scans", "first"), [(29, 10, 25), (29, 3, 27), (24, 10, 15), (3, 10, 0), (25, 10, 25)])
 def test_recent_points_are_none_from_before_a_gap(key, scans, first):
     """Each scan has one point, as far ahead as its number tells; an archive's steps are a 32767th of the farthest."""
-    memory = Memory()
-    memory.graph = chain(40, [25])
+    closure_state = LoopClosureState()
+    closure_state.graph = chain(40, [25])
     for k in range(40):
-        memory.scans.append(EndPoints(np.array([[1.0 + k, 0.5]]), np.zeros(2)), memory.graph.tracked[k], is_key=True)
-    tracked = memory.graph.tracked_from(key, np.arange(first, key + 1))
+        closure_state.scans.append(
+            EndPoints(np.array([[1.0 + k, 0.5]]), np.zeros(2)), closure_state.graph.tracked[k], is_key=True
+        )
+    tracked = closure_state.graph.tracked_poses_from(key, np.arange(first, key + 1))
     seen = zip(range(first, key + 1), tracked, strict=True)
     expected = [transform_points(pose, np.array([[1.0 + k, 0.5]]))[0] for k, pose in seen]
-    np.testing.assert_allclose(recent_points(memory, key, scans), expected, atol=40 / 32767)
+    np.testing.assert_allclose(collect_recent_points(closure_state, key, scans), expected, atol=40 / 32767)
 
 
 def test_pieces_outlast_arrays_snapshots_and_corrections():
     graph = chain(40, [14, 30])
-    graph.add(tie(graph, 5, 33))
+    graph.add(constraint(graph, 5, 33))
     whole = [[*range(14), *range(30, 40)], list(range(14, 30))]
     kept = graph.snapshot()
     graph.correct(compose(np.array([3.0, 2.0, 0.5]), np.array(graph.poses)))
     read = KeyGraph.from_arrays(graph.to_arrays())
     for one in (graph, kept, read):
         assert told(one) == whole
-        assert one.unbroken(np.arange(10, 20), 15).tolist() == list(range(14, 20))
+        assert one.select_without_gap(np.arange(10, 20), 15).tolist() == list(range(14, 20))
     for one in (graph, kept, read):  # and they go on by themselves
         before = len(one)
         one.extend(compose(one.tracked[-1], STEP), compose(one.poses[-1], STEP), BLIND)
-        assert one.pieces()[-1] not in one.pieces()[:-1]
+        assert one.label_rigid_components()[-1] not in one.label_rigid_components()[:-1]
         assert len(one) == before + 1 == 41

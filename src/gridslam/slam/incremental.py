@@ -5,30 +5,30 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import TypeVar
 
-__all__ = ["Work", "done", "worked"]
+__all__ = ["Computation", "advance", "run_to_completion"]
 
 T = TypeVar("T")
 
-Work = Generator[None, None, T]
+Computation = Generator[None, None, T]
 """Yields after each of its steps, and returns its result."""
 
 
-def worked(work: Work[T], steps: int) -> T | None:
+def advance(computation: Computation[T], steps: int) -> T | None:
     """Run up to `steps` steps; return the result if the computation finished, otherwise None (never a valid result)."""
     try:
         for _ in range(steps):
-            next(work)
+            next(computation)
     except StopIteration as end:
         result: T = end.value
         return result
     return None
 
 
-def done(work: Work[T]) -> T:
+def run_to_completion(computation: Computation[T]) -> T:
     """Run the computation to its end and return the result."""
     while True:
         try:
-            next(work)
+            next(computation)
         except StopIteration as end:
             result: T = end.value
             return result

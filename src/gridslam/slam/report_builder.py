@@ -15,10 +15,10 @@ from gridslam.matching.gauss_newton import undetermined
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
-__all__ = ["Confidence", "Estimate"]
+__all__ = ["Estimate", "ReportBuilder"]
 
 
-_LEAST_INFORMATION = 1e-2 * np.eye(3)
+_MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 
 
@@ -28,7 +28,7 @@ class Estimate(NamedTuple):
 
     pose: FloatArray  # (3,), of the best particle
     covariance: FloatArray  # (3, 3), of that pose
-    undetermined: FloatArray | None  # direction that the match leaves open
+    degenerate_direction: FloatArray | None  # direction that the match leaves open
     lost: bool
     poses: FloatArray  # (N, 3)
     log_weights: FloatArray  # (N,)
@@ -36,7 +36,7 @@ class Estimate(NamedTuple):
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class Confidence:
+class ReportBuilder:
     """Estimates how reliable the filter's pose is, and builds its reports; reads the state and never writes to it.
 
     The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
@@ -49,14 +49,14 @@ class Confidence:
     lost_below : float
         Inlier ratio with the map of the best particle below which the robot is lost. Entering a room for the first time
         leaves about a third.
-    drift_m, drift_rad : float
+    drift_sigma_m, drift_sigma_rad : float
         Standard deviation of the tracker's error after one metre or radian.
     """
 
     sigma_m: float = Field(default=0.05, gt=0)
     lost_below: float = Field(default=0.15, ge=0, le=1)
-    drift_m: float = Field(default=0.02, ge=0)
-    drift_rad: float = Field(default=0.01, ge=0)
+    drift_sigma_m: float = Field(default=0.02, ge=0)
+    drift_sigma_rad: float = Field(default=0.01, ge=0)
 
     @staticmethod
     def first_scan(state: GridFastSlamState, scan: LaserScan, n_eff: float) -> StepReport:
@@ -72,9 +72,9 @@ class Confidence:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         dx, dy, turn = key_from_base.tolist()
         covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
-        covariance[0, 0] += moved * self.drift_m**2
-        covariance[1, 1] += moved * self.drift_m**2
-        covariance[2, 2] += moved * self.drift_rad**2
+        covariance[0, 0] += moved * self.drift_sigma_m**2
+        covariance[1, 1] += moved * self.drift_sigma_m**2
+        covariance[2, 2] += moved * self.drift_sigma_rad**2
         return StepReport(
             scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
             skipped=reason, best=best,
@@ -87,16 +87,16 @@ class Confidence:
     ) -> StepReport:  # fmt: skip
         """Report of a key scan: the estimate from before resampling, and the best particle after it."""
         return StepReport(
-            scan.stamp_ns, estimate.pose, estimate.covariance, key_from_base, undetermined=estimate.undetermined,
-            lost=estimate.lost, best=state.best, n_eff=n_eff, poses=estimate.poses, log_weights=estimate.log_weights,
-            parents=parents,
+            scan.stamp_ns, estimate.pose, estimate.covariance, key_from_base,
+            degenerate_direction=estimate.degenerate_direction, lost=estimate.lost, best=state.best, n_eff=n_eff,
+            poses=estimate.poses, log_weights=estimate.log_weights, parents=parents,
         )  # fmt: skip
 
     def estimate(self, state: GridFastSlamState, match: Match, beams: BeamEnds) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them."""
         best = state.best
         information, score = match.information[best], float(match.score[best])
-        covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
+        covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         direction = undetermined(information, score)

@@ -17,24 +17,31 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, undetermined
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["Source", "Tie", "seen_from", "surveyed", "ties_from_arrays", "ties_to_arrays"]
+__all__ = [
+    "Constraint",
+    "ConstraintSource",
+    "constraints_from_arrays",
+    "constraints_to_arrays",
+    "recompute_information",
+    "transform_match",
+]
 
 _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) along a degenerate direction: 10 m, 10 rad."""
 
 
-_CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
+_WALLS_ONLY = GaussNewton(max_passes=0, sparse_m=1e-3)
 """Evaluates point-to-line residuals only."""
 
 
 @final
-class Source(IntEnum):
+class ConstraintSource(IntEnum):
     """Origin of the data association of a constraint."""
 
-    BELIEVED = 0
+    PROXIMITY = 0
     """Associated by the filter's pose estimate; not independent evidence."""
 
-    KNOWN = 1
+    TRACKED = 1
     """Associated by tracking; the relative pose is certain."""
 
     RECOGNIZED = 2
@@ -42,7 +49,7 @@ class Source(IntEnum):
 
 
 @final
-class Tie(NamedTuple):
+class Constraint(NamedTuple):
     """The pose (3,) of a key scan `to` seen from another, `from_`, and its information (3, 3), of g2o's error.
 
     Along a degenerate direction (a corridor's axis) the measurement equals the guess and its information is near zero.
@@ -52,13 +59,20 @@ class Tie(NamedTuple):
     to: int
     measurement: FloatArray
     information: FloatArray
-    source: Source
+    source: ConstraintSource
     determined: bool
 
     @classmethod
-    def of(
-        cls, from_: int, to: int, guess: FloatArray, match: Match, sigma_m: float, least: float, source: Source
-    ) -> Tie:
+    def from_match(
+        cls,
+        from_: int,
+        to: int,
+        guess: FloatArray,
+        match: Match,
+        sigma_m: float,
+        least: float,
+        source: ConstraintSource,
+    ) -> Constraint:
         """Constraint from a match in the frame of `from_`.
 
         Parameters
@@ -84,33 +98,35 @@ class Tie(NamedTuple):
         return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source, weak is None)
 
 
-def surveyed(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
+def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
     """Recompute the information of a match from point-to-line residuals only.
 
     Sparse end points on a wall are mapped as isolated cells, which would constrain a scan along a bare corridor without
     physical reason.
     """
     loose = np.full((1, 3, 3), 1e-9) * np.eye(3)
-    return replace(match, information=_CLOSE(maps, row, match.poses, loose, beams).information)
+    return replace(match, information=_WALLS_ONLY(maps, row, match.poses, loose, beams).information)
 
 
-def seen_from(frame: FloatArray, match: Match) -> Match:
+def transform_match(frame: FloatArray, match: Match) -> Match:
     """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
     rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
 
 
-def ties_to_arrays(ties: Sequence[Tie]) -> dict[str, NDArray[Any]]:
+def constraints_to_arrays(constraints: Sequence[Constraint]) -> dict[str, NDArray[Any]]:
     """Plain arrays: `ends` (K, 4) int64 (from, to, source, determined), `measurements` and `information`."""
     return {
-        "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in ties], np.int64).reshape(-1, 4),
-        "measurements": np.array([t.measurement for t in ties], np.float64).reshape(-1, 3),
-        "information": np.array([t.information for t in ties], np.float64).reshape(-1, 3, 3),
+        "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in constraints], np.int64).reshape(-1, 4),
+        "measurements": np.array([t.measurement for t in constraints], np.float64).reshape(-1, 3),
+        "information": np.array([t.information for t in constraints], np.float64).reshape(-1, 3, 3),
     }
 
 
-def ties_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Tie]:
-    """Rebuild from `ties_to_arrays`; raises KeyError where an array is missing."""
+def constraints_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Constraint]:
+    """Rebuild from `constraints_to_arrays`; raises KeyError where an array is missing."""
     rows = zip(arrays["ends"].tolist(), arrays["measurements"], arrays["information"], strict=True)
-    return [Tie(a, b, z, omega, Source(source), bool(known)) for (a, b, source, known), z, omega in rows]
+    return [
+        Constraint(a, b, z, omega, ConstraintSource(source), bool(known)) for (a, b, source, known), z, omega in rows
+    ]

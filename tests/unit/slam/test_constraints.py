@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.ties import Source, Tie, ties_from_arrays, ties_to_arrays
+from gridslam.slam.constraints import Constraint, ConstraintSource, constraints_from_arrays, constraints_to_arrays
 from gridslam.types import Match
 
 SIGMA_M = 0.3
@@ -21,18 +21,25 @@ def match_at(pose, information, score=100.0):
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi / 2, -2.3])
-def test_a_tie_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
+def test_a_constraint_weighs_a_displacement_in_the_submap_as_the_match_does(heading):
     """e' Omega e = d' I d for a small displacement d in the submap's frame, and e = between(measured, displaced)."""
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(3, 3))
     information, pose = 100 * (factor @ factor.T + np.eye(3)), np.array([2.0, -1.0, heading])
-    tie = Tie.of(3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, Source.KNOWN)
-    assert (tie.from_, tie.to, tie.source, tie.determined) == (3, 40, Source.KNOWN, True)
-    np.testing.assert_array_equal(tie.measurement, pose)
+    constraint = Constraint.from_match(
+        3, 40, pose + 0.1, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.TRACKED
+    )
+    assert (constraint.from_, constraint.to, constraint.source, constraint.determined) == (
+        3,
+        40,
+        ConstraintSource.TRACKED,
+        True,
+    )
+    np.testing.assert_array_equal(constraint.measurement, pose)
     for away in rng.normal(scale=0.1, size=(5, 3)):
         error = between(pose, pose + away)
         expected = away @ information @ away / SIGMA_M**2 + FLOOR * error @ error
-        assert error @ tie.information @ error == pytest.approx(expected, rel=1e-9)
+        assert error @ constraint.information @ error == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("axis_rad", [0.0, 0.4, math.pi / 2, 2.5])
@@ -45,42 +52,46 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
     information[:2, :2] = np.outer(along, along) + 40 * np.outer(across, across)
     information[2, 2] = 500.0
     guess, pose = np.array([1.0, 2.0, heading - 0.02]), np.array([1.3, 1.9, heading])
-    tie = Tie.of(5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, Source.BELIEVED)
-    assert not tie.determined
-    assert tie.measurement[2] == heading
-    assert along @ tie.measurement[:2] == pytest.approx(along @ guess[:2])
-    assert across @ tie.measurement[:2] == pytest.approx(across @ pose[:2])
+    constraint = Constraint.from_match(
+        5, 90, guess, match_at(pose, information), SIGMA_M, 0.1, ConstraintSource.PROXIMITY
+    )
+    assert not constraint.determined
+    assert constraint.measurement[2] == heading
+    assert along @ constraint.measurement[:2] == pytest.approx(along @ guess[:2])
+    assert across @ constraint.measurement[:2] == pytest.approx(across @ pose[:2])
     for direction, weight in ((along, 0.0), (across, 40.0)):
-        error = between(tie.measurement, tie.measurement + np.append(direction, 0.0))
-        assert error @ tie.information @ error == pytest.approx(weight / SIGMA_M**2 + FLOOR)
-    assert tie.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
-    assert np.linalg.eigvalsh(tie.information)[0] > 0.99 * FLOOR
+        error = between(constraint.measurement, constraint.measurement + np.append(direction, 0.0))
+        assert error @ constraint.information @ error == pytest.approx(weight / SIGMA_M**2 + FLOOR)
+    assert constraint.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
+    assert np.linalg.eigvalsh(constraint.information)[0] > 0.99 * FLOOR
     np.testing.assert_array_equal(pose, [1.3, 1.9, heading])
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_arrays_hold_every_tie(count):
+def test_arrays_hold_every_constraint(count):
     rng = np.random.default_rng(count)
-    ties = [
-        Tie(k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), Source(k % 3), determined=bool(k % 2))
+    constraints = [
+        Constraint(
+            k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), ConstraintSource(k % 3), determined=bool(k % 2)
+        )
         for k in range(count)
     ]
-    read = ties_from_arrays(ties_to_arrays(ties))
+    read = constraints_from_arrays(constraints_to_arrays(constraints))
     assert len(read) == count
-    for one, other in zip(read, ties, strict=True):
+    for one, other in zip(read, constraints, strict=True):
         assert (one.from_, one.to, one.source, one.determined) == (
             other.from_, other.to, other.source, other.determined
         )  # fmt: skip
         assert type(one.determined) is bool
         np.testing.assert_array_equal(one.measurement, other.measurement)
         np.testing.assert_array_equal(one.information, other.information)
-    again = ties_to_arrays(read)
-    for name, array in ties_to_arrays(ties).items():
+    again = constraints_to_arrays(read)
+    for name, array in constraints_to_arrays(constraints).items():
         assert (again[name].dtype, again[name].tobytes()) == (array.dtype, array.tobytes())
 
 
 def test_a_missing_array_is_told():
-    arrays = ties_to_arrays([])
+    arrays = constraints_to_arrays([])
     del arrays["information"]
     with pytest.raises(KeyError, match="information"):
-        ties_from_arrays(arrays)
+        constraints_from_arrays(arrays)

@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.candidates import Candidate, Contest
+from gridslam.slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import TrajectoryScore
 
 MAPPER = OccupancyGridMapping()
 
 
-def candidate(name, height, ties=(), weights=None):
+def candidate(name, height, constraints=(), weights=None):
     """Two poses, a metre apart, at a height that tells the score which one it is."""
     poses = np.array([[0.0, height, 0.0], [1.0, height, 0.0]])
-    chain = np.array([[0, 1], *((t.from_, t.to) for t in ties)])
-    told = np.array([[1.0, 0.0, 0.0], *(t.measurement for t in ties)])
+    chain = np.array([[0, 1], *((t.from_, t.to) for t in constraints)])
+    told = np.array([[1.0, 0.0, 0.0], *(t.measurement for t in constraints)])
     graph = PoseGraph(poses, chain, told, np.tile(np.eye(3), (len(chain), 1, 1)), np.arange(len(chain)) < 1)
-    return Candidate(name, graph, list(ties), np.ones(len(chain)) if weights is None else np.array(weights))
+    return Candidate(name, graph, list(constraints), np.ones(len(chain)) if weights is None else np.array(weights))
 
 
 class Judge:
@@ -35,9 +35,9 @@ class Judge:
         return TrajectoryScore(self.likelihoods[len(self.poses) - 1], 100, 0.8, -1.0), self.maps[-1]
 
 
-def contest(likelihoods):
+def selection(likelihoods):
     judge = Judge(likelihoods)
-    held, all_ = Contest(judge), [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
+    held, all_ = CandidateSelection(judge), [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
     told = [held.add(one) for one in all_]
     return held, judge, all_, told
 
@@ -48,14 +48,14 @@ def contest(likelihoods):
      ([-6.0, -4.0, -5.0, -3.0], 3), ([0.0, -0.0, -1e-9], 0)],
 )  # fmt: skip
 def test_the_best_is_the_first_of_those_that_no_other_exceeds(likelihoods, best):
-    held, judge, all_, _ = contest(likelihoods)
+    held, judge, all_, _ = selection(likelihoods)
     assert held.best is all_[best]
     assert held.maps is judge.maps[best]
 
 
 def test_each_candidate_is_scored_once_by_its_poses_and_all_scores_are_kept():
     likelihoods = [-3.0, -1.0, -2.0]
-    held, judge, all_, told = contest(likelihoods)
+    held, judge, all_, told = selection(likelihoods)
     assert told == likelihoods
     assert list(held.scores) == [one.name for one in all_]
     assert [score.log_likelihood for score in held.scores.values()] == likelihoods
@@ -67,7 +67,7 @@ def test_each_candidate_is_scored_once_by_its_poses_and_all_scores_are_kept():
 def test_the_best_and_its_map_belong_together_after_every_candidate():
     likelihoods = np.random.default_rng(0).integers(-20, 0, 40).astype(float).tolist()
     judge = Judge(likelihoods)
-    held = Contest(judge)
+    held = CandidateSelection(judge)
     for k in range(40):
         held.add(candidate(f"closed {k}", float(k)))
         place = int(np.argmax(likelihoods[: k + 1]))  # the first of equals
@@ -76,13 +76,18 @@ def test_the_best_and_its_map_belong_together_after_every_candidate():
         assert held.scores[held.best.name].log_likelihood == max(likelihoods[: k + 1])
 
 
-def test_believed_ties_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
-    ties = [
-        Tie(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)
-        for source in (Source.RECOGNIZED, Source.KNOWN, Source.BELIEVED, Source.RECOGNIZED)
+def test_accepted_constraints_are_those_of_the_last_weights_and_recognized_ones_those_searched_for():
+    constraints = [
+        Constraint(0, 1, np.array([1.0, 0.0, 0.0]), np.eye(3), source, True)
+        for source in (
+            ConstraintSource.RECOGNIZED,
+            ConstraintSource.TRACKED,
+            ConstraintSource.PROXIMITY,
+            ConstraintSource.RECOGNIZED,
+        )
     ]
-    one = candidate("refined", 0.0, ties, [0.0, 0.9, 0.49, 0.5, 0.0])
-    assert one.recognized == [ties[0], ties[3]]
-    assert one.believed == [ties[0], ties[2]]
+    one = candidate("refined", 0.0, constraints, [0.0, 0.9, 0.49, 0.5, 0.0])
+    assert one.recognized_constraints == [constraints[0], constraints[3]]
+    assert one.accepted_constraints == [constraints[0], constraints[2]]
     np.testing.assert_array_equal(one.increments, [[1.0, 0.0, 0.0]])
-    assert candidate("filter", 0.0, weights=[0.0]).believed == []
+    assert candidate("filter", 0.0, weights=[0.0]).accepted_constraints == []

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import final
 
 from gridslam.grid.tiles import TileMaps
+from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.ties import Source, Tie
 from gridslam.slam.trajectory_score import TrajectoryScore
 from gridslam.types import FloatArray
 
-__all__ = ["Candidate", "Contest"]
+__all__ = ["Candidate", "CandidateSelection"]
 
 
 @final
@@ -28,7 +28,7 @@ class Candidate:
         places that were found in a search of the whole log.
     graph : PoseGraph
         Key scans and what was measured between them; its poses (T, 3) are the trajectory.
-    ties : list of Tie
+    constraints : list of Constraint
         The last measurements in the graph: matches of key scans to submaps of another time.
     weights : (M,) float64
         Weight of each measurement in the robust estimate.
@@ -36,7 +36,7 @@ class Candidate:
 
     name: str
     graph: PoseGraph
-    ties: list[Tie]
+    constraints: list[Constraint]
     weights: FloatArray
 
     @property
@@ -45,19 +45,19 @@ class Candidate:
         return self.graph.measurements[: len(self.graph.poses) - 1]
 
     @property
-    def recognized(self) -> list[Tie]:
+    def recognized_constraints(self) -> list[Constraint]:
         """Constraints found by place recognition."""
-        return [tie for tie in self.ties if tie.source is Source.RECOGNIZED]
+        return [constraint for constraint in self.constraints if constraint.source is ConstraintSource.RECOGNIZED]
 
     @property
-    def believed(self) -> list[Tie]:
+    def accepted_constraints(self) -> list[Constraint]:
         """Constraints accepted by the robust estimate."""
-        weights = self.weights[len(self.weights) - len(self.ties) :].tolist()
-        return [tie for tie, weight in zip(self.ties, weights, strict=True) if weight >= 0.5]
+        weights = self.weights[len(self.weights) - len(self.constraints) :].tolist()
+        return [constraint for constraint, weight in zip(self.constraints, weights, strict=True) if weight >= 0.5]
 
 
 @final
-class Contest:
+class CandidateSelection:
     """Keeps the best of the candidates that are added, its map, and the scores of all by name.
 
     Parameters

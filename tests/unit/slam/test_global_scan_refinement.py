@@ -14,81 +14,87 @@ from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
 from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.joint_matching import JointMatching, LastWord
+from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.memory import Memory
+from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.submaps import drawn
+from gridslam.slam.submaps import build_map
 from gridslam.types import Trajectory
 from support import hall
 from support.loops import loop_drive
 
 CLOSURE = LoopClosure()
 SLAM = GridFastSlam(loop_closure=CLOSURE)
-WORD = JointMatching()
+REFINEMENT = GlobalScanRefinement()
 
 
 @dataclass(frozen=True)
-class Told:
+class Refined:
     """A run, and the last word on it."""
 
     log: SimulatedLog
     state: GridFastSlamState
     recorder: TrajectoryRecorder
-    memory: Memory
-    word: LastWord
+    closure_state: LoopClosureState
+    refinement: RefinementResult
 
 
-def told(log: SimulatedLog, scans: int | None = None, word: JointMatching = WORD, tick=lambda: None) -> Told:
+def refine(
+    log: SimulatedLog, scans: int | None = None, refinement: GlobalScanRefinement = REFINEMENT, on_progress=lambda: None
+) -> Refined:
     recorder = TrajectoryRecorder()
     state = run(log.measurements[:scans], SLAM, particles=3, rng=np.random.default_rng(1), observers=[recorder])
-    memory = state.memory.snapshot()
+    closure_state = state.closure_state.snapshot()
     trajectory = state.ancestry.trajectory(state.best)
-    said = word(memory, trajectory, recorder.keys, recorder.from_key, SLAM.mapper, CLOSURE, tick)
-    return Told(log, state, recorder, memory, said)
+    said = refinement(
+        closure_state, trajectory, recorder.keys, recorder.key_from_base, SLAM.mapper, CLOSURE, on_progress
+    )
+    return Refined(log, state, recorder, closure_state, said)
 
 
 @pytest.fixture(scope="module")
-def halls() -> list[Told]:
+def halls() -> list[Refined]:
     poor = OdometryNoise(distance_scale=1.03, turn_scale=0.95, bias_rad_per_m=0.01)
-    return [told(hall.drive(seed, poor)) for seed in (0, 2)]
+    return [refine(hall.drive(seed, poor)) for seed in (0, 2)]
 
 
 @pytest.fixture(scope="module")
-def loop() -> Told:
-    return told(loop_drive())
+def loop() -> Refined:
+    return refine(loop_drive())
 
 
 @pytest.fixture(scope="module")
-def untied() -> Told:
+def untied() -> Refined:
     """The first half of a lap: no place is passed twice, and none is seen from far away in time."""
-    return told(hall.drive(0), scans=110)
+    return refine(hall.drive(0), scans=110)
 
 
-def errors(run: Told, poses: np.ndarray):
+def errors(run: Refined, poses: np.ndarray):
     truth = Trajectory(run.log.truth.stamps_ns, between(run.log.truth.poses[0], run.log.truth.poses))
     return absolute_errors(Trajectory(truth.stamps_ns, poses), truth)
 
 
-def test_the_last_word_is_no_worse_than_the_filter(halls, loop):
+def test_final_refinement_is_no_worse_than_the_filter(halls, loop):
     """By a centimetre, a fifth of a cell, at most; where the filter is off by most of a cell, it is better.
 
     Over all scans, aligned.
     """
     for one in (*halls, loop):
-        filtered, said = errors(one, one.recorder.full(one.state).poses), errors(one, one.word.poses)
+        filtered, said = errors(one, one.recorder.full(one.state).poses), errors(one, one.refinement.poses)
         assert said.trans_rmse_m < filtered.trans_rmse_m + 0.01
         assert said.rot_rmse_deg < filtered.rot_rmse_deg + 0.1
         assert said.trans_rmse_m < 0.07
         assert one is loop or said.trans_rmse_m < max(filtered.trans_rmse_m, 0.04)
-        assert len(one.word.best.graph.edges) > len(one.word.best.graph.poses)  # it was tied
+        assert len(one.refinement.best.graph.edges) > len(one.refinement.best.graph.poses)  # it was tied
 
 
-def test_ties_of_the_last_word_are_right(halls, loop):
+def test_constraints_of_final_refinement_are_right(halls, loop):
     for one in (*halls, loop):
-        truth = one.log.truth.poses[one.state.memory.scans.keys]
-        assert len(one.word.best.ties) > 50
-        off = hall.errors(truth, [tie for tie in one.word.best.ties if tie.determined])
+        truth = one.log.truth.poses[one.state.closure_state.scans.keys]
+        assert len(one.refinement.best.constraints) > 50
+        off = hall.errors(
+            truth, [constraint for constraint in one.refinement.best.constraints if constraint.determined]
+        )
         assert np.quantile(off[:, 0], 0.95) < 0.1
         assert off[:, 0].max() < 0.5
         assert off[:, 1].max() < 0.05
@@ -97,36 +103,36 @@ def test_ties_of_the_last_word_are_right(halls, loop):
 def test_it_says_what_it_solved(halls):
     """The graph holds the solution, a weight for each edge, ties to other times only; the map is drawn from it."""
     one = halls[0]
-    graph, weights = one.word.best.graph, one.word.best.weights
-    keys = len(one.memory.graph)
+    graph, weights = one.refinement.best.graph, one.refinement.best.weights
+    keys = len(one.closure_state.graph)
     assert graph.poses.shape == (keys, 3)
     assert weights.shape == (len(graph.edges),)
     assert ((weights >= 0) & (weights <= 1)).all()
-    ties = graph.edges[keys - 1 :]
-    assert (np.abs(ties[:, 0] - ties[:, 1]) > 20).all()
-    np.testing.assert_array_equal(graph.poses, np.array(one.memory.graph.poses))
-    maps = drawn(SLAM.mapper, one.memory.scans, np.arange(keys), graph.poses)
-    assert maps.occupancy(0).log_odds.tobytes() == one.word.maps.occupancy(0).log_odds.tobytes()
+    constraints = graph.edges[keys - 1 :]
+    assert (np.abs(constraints[:, 0] - constraints[:, 1]) > 20).all()
+    np.testing.assert_array_equal(graph.poses, np.array(one.closure_state.graph.poses))
+    maps = build_map(SLAM.mapper, one.closure_state.scans, np.arange(keys), graph.poses)
+    assert maps.occupancy(0).log_odds.tobytes() == one.refinement.maps.occupancy(0).log_odds.tobytes()
 
 
 def test_no_scan_is_moved_farther_from_the_key_scans_trajectory_than_allowed(halls):
     one = halls[0]
-    bent = full_trajectory(one.word.best.graph.poses, one.recorder.keys, one.recorder.from_key)
-    moved = np.hypot(*(one.word.poses - bent)[:, :2].T)
-    assert moved.max() <= WORD.scan_m
+    bent = full_trajectory(one.refinement.best.graph.poses, one.recorder.keys, one.recorder.key_from_base)
+    moved = np.hypot(*(one.refinement.poses - bent)[:, :2].T)
+    assert moved.max() <= REFINEMENT.scan_max_correction_m
     assert 0 < np.median(moved) < 0.05
 
 
-def test_without_a_tie_the_key_scans_stay_on_the_chain(untied):
+def test_without_a_constraint_the_key_scans_stay_on_the_chain(untied):
     """From each key scan to the next as the filter has it, or as tracked: nothing else is known."""
-    graph, state = untied.word.best.graph, untied.state
-    assert untied.word.best.ties == []
+    graph, state = untied.refinement.best.graph, untied.state
+    assert untied.refinement.best.constraints == []
     assert len(graph.edges) == len(graph.poses) - 1
-    assert (untied.word.best.weights == 1).all()
+    assert (untied.refinement.best.weights == 1).all()
     assert graph.chi2() < 1e-6
     said, filtered, tracked = (
         between(poses[:-1], poses[1:])
-        for poses in (graph.poses, state.ancestry.trajectory(state.best), np.array(state.memory.graph.tracked))
+        for poses in (graph.poses, state.ancestry.trajectory(state.best), np.array(state.closure_state.graph.tracked))
     )
     as_filtered, as_tracked = (np.abs(between(said, other)).max(axis=1) < 1e-6 for other in (filtered, tracked))
     assert (as_filtered | as_tracked).all()
@@ -135,25 +141,25 @@ def test_without_a_tie_the_key_scans_stay_on_the_chain(untied):
 def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
     """The last word was given a snapshot of the memory: of what it did nothing is in the state."""
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
-    memory = untied.state.memory.snapshot()
+    closure_state = untied.state.closure_state.snapshot()
     moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])
-    WORD(memory, moved, untied.recorder.keys, untied.recorder.from_key, SLAM.mapper, CLOSURE)
+    REFINEMENT(closure_state, moved, untied.recorder.keys, untied.recorder.key_from_base, SLAM.mapper, CLOSURE)
     assert {name: array.tobytes() for name, array in untied.state.to_arrays().items()} == before
 
 
 def test_the_same_word_is_said_twice(halls):
-    again = told(halls[0].log)
-    assert again.word.poses.tobytes() == halls[0].word.poses.tobytes()
-    assert again.word.best.graph.poses.tobytes() == halls[0].word.best.graph.poses.tobytes()
-    assert again.word.best.weights.tobytes() == halls[0].word.best.weights.tobytes()
+    again = refine(halls[0].log)
+    assert again.refinement.poses.tobytes() == halls[0].refinement.poses.tobytes()
+    assert again.refinement.best.graph.poses.tobytes() == halls[0].refinement.best.graph.poses.tobytes()
+    assert again.refinement.best.weights.tobytes() == halls[0].refinement.best.weights.tobytes()
 
 
 def test_a_round_that_moves_nothing_is_the_last(halls):
     """Counted by the submaps that are drawn: one tick for each, and each round draws the same ones here."""
     ticks = []
     for rounds in (1, 4):
-        word, count = replace(WORD, rounds=rounds, stop_m=1.0), []
-        told(halls[0].log, word=word, tick=lambda count=count: count.append(1))
+        refinement, count = replace(REFINEMENT, max_rounds=rounds, stop_m=1.0), []
+        refine(halls[0].log, refinement=refinement, on_progress=lambda count=count: count.append(1))
         ticks.append(len(count))
     assert ticks[0] == ticks[1] > 5
 
@@ -163,4 +169,4 @@ def test_it_can_be_interrupted(halls):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        told(halls[0].log, tick=stop)
+        refine(halls[0].log, on_progress=stop)

@@ -1,0 +1,271 @@
+"""Alignment of rigid components of the trajectory that are separated by gaps in the laser data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thinned
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam import place_checks as checks
+from gridslam.slam.alignment_hypotheses import AlignmentHypothesis, SearchHit, group_hits
+from gridslam.slam.constraints import Constraint, ConstraintSource
+from gridslam.slam.key_graph import KeyGraph, SubmapDistance
+from gridslam.slam.loop_closure_state import LoopClosureState
+from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
+from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, first_key_scan
+from gridslam.slam.submaps import ROW, build_map
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["ComponentAlignment"]
+
+_LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class ComponentAlignment:
+    """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
+
+    Within a piece the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
+    other piece's map, and the two best places of each search are kept. Hits that are consistent with the tracked motion
+    form one hypothesis, which is tracked through the whole component. It is judged by the score by which trajectories
+    are compared (see `TrajectoryScorer`): a single scan is often ambiguous, a whole component rarely. The best
+    hypothesis is accepted if its log likelihood is high enough, no other hypothesis is comparable, it lies within the
+    drift covariance, and the component is not self-similar (a self-similar component may match an aliased place).
+
+    Parameters
+    ----------
+    search_interval : int
+        Key scans between two searches.
+    max_sigma_m : float, m
+        A key scan is searched for where the drift leaves its position this certain (standard deviation).
+    max_hypotheses : int
+        Maximum number of hypotheses, those with most hits first.
+    tracking_gate_sigmas : float
+        A match farther from the motion since the last one than this many standard deviations is not followed.
+    neutral, scale_m, tempering
+        As in `TrajectoryScorer`.
+    min_log_likelihood : float, nats
+        Minimum log likelihood of the best hypothesis.
+    ambiguity_ratio : float
+        Maximum log likelihood of any other hypothesis, as a fraction of the best.
+    distinct_ambiguity_ratio : float
+        The same where enough of the searches, by themselves, found nothing else that fits nearly as well.
+    merge_m : float, m
+        Hypotheses nearer than this, in the median of the key scans, are one.
+    self_similarity_ratio : float
+        The piece looks alike in itself where, in its own map, the next best place of a quarter of its key scans fits
+        this well, as a part of how the right one does.
+    inlier_ratio : float
+        Minimum inlier ratio of a key scan that gives a constraint.
+    min_constraints : int
+        Constraints that an alignment must give, and searches that must have found nothing else.
+    search : BranchAndBound
+        How a key scan is searched for.
+    matcher : GaussNewton
+        How a piece is followed.
+    """
+
+    search_interval: int = Field(default=3, ge=1)
+    max_sigma_m: float = Field(default=24.0, gt=0)
+    max_hypotheses: int = Field(default=8, ge=1)
+    tracking_gate_sigmas: float = Field(default=2.5, gt=0)
+    neutral: float = Field(default=0.7, gt=0, lt=1)
+    scale_m: float = Field(default=0.1, gt=0)
+    tempering: float = Field(default=0.03, gt=0, le=1)
+    min_log_likelihood: float = Field(default=12.0, gt=0)
+    ambiguity_ratio: float = Field(default=0.15, ge=0, lt=1)
+    distinct_ambiguity_ratio: float = Field(default=0.5, ge=0, lt=1)
+    merge_m: float = Field(default=0.3, gt=0)
+    self_similarity_ratio: float = Field(default=0.85, gt=0, le=1)
+    inlier_ratio: float = Field(default=0.5, gt=0, le=1)
+    min_constraints: int = Field(default=3, ge=1)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
+    matcher: GaussNewton = GaussNewton()
+
+    def __call__(
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        places: PlaceRecognitionParameters,
+        on_progress: Callable[[], None],
+    ) -> list[Constraint]:
+        """Align all pieces with the older ones; returns the constraints of those that are certain."""
+        labels, found = closure_state.graph.label_rigid_components(), list[Constraint]()
+        components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+        for later, keys in enumerate(components):
+            own: Pyramid | None = None
+            for old in components[:later]:
+                on_progress()
+                ways = self._nearest_submaps(closure_state.graph, keys, old)
+                if not ways:
+                    continue
+                near = self._select_key_scans(closure_state.graph, old, ways)
+                maps = build_map(mapper, closure_state.scans, near, np.array(closure_state.graph.poses)[near])
+                best = self._select_alignment(closure_state, places, maps, keys, ways)
+                if best is None:
+                    continue
+                own = own or Pyramid.of(
+                    build_map(mapper, closure_state.scans, keys, np.array(closure_state.graph.poses)[keys]), 0
+                )
+                if not self._is_self_similar(closure_state, places, own, keys):
+                    constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
+                    found += constraints if len(constraints) >= self.min_constraints else []
+        return found
+
+    def _nearest_submaps(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, SubmapDistance]:
+        """For key scans of a piece the submap of an older one that they would have to be moved least for."""
+        ways, members = dict[int, SubmapDistance](), set((old // KEY_SCANS_PER_SUBMAP).tolist())
+        for key in keys[self.search_interval - 1 :: self.search_interval].tolist():
+            near = [n for n in graph.find_nearby_submaps(key, self.max_sigma_m, len(graph)) if n.submap in members]
+            if near:
+                ways[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
+        return ways
+
+    def _select_key_scans(self, graph: KeyGraph, old: IntArray, ways: dict[int, SubmapDistance]) -> IntArray:
+        """Those key scans of an older piece that may show where the searched ones are."""
+        guesses = np.array([self._guess(graph, way) for way in ways.values()])
+        poses = np.array([graph.poses[key] for key in old.tolist()])
+        away = np.hypot(*(poses[:, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+        near: IntArray = old[away < 2 * self.search.window_m]
+        return near
+
+    def _guess(self, graph: KeyGraph, way: SubmapDistance) -> FloatArray:
+        return compose(graph.poses[first_key_scan(way.submap)], way.pose)
+
+    def _select_alignment(
+        self,
+        closure_state: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        maps: TileMaps,
+        keys: IntArray,
+        ways: dict[int, SubmapDistance],
+    ) -> AlignmentHypothesis | None:
+        """Give the hypothesis that is certain, if one is."""
+        groups = group_hits(closure_state.graph, self._search_hits(closure_state, places, Pyramid.of(maps, 0), ways))
+        groups.sort(key=lambda group: -sum(hit.score for hit in group))
+        followed = [self._track_component(closure_state, maps, keys, group) for group in groups[: self.max_hypotheses]]
+        followed.sort(key=lambda alignment: -alignment.log_likelihood)
+        if not followed or followed[0].log_likelihood < self.min_log_likelihood or not followed[0].plausible:
+            return None
+        best = followed[0]
+        others = (other.log_likelihood for other in followed[1:] if best.distance_m(other) >= self.merge_m)
+        ratio = self.distinct_ambiguity_ratio if best.distinct_hits >= self.min_constraints else self.ambiguity_ratio
+        return best if max(others, default=0.0) <= ratio * best.log_likelihood else None
+
+    def _search_hits(
+        self,
+        closure_state: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        pyramid: Pyramid,
+        ways: dict[int, SubmapDistance],
+    ) -> list[SearchHit]:
+        """Search key scans; keep the best place of each and the next best one."""
+        hits = []
+        beyond = np.square(
+            np.diag([places.ambiguity_window_m, places.ambiguity_window_m, places.ambiguity_window_rad])
+            / self.search.gate
+        )
+        for key, way in ways.items():
+            guess = self._guess(closure_state.graph, way)
+            found = self.search.search(
+                pyramid, guess, way.covariance + beyond, self._collect_points(closure_state, places, key)
+            )
+            if found is None:
+                continue
+            distinct = found.other_share <= places.ambiguity_ratio * found.share
+            two = (found.pose, found.share, distinct), (found.other_pose, found.other_share, False)
+            for pose, score, distinct in two:
+                if pose is not None:
+                    missed = np.append((pose - guess)[:2], between(guess, pose)[2])
+                    hits.append(SearchHit(key, pose, score, places.is_within_gate(way.covariance, missed), distinct))
+        return hits
+
+    def _collect_points(
+        self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, key: int
+    ) -> FloatArray:
+        return thinned(checks.collect_recent_points(closure_state, key, places.query_key_scans), self.search.points)
+
+    def _track_component(
+        self, closure_state: LoopClosureState, maps: TileMaps, keys: IntArray, group: list[SearchHit]
+    ) -> AlignmentHypothesis:
+        """Follow a piece from the best hit to both of its ends: as tracked, put right wherever a scan matches."""
+        begin = max(group, key=lambda hit: hit.score)
+        poses, log_likelihood, at = np.empty((len(keys), 3)), 0.0, int(np.searchsorted(keys, begin.key))
+        for way in (range(at, len(keys)), range(at - 1, -1, -1)):
+            pose, last = begin.pose, begin.key
+            for index in way:
+                key = int(keys[index])
+                guess = compose(pose, between(closure_state.graph.tracked[last], closure_state.graph.tracked[key]))
+                spread = np.array(closure_state.graph.variances[max(key, last)]) + np.square([0.02, 0.01])
+                pose, gained = self._match_key_scan(closure_state, maps, key, guess, spread)
+                poses[index], last, log_likelihood = pose, key, log_likelihood + gained
+        return AlignmentHypothesis(
+            poses, log_likelihood, any(hit.plausible for hit in group), sum(hit.distinct for hit in group)
+        )
+
+    def _match_key_scan(
+        self, closure_state: LoopClosureState, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Match a key scan within the gate of the motion; return its pose and log likelihood (nats)."""
+        beams, pose = closure_state.scans.key(key), guess
+        if len(beams) < self.matcher.least_beams:
+            return pose, 0.0
+        if np.mean(maps.known(0, transform_points(guess, beams.ends))) >= 0.4:
+            match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
+            x, y, turn = between(guess, match.poses[0]).tolist()
+            if (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.tracking_gate_sigmas**2:
+                pose = match.poses[0]
+        known = maps.known(0, transform_points(pose, beams.ends))
+        away = maps.distances(ROW, pose[None], beams.ends)[0, known].astype(np.float64)
+        agreeing = float(np.sum(1 / (1 + np.square(away / self.scale_m))))
+        return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
+
+    def _is_self_similar(
+        self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, own: Pyramid, keys: IntArray
+    ) -> bool:
+        """Whether a component also matches its own map elsewhere (self-similarity)."""
+        within = replace(self.search, window_m=self.search.window_m / 2, window_rad=0.35)
+        ratios = []
+        for key in keys[min(places.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
+            found = within.search(
+                own, closure_state.graph.poses[key], None, self._collect_points(closure_state, places, key)
+            )
+            ratios.append(0.0 if found is None else found.other_share / found.share)
+        return float(np.quantile(ratios, 0.75)) >= self.self_similarity_ratio
+
+    def _make_constraints(
+        self,
+        closure_state: LoopClosureState,
+        places: PlaceRecognitionParameters,
+        maps: TileMaps,
+        keys: IntArray,
+        old: IntArray,
+        best: AlignmentHypothesis,
+    ) -> list[Constraint]:
+        """Constraints from every few key scans of an aligned piece to the submaps that they lie in."""
+        graph, lenient, found = closure_state.graph, replace(places, inlier_ratio=self.inlier_ratio), list[Constraint]()
+        submaps = np.unique(old // KEY_SCANS_PER_SUBMAP)
+        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old)]
+        anchors = np.array([graph.poses[anchor_of(submap)] for submap in submaps.tolist()]).reshape(-1, 3)
+        for index in range(0, len(keys), self.search_interval):
+            key, pose = int(keys[index]), best.poses[index]
+            if not len(submaps) or len(closure_state.scans.key(key)) < self.matcher.least_beams:
+                continue
+            nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
+            seen, anchor, submap = between(anchors[nearest], pose), anchors[nearest], int(submaps[nearest])
+            constraint = lenient.match_to(
+                maps, anchor, closure_state, key, submap, seen, places.certain_sigma_m, ConstraintSource.RECOGNIZED
+            )
+            if isinstance(constraint, Constraint) and constraint.determined:
+                found.append(constraint)
+        return found

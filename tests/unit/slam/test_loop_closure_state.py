@@ -1,0 +1,96 @@
+"""What loop closure remembers goes on to the same bytes from a snapshot and from arrays, cut anywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gridslam.slam.loop_closure_state import Correction, LoopClosureState, RejectionReason
+from gridslam.slam.submaps import ROW
+from support import hall
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return hall.key_scans(hall.drive(1))
+
+
+@pytest.fixture(scope="module")
+def poses(seen):
+    return hall.tracked(seen.truth, 0.002, 1.01)
+
+
+@pytest.fixture(scope="module")
+def whole(seen, poses):
+    """The memory of two laps, and how many places waited for others to agree after each key scan."""
+    closure_state, waiting = LoopClosureState(), []
+    for k in range(len(poses)):
+        hall.remember(closure_state, seen, poses, until=k + 1)
+        waiting.append(len(closure_state.unconfirmed))
+    return closure_state, waiting
+
+
+def contents(closure_state):
+    return {name: (array.dtype, array.shape, array.tobytes()) for name, array in closure_state.to_arrays().items()}
+
+
+def copies(closure_state):
+    return closure_state.snapshot(), LoopClosureState.from_arrays(closure_state.to_arrays(), hall.MAPPER)
+
+
+def test_it_goes_on_to_the_same_bytes(seen, poses, whole):
+    """Cut before anything was tied, while places wait, and right after a recognition."""
+    end, waiting = whole
+    cuts = [30, *(waiting.index(n) for n in (1, 2))]
+    recognized = next(k for k in range(1, len(poses)) if waiting[k] < waiting[k - 1] and end.graph.constraints)
+    for cut in [*cuts, recognized]:
+        closure_state = LoopClosureState()
+        hall.remember(closure_state, seen, poses, until=cut + 1)
+        before = contents(closure_state)
+        for twin in copies(closure_state):
+            assert contents(twin) == before
+            hall.remember(twin, seen, poses)
+            assert contents(twin) == contents(end)
+            assert contents(closure_state) == before  # what the one did has not reached the other
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_pending_correction_is_kept_and_drawn_on_apart(seen, poses, threads):
+    closure_state = LoopClosureState()
+    hall.remember(closure_state, seen, poses, until=40)
+    maps = hall.MAPPER.empty(1)
+    closure_state.correction = Correction(seen.truth[:40], maps, inserted=10)
+    for key in range(10):
+        maps.update(ROW, seen.truth[key][None], closure_state.scans.key(key))
+    before = contents(closure_state)
+    kept, read = closure_state.snapshot(), LoopClosureState.from_arrays(closure_state.to_arrays(), hall.MAPPER, threads)
+    for twin in (closure_state, kept, read):
+        assert contents(twin) == before
+        twin.correction.maps.update(ROW, seen.truth[10][None], twin.scans.key(10))
+        twin.correction.poses = seen.truth[:41]
+        twin.correction.inserted += 1
+        after = contents(twin)
+        assert after != before
+    assert contents(closure_state) == contents(kept) == after
+
+
+def test_rejections_are_counted_by_reason(seen, poses):
+    closure_state = LoopClosureState()
+    hall.remember(closure_state, seen, poses, until=20)
+    closure_state.rejected.update({RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.THROUGH_WALLS: 1})
+    for twin in copies(closure_state):
+        assert twin.rejected == {RejectionReason.LOW_INLIER_RATIO: 3, RejectionReason.THROUGH_WALLS: 1}
+        twin.rejected[RejectionReason.LOW_INLIER_RATIO] += 1
+    assert closure_state.rejected[RejectionReason.LOW_INLIER_RATIO] == 3
+
+
+@pytest.mark.parametrize(
+    "name", ["search", "online_poses", "rejected", "rejected_match_variances", "graph.tracked", "scans.ends"]
+)
+def test_a_missing_array_is_told(seen, poses, name):
+    closure_state = LoopClosureState()
+    hall.remember(closure_state, seen, poses, until=5)
+    arrays = closure_state.to_arrays()
+    assert isinstance(arrays.pop(name), np.ndarray)
+    with pytest.raises(KeyError, match=name.rpartition(".")[2]):
+        LoopClosureState.from_arrays(arrays, hall.MAPPER)
