@@ -38,7 +38,7 @@ def odd(what):
 
 
 def main():
-    rospy.init_node("odd", anonymous=True)
+    rospy.init_node("odd", drop_correspondences=True)
     topic, message = odd(sys.argv[1])
     publisher = rospy.Publisher(topic, type(message), queue_size=1)
     while not rospy.is_shutdown():

@@ -56,7 +56,7 @@ def settle(told, seconds=120.0):
 
 
 def main():
-    rospy.init_node("watcher", anonymous=True, disable_signals=True)
+    rospy.init_node("watcher", drop_correspondences=True, disable_signals=True)
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     told = {}

@@ -16,15 +16,15 @@ from gridslam.io.digest import digest_of
 from gridslam.io.landmark_files import read_landmarks
 from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
-from gridslam.models.association import MaximumLikelihood, Told
+from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
-from gridslam.models.sightings import LandmarkStep
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel
 
 __all__ = ["localize_by_landmarks"]
 
-_SEEN_IN_MAP = MaximumLikelihood(same=100.0, other=100.0)
+_COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a map that is complete a sighting far off tells that the pose is wrong, rather than that it is of something new.
 
 On MRCLAM a gate of 3 standard deviations loses robot 3 where it sees nothing for 24 s; 5 to 10 do not.
@@ -83,7 +83,7 @@ def localize_by_landmarks(
     watch = stopwatch or Stopwatch()
     source = opened_landmark_log(log)
     known = _known(source, landmarks)
-    association = _SEEN_IN_MAP if unknown else Told()
+    association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
     ekf = EkfLocalization(known, model, association)
     watch.lap("start")
@@ -92,7 +92,7 @@ def localize_by_landmarks(
     belief = ekf.init(_start(source, steps, landmarks) if pose is None else pose, covariance)
     reports = list[EkfLocalizationReport]()
     for step in steps:
-        seen = step.sightings.anonymous() if unknown else step.sightings
+        seen = step.observations.drop_correspondences() if unknown else step.observations
         belief, report = ekf.step(belief, step.motion(motion), seen)
         reports.append(report)
         tick()
@@ -122,9 +122,7 @@ def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> K
         raise InputError(landmarks, str(error)) from None
 
 
-def _start(
-    log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None
-) -> FloatArray:
+def _start(log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None) -> FloatArray:
     """Where the robot begins, where nothing is said."""
     if landmarks is not None:
         return np.zeros(3)

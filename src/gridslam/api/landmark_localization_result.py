@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LANDMARK_LOCALIZATION_SCHEMA", "LandmarkLocalizationResult"]
 
-LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/1"
+LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/2"
 
 
 @final
@@ -81,7 +81,7 @@ class LandmarkLocalizationResult:
         return np.array([report.covariance for report in self.reports])
 
     @property
-    def not_believed(self) -> int:
+    def outliers(self) -> int:
         """Sightings of which nothing was learned."""
         return sum(int((report.landmarks < 0).sum()) for report in self.reports)
 
@@ -113,7 +113,8 @@ class LandmarkLocalizationResult:
         counts, errors = self.log.statistics, self.errors()
         lines = [
             f"EKF localization, {'unknown' if self.unknown else 'known'} correspondences",
-            f"{len(self.stamps_ns)} steps, {counts.sightings} sightings, {len(self.landmarks.names)} known landmarks",
+            f"{len(self.stamps_ns)} steps, {counts.observations} sightings, "
+            f"{len(self.landmarks.names)} known landmarks",
         ]
         if errors is not None:
             lines.append(f"RMSE: position {errors.trans_rmse_m:.3f} m, heading {errors.rot_rmse_deg:.1f} degrees")
@@ -133,7 +134,7 @@ class LandmarkLocalizationResult:
                 "path": None if self.landmarks_path is None else os.fspath(self.landmarks_path),
                 "landmarks": len(self.landmarks.names),
             },
-            "not_believed": self.not_believed,
+            "outliers": self.outliers,
             "log_likelihood": float(sum(report.log_likelihood for report in self.reports)),
             "errors": None if errors is None else {"aligned": not self.in_true_frame, **asdict(errors)},
             "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},

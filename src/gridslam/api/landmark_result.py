@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
     from gridslam.viz.notebook import Picture
 
-__all__ = ["LANDMARKS_SCHEMA", "Estimate", "LandmarkResult"]
+__all__ = ["LANDMARKS_SCHEMA", "LandmarkEstimate", "LandmarkResult"]
 
-LANDMARKS_SCHEMA = "gridslam.landmarks/1"
+LANDMARKS_SCHEMA = "gridslam.landmarks/2"
 
 
-class Estimate(NamedTuple):
+class LandmarkEstimate(NamedTuple):
     """What an algorithm says.
 
     Attributes
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
     covariances : (T, 3, 3) float64
         Of the poses: as told at the time by filters, in the end by the graph.
     landmarks : LandmarkMap
-    strange : int
+    outliers : int
         Sightings of which nothing was learned.
     figures : dict
         What else the method tells, as JSON values.
@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
     online: FloatArray | None
     covariances: FloatArray
     landmarks: LandmarkMap
-    strange: int
+    outliers: int
     figures: dict[str, Any]
 
 
@@ -82,7 +82,7 @@ class LandmarkResult:
 
     method: str
     stamps_ns: IntArray
-    estimate: Estimate
+    estimate: LandmarkEstimate
     unknown: bool
     particles: int | None
     seed: int
@@ -143,7 +143,7 @@ class LandmarkResult:
             "seed": self.seed,
             "input": {"path": os.fspath(self.log.path), "sha256": self.digest, **statistics},
             "landmarks": len(self.landmarks),
-            "strange_sightings": self.estimate.strange,
+            "outliers": self.estimate.outliers,
             **self.estimate.figures,
             "errors": {
                 "trajectory": None if poses is None else asdict(poses),
@@ -157,10 +157,11 @@ class LandmarkResult:
         """Lines that tell what was found."""
         known = "unknown" if self.unknown else "known"
         particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
+        observations = self.log.statistics.observations
         poses, landmarks = self.errors()
         lines = [
             f"{self.method}, {known} correspondences{particles}",
-            f"{len(self.stamps_ns)} steps, {self.log.statistics.sightings} sightings, {len(self.landmarks)} landmarks",
+            f"{len(self.stamps_ns)} steps, {observations} sightings, {len(self.landmarks)} landmarks",
         ]
         if poses is not None and landmarks is not None:
             lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")

@@ -51,9 +51,9 @@ def _summary(document: dict[str, Any], out: Path) -> list[str]:
     told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings",
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} sightings",
         f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, "
-        f"{document['not_believed']} sightings not believed",
+        f"{document['outliers']} sightings not believed",
     ]
     if errors is not None:
         aligned = ", aligned" if errors["aligned"] else ""

@@ -35,7 +35,7 @@ def landmarks_to_folder(
             )  # fmt: skip
         except ArgumentError as error:
             raise click.ClickException(f"--{error}") from None
-        if not source.statistics.sightings:
+        if not source.statistics.observations:
             raise InputError(log, "expected sightings of landmarks, got none")
         document = result.write(folder)
     if as_json:
@@ -51,10 +51,10 @@ def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> lis
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings"
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} sightings"
         + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
-        f"{document['strange_sightings']} sightings not believed",
+        f"{document['outliers']} sightings not believed",
     ]
     if errors["trajectory"] is not None:
         lines.append(f"position RMSE {errors['trajectory']['trans_rmse_m']:.3f} m against the truth, aligned")

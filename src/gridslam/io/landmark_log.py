@@ -10,7 +10,7 @@ from typing import Protocol, final, runtime_checkable
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text_source import head_of
-from gridslam.models.sightings import LandmarkStep, SightingKind
+from gridslam.models.landmark_observations import LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "opened_landmark_log"]
@@ -30,7 +30,7 @@ class LandmarkLogStatistics:
         Readings of the odometry.
     steps : int
         Steps given.
-    sightings : int
+    observations : int
         Sightings of landmarks given.
     robots : int
         Sightings of other robots, which are no landmarks; left out.
@@ -42,7 +42,7 @@ class LandmarkLogStatistics:
 
     odometry: int = 0
     steps: int = 0
-    sightings: int = 0
+    observations: int = 0
     robots: int = 0
     unknown: int = 0
     first_ns: int = 0
@@ -59,7 +59,7 @@ class LandmarkLogStatistics:
             self.first_ns = step.stamp_ns
         self.last_ns = step.stamp_ns
         self.steps += 1
-        self.sightings += len(step.sightings)
+        self.observations += len(step.observations)
         return step
 
 
@@ -88,7 +88,7 @@ class LandmarkLog(Protocol):
     """A log of landmarks; each iteration reads it anew, a piece at a time."""
 
     path: Path
-    kind: SightingKind
+    kind: ObservationKind
     stamped: bool
     """Whether its stamps are times; else they only count the steps, a second each."""
     statistics: LandmarkLogStatistics

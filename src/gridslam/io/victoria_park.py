@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.errors import InputError
 from gridslam.io.landmark_log import LandmarkLogStatistics, LandmarkTruth
 from gridslam.io.number_rows import numbered_lines
-from gridslam.models.sightings import LandmarkStep, SightingKind, Sightings
+from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray
 
 __all__ = ["VictoriaParkLog"]
@@ -45,7 +45,7 @@ class VictoriaParkLog:
     """
 
     TAGS = frozenset(_COLUMNS)
-    kind = SightingKind.POSITION
+    kind = ObservationKind.POSITION
     stamped = False
     truth: LandmarkTruth | None = None
 
@@ -116,5 +116,5 @@ class _Step:
     def done(self) -> LandmarkStep:
         count = len(self.landmarks)
         covariances = np.array(self._covariances).reshape(count, 2, 2)
-        sightings = Sightings.of(np.array(self._values).reshape(count, 2), self.landmarks, covariances)
-        return LandmarkStep(self.stamp_ns, self._increment, self._covariance, sightings)
+        observations = LandmarkObservations.of(np.array(self._values).reshape(count, 2), self.landmarks, covariances)
+        return LandmarkStep(self.stamp_ns, self._increment, self._covariance, observations)

@@ -9,9 +9,9 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.models.association import AMBIGUOUS, NEW, Association, MaximumLikelihood, Told, signatures
+from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence, MaximumLikelihood, signatures
 from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.sightings import Sightings
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.slam.landmark_existence import Existence
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.landmark_raft import PoseAndRaft
@@ -63,33 +63,33 @@ class LandmarkFilters:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` where the sightings tell the correspondences, `MaximumLikelihood` where they do not: then each particle
-        finds its own.
+        `KnownCorrespondence` where the sightings tell the correspondences, `MaximumLikelihood` where they do not: then
+        each particle finds its own.
     existence : Existence
         Which landmarks are real, where correspondences are unknown.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
-    association: Association = field(default_factory=Told)
+    association: Association = field(default_factory=KnownCorrespondence)
     existence: Existence = field(default_factory=Existence)
 
-    def order(self, state: LandmarkParticles, sightings: Sightings, poses: FloatArray) -> IntArray:
+    def order(self, state: LandmarkParticles, observations: LandmarkObservations, poses: FloatArray) -> IntArray:
         """Order (K,) in which sightings find their landmarks: the surest first, as the best particle sees them.
 
         So one of two landmarks side by side is not taken for the other if that is seen, too.
         """
-        if self.association.told or len(sightings) < 2:
-            return np.arange(len(sightings))
+        if self.association.uses_signatures or len(observations) < 2:
+            return np.arange(len(observations))
         best = state.best
         known = state.exists[best]
         predicted, _, H_m = self.sensor.linearize(poses[best], state.positions[best, known])
-        L = projected(H_m, state.covariances[best, known]) + self.sensor.noise(sightings)[:, None]
-        squared, log_dets = mahalanobis(self.sensor.residual(sightings.values[:, None], predicted), L)
+        L = projected(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
+        squared, log_dets = mahalanobis(self.sensor.residual(observations.values[:, None], predicted), L)
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
 
     def correspond(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
-        taken: IntArray, rng: np.random.Generator,
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: PoseAndRaft | None, taken: IntArray, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Find the landmark of sighting k in each particle.
 
@@ -113,35 +113,39 @@ class LandmarkFilters:
         seen : Innovation
             What the particles predict that know a landmark.
         """
-        strange = log_density(self.association.strange, np.log(np.linalg.det(self.sensor.noise(sightings)[k])))
+        outlier_log_p = log_density(
+            self.association.outlier_distance, np.log(np.linalg.det(self.sensor.noise(observations)[k]))
+        )
         if isinstance(self.association, MaximumLikelihood):
-            return self._drawn(state, sightings, k, poses, belief, taken, self.association, float(strange), rng)
-        column = state.column(int(signatures(sightings)[k]))
+            return self._drawn(
+                state, observations, k, poses, belief, taken, self.association, float(outlier_log_p), rng
+            )
+        column = state.column(int(signatures(observations)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
-        seen = self._predicted(state, rows, np.full(len(rows), column), poses, belief, sightings, k)
+        seen = self._predicted(state, rows, np.full(len(rows), column), poses, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
-        believed = squared <= self.association.believed
-        columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(strange))
+        believed = squared <= self.association.gate
+        columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(outlier_log_p))
         columns[rows] = np.where(believed, column, AMBIGUOUS)
-        likelihood[rows] = log_density(np.minimum(squared, self.association.believed), log_dets)
+        likelihood[rows] = log_density(np.minimum(squared, self.association.gate), log_dets)
         return columns, likelihood, seen.of(believed)
 
     def innovation(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        spread: FloatArray | None, sightings: Sightings, k: int,
+        spread: FloatArray | None, observations: LandmarkObservations, k: int,
     ) -> Innovation:  # fmt: skip
         """Predict sighting k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
         predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
-        L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(sightings)[k]
+        L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
         if spread is not None:
             L += projected(H_x, spread)
-        return Innovation(rows, columns, self.sensor.residual(sightings.values[k], predicted), L, H_x, H_m)
+        return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
 
-    def outweighs(self, poses: FloatArray, spread: FloatArray, sightings: Sightings) -> NDArray[np.bool_]:
+    def outweighs(self, poses: FloatArray, spread: FloatArray, observations: LandmarkObservations) -> NDArray[np.bool_]:
         """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than what the sightings tell."""
-        _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, sightings.values[0]))
+        _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, observations.values[0]))
         of_pose = projected(H_x, np.ascontiguousarray(spread[:, :3, :3]))
-        ratio = np.linalg.inv(self.sensor.noise(sightings)[0]) @ of_pose
+        ratio = np.linalg.inv(self.sensor.noise(observations)[0]) @ of_pose
         return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
@@ -159,7 +163,9 @@ class LandmarkFilters:
             by_pose = seen.by_pose @ state.pose_by_bias[seen.rows]
             state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
 
-    def add(self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, sightings: Sightings, k: int) -> None:
+    def add(
+        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, observations: LandmarkObservations, k: int
+    ) -> None:
         """Put a landmark where sighting k is for particles whose columns (N,) say `NEW`, and write its column there.
 
         Source: Probabilistic Robotics, Tables 13.1 and 13.2: mean h^-1(z, x), covariance H^-1 Q H^-1'.
@@ -167,15 +173,15 @@ class LandmarkFilters:
         rows = np.flatnonzero(columns == NEW)
         if not len(rows):
             return
-        name = int(signatures(sightings)[k]) if self.association.told else None
+        name = int(signatures(observations)[k]) if self.association.uses_signatures else None
         columns[rows] = state.new_columns(rows, name)
         of = rows, columns[rows]
-        state.positions[of] = self.sensor.locate(poses[rows], sightings.values[k])
+        state.positions[of] = self.sensor.locate(poses[rows], observations.values[k])
         _, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[of])
         root = inverse_2x2(H_m)
         state.positions_by_bias[of] = -root @ H_x @ state.pose_by_bias[rows]
-        state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(sightings)[k], root.shape))
-        state.evidence[of], state.sightings[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
+        state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape))
+        state.evidence[of], state.observations[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
         """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
@@ -184,8 +190,8 @@ class LandmarkFilters:
         """
         rows, k = np.nonzero(columns >= 0)
         of = rows, columns[rows, k]
-        state.sightings[of] += 1
-        if self.association.told:
+        state.observations[of] += 1
+        if self.association.uses_signatures:
             state.evidence[of], state.firm[of] = math.inf, True
         elif columns.shape[1]:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
@@ -196,41 +202,42 @@ class LandmarkFilters:
 
     def _predicted(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        belief: PoseAndRaft | None, sightings: Sightings, k: int,
+        belief: PoseAndRaft | None, observations: LandmarkObservations, k: int,
     ) -> Innovation:  # fmt: skip
         spread = None if belief is None else belief.spread(rows, columns)
-        return self.innovation(state, rows, columns, poses, spread, sightings, k)
+        return self.innovation(state, rows, columns, poses, spread, observations, k)
 
     def _drawn(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
-        taken: IntArray, within: MaximumLikelihood, strange: float, rng: np.random.Generator,
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: PoseAndRaft | None, taken: IntArray, within: MaximumLikelihood, outlier_log_p: float,
+        rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
-        rows, columns = np.nonzero(self._near(state, sightings, k, poses, belief, within.other))
-        seen = self._predicted(state, rows, columns, poses, belief, sightings, k)
+        rows, columns = np.nonzero(self._near(state, observations, k, poses, belief, within.new_gate))
+        seen = self._predicted(state, rows, columns, poses, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         free = (taken[rows] != columns[:, None]).all(axis=1)
         near = np.zeros(len(state), np.bool_)
-        near[rows[free & (squared <= within.other)]] = True
+        near[rows[free & (squared <= within.new_gate)]] = True
         log_p = np.full((len(state), 1 + len(state.names)), -math.inf)
-        log_p[:, 0] = strange
+        log_p[:, 0] = outlier_log_p
         log_p[rows[free], 1 + columns[free]] = log_density(squared[free], log_dets[free])
         likelihood, possible = np.logaddexp.reduce(log_p, axis=1), log_p > -math.inf
         log_p[possible] += rng.gumbel(size=int(possible.sum()))  # the greatest is then a draw
         drawn = log_p.argmax(axis=1) - 1  # NEW is -1
         drawn[(drawn == NEW) & near] = AMBIGUOUS
         chosen = drawn[rows] == columns
-        drawn[rows[chosen & (squared > within.same)]] = AMBIGUOUS
-        return drawn, likelihood, seen.of(chosen & (squared <= within.same))
+        drawn[rows[chosen & (squared > within.match_gate)]] = AMBIGUOUS
+        return drawn, likelihood, seen.of(chosen & (squared <= within.match_gate))
 
     def _near(
-        self, state: LandmarkParticles, sightings: Sightings, k: int, poses: FloatArray, belief: PoseAndRaft | None,
-        distance: float,
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: PoseAndRaft | None, distance: float,
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
-        at = self.sensor.locate(poses, sightings.values[k])
+        at = self.sensor.locate(poses, observations.values[k])
         _, H_x, H_m = self.sensor.linearize(poses, at)
-        L = self.sensor.noise(sightings)[k] + (0.0 if belief is None else projected(H_x, belief.reach()))
+        L = self.sensor.noise(observations)[k] + (0.0 if belief is None else projected(H_x, belief.reach()))
         reach = np.trace(projected(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))

@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.geometry.se2 import compose, compose_jacobians, inverse
 from gridslam.models.association import signatures
 from gridslam.models.landmark import LandmarkModel
-from gridslam.models.sightings import LandmarkStep
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.small_gaussians import inverse_2x2
 from gridslam.types import FloatArray, IntArray, MotionModel
@@ -65,10 +65,10 @@ class LandmarkGraph:
             (increment,), (spread,) = step.motion(motion).moments(np.zeros((1, 3)))
             increments.append(increment)
             spreads.append(spread)
-            if len(step.sightings):
+            if len(step.observations):
                 seen, uncertain = _points(step, sensor)
                 at += [t] * len(seen)
-                told += signatures(step.sightings).tolist()
+                told += signatures(step.observations).tolist()
                 points += list(seen)
                 covariances += list(uncertain)
         names = list(dict.fromkeys(told))
@@ -120,9 +120,9 @@ class LandmarkGraph:
 def _points(step: LandmarkStep, sensor: LandmarkModel) -> tuple[FloatArray, FloatArray]:
     """Sightings as positions (K, 2) in the robot's frame, and their covariances (K, 2, 2)."""
     here = np.zeros(3)
-    points = sensor.locate(here, step.sightings.values)
+    points = sensor.locate(here, step.observations.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])
-    return points, root @ sensor.noise(step.sightings) @ root.swapaxes(1, 2)
+    return points, root @ sensor.noise(step.observations) @ root.swapaxes(1, 2)
 
 
 def _at_the_end(covariances: FloatArray, increments: FloatArray) -> FloatArray:

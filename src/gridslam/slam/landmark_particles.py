@@ -57,7 +57,7 @@ class LandmarkParticles:
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
     firm : (N, M) bool
         Which of them are held for real.
-    sightings : (N, M) int64
+    observations : (N, M) int64
         How often each was seen.
     rafts, drift, aboard, launched : (N, 3), (N, 3, 3) float64, (N,) bool, (N,) int64
         Where each particle's raft lies, map frame, the covariance of that, whether the robot is on it, and the step
@@ -81,7 +81,7 @@ class LandmarkParticles:
     positions_by_bias: FloatArray
     evidence: FloatArray
     firm: NDArray[np.bool_]
-    sightings: IntArray
+    observations: IntArray
     rafts: FloatArray
     drift: FloatArray
     aboard: NDArray[np.bool_]
@@ -138,14 +138,14 @@ class LandmarkParticles:
         spread = self._landmark_covariances()
         if (self.names < 0).all():
             best, kept = self.best, np.flatnonzero(self.firm[self.best])
-            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.sightings)))
+            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
         kept = np.flatnonzero(self.names >= 0)
         weights, positions = np.exp(self.log_weights), self.positions[:, kept]
         means = np.einsum("n,nmi->mi", weights, positions)
         apart = positions - means
         covariances = np.einsum("n,nmij->mij", weights, spread[:, kept])
         covariances += np.einsum("n,nmi,nmj->mij", weights, apart, apart)
-        return LandmarkMap(self.names[kept], means, covariances, self.sightings[self.best, kept])
+        return LandmarkMap(self.names[kept], means, covariances, self.observations[self.best, kept])
 
     def column(self, name: int) -> int:
         """Return the column of the landmark with a signature, `NEW` where it has none."""
@@ -263,8 +263,8 @@ class LandmarkParticles:
 
 # What there is of each landmark of each particle, and what stands there where there is none.
 _OF_LANDMARKS = {
-    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0,
-    "adrift": False,
+    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False,
+    "observations": 0, "adrift": False,
 }  # fmt: skip
 _OF_POSES = "known", "spread", "pose_by_bias", "bias_before", "log_ancestry", "rafts", "drift", "aboard", "launched"
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS

@@ -112,7 +112,7 @@ def test_landmarks_are_shown_with_the_way(tmp_path):
     found = LandmarkMap(np.arange(10), landmarks, spread, np.ones(10, np.int64))
     trajectory = Trajectory(np.arange(50) * 10**9, truth)
     write_trajectory_csv(tmp_path / "trajectory.csv", trajectory, covariances)
-    (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.landmarks/1", "input": {"path": "a/park.txt"}}))
+    (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.landmarks/2", "input": {"path": "a/park.txt"}}))
     viewer, onlooker = looking(Replay(tmp_path))  # of landmarks that were known none are written
     assert onlooker.hello["shows"] == ["path"]
     write_landmarks(tmp_path / "landmarks.csv", found)

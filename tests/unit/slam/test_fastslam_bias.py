@@ -9,9 +9,9 @@ from landmark_world import INCREMENT, drive, ring
 from gridslam.geometry.se2 import between, compose
 from gridslam.models.association import MaximumLikelihood
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.odometry_bias import OdometryBias
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.particles.policies import Never
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam2 import FastSlam2
@@ -34,8 +34,8 @@ def test_one_particle_whose_odometry_has_no_noise_is_ekf_slam():
     rng, state, other = np.random.default_rng(1), slam.init(1), ekf.init()
     told = GaussianIncrement.around(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
     for step in steps:
-        state, report = slam.step(state, told, step.sightings, rng)
-        other, expected = ekf.step(other, told, step.sightings)
+        state, report = slam.step(state, told, step.observations, rng)
+        other, expected = ekf.step(other, told, step.observations)
         # The two linearize about means that are a part of a deviation apart: what bends within that, a thousandth.
         sigma = np.sqrt(np.trace(expected.covariance[:2, :2]))
         assert np.hypot(*(report.pose - expected.pose)[:2]) < 0.01 * sigma + 1e-12
@@ -71,8 +71,8 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
         pose = compose(pose, [way, 0.0, 0.03 * way + seen.normal(0, 0.02)])
         z = [sensor.linearize(pose, np.array(true[name]))[0] + seen.normal(0, 0.1, 2) for name in names]
         told = GaussianIncrement.around(np.array([way, 0.0, 0.0]), np.array([0.02, 0.02, 0.02]))
-        state, report = slam.step(state, told, Sightings.of(z, names), rng)
-        other, expected = ekf.step(other, told, Sightings.of(z, names))
+        state, report = slam.step(state, told, LandmarkObservations.of(z, names), rng)
+        other, expected = ekf.step(other, told, LandmarkObservations.of(z, names))
     found, theirs = slam.landmark_map(state), ekf.landmark_map(other)
     # Means err by sigma / sqrt(N_eff) <= 0.03 sigma, five times that; variances by sqrt(2 / N_eff) = 5 %, and as much
     # by what a heading of 0.15 rad bends.
@@ -108,13 +108,13 @@ def test_a_path_is_told_from_what_the_errors_turned_out_to_be():
     """What was driven before anything told of them, and what was never seen, is turned by what is learned at last."""
     slam, rng = FastSlam2(LandmarkFilters(RelativePosition(sigma_x_m=0.01, sigma_y_m=0.01)), bias=BIAS), _seed()
     told, state = NO_NOISE(np.array([1.0, 0.0, 0.0])), slam.init(3)
-    state, _ = slam.step(state, told, Sightings.of([[2.0, 1.0]], [1]), rng)
+    state, _ = slam.step(state, told, LandmarkObservations.of([[2.0, 1.0]], [1]), rng)
     for _ in range(3):
-        state, _ = slam.step(state, told, NOTHING_SEEN, rng)
+        state, _ = slam.step(state, told, NO_OBSERVATIONS, rng)
     turned = compose(compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]), compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]))
     landmark = compose([1.0, 0.0, 0.001], [2.0, 1.0, 0.0])
     z = between(compose(turned, [1.0, 0.0, 0.001]), landmark)[:2]
-    state, _ = slam.step(state, told, Sightings.of([z], [1]), rng)
+    state, _ = slam.step(state, told, LandmarkObservations.of([z], [1]), rng)
     way = path(state, 0, [told] * 5, BIAS)
     learned = state.known[0, 3]
     assert 0.0 < learned < 0.001
@@ -133,7 +133,7 @@ def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go(
     slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.around(INCREMENT, np.zeros(3))
     state = slam.init(20)
     for t, step in enumerate(steps):
-        state, _ = slam.step(state, told, step.sightings if t % 5 == 0 else NOTHING_SEEN, rng)
+        state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)
     way = path(state, state.best, [told] * len(steps), bias)
     turned = between(way[:-1], way[1:]) - INCREMENT
     assert np.ptp(turned[:, 2]) > 1e-4
@@ -148,7 +148,7 @@ def test_correspondences_are_sought_as_far_as_the_errors_reach():
     state = slam.init(10)
     for step in steps:
         told = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.01)(step.increment)
-        state, _ = slam.step(state, told, step.sightings.anonymous(), rng)
+        state, _ = slam.step(state, told, step.observations.drop_correspondences(), rng)
     belief = PoseAndRaft.of(state, state.known.copy(), state.spread.copy())
     rows, columns = np.nonzero(state.exists)
     seen = np.trace(belief.spread(rows, columns)[:, :2, :2], axis1=1, axis2=2)

@@ -7,8 +7,8 @@ import pytest
 
 from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RelativePosition
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import Never
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
@@ -26,8 +26,8 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     sensor = RelativePosition(sigma_x_m=0.2, sigma_y_m=0.2)
     slam = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood()), when_to_resample=Never())
     rng, count = np.random.default_rng(16), 4000
-    state, _ = slam.step(slam.init(count), STILL, Sightings.of([[3.0, 0.6], [3.0, -0.6]]), rng)
-    seen, nothing = Sightings.of([[3.0, 0.1]]), np.full((count, 1), NEW)
+    state, _ = slam.step(slam.init(count), STILL, LandmarkObservations.of([[3.0, 0.6], [3.0, -0.6]]), rng)
+    seen, nothing = LandmarkObservations.of([[3.0, 0.1]]), np.full((count, 1), NEW)
     columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, state.poses, None, nothing, rng)
     near, far = np.exp(-0.5 * np.array([0.5, 0.7]) ** 2 / 0.08) / (2 * np.pi * 0.08)  # S = 0.04 + 0.04 m^2
     new = np.exp(-0.5 * 25) / (2 * np.pi * 0.04)
@@ -42,6 +42,6 @@ def test_neighbours_are_found_the_surest_first():
     for kind in (FastSlam1, FastSlam2):
         for seen in ([[3.0, 0.0], [3.0, 0.18]], [[3.0, 0.18], [3.0, 0.0]]):
             slam, rng = kind(LandmarkFilters(sensor, MaximumLikelihood(), ALL_AROUND)), np.random.default_rng(17)
-            state, _ = slam.step(slam.init(5), STILL, Sightings.of([[3.0, 0.0]]), rng)
-            state, _ = slam.step(state, STILL, Sightings.of(seen), rng)
+            state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)
+            state, _ = slam.step(state, STILL, LandmarkObservations.of(seen), rng)
             assert np.allclose(np.sort(state.positions[:, :2, 1], axis=1), [0.0, 0.18], atol=1e-6)

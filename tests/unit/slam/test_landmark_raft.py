@@ -7,8 +7,8 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.particles.policies import Never
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
@@ -37,9 +37,9 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     """The spell alone is uncertain, and all is linear: a particle has what EKF SLAM has, covariances too."""
     slam, ekf = FastSlam2(LandmarkFilters(SENSOR)), EkfSlam(SENSOR)
     steps = [
-        (STILL, Sightings.of([[1.0, 1.0]], [1])),
-        (BLIND, Sightings.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
-        (GaussianIncrement.around(BACK, np.zeros(3)), Sightings.of([[1.4, 0.8]], [1])),
+        (STILL, LandmarkObservations.of([[1.0, 1.0]], [1])),
+        (BLIND, LandmarkObservations.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
+        (GaussianIncrement.around(BACK, np.zeros(3)), LandmarkObservations.of([[1.4, 0.8]], [1])),
     ]
     state, report, other, expected = along([(slam, 3), ekf], steps[:2])
     assert state.aboard.all()
@@ -69,7 +69,7 @@ def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_
         std = np.array([0.5, 0.3, 0.0]) if increment.any() else noise * bool(steps)
         pose = pose + increment[:2] + std[:2] * rng.standard_normal(2)
         seen = [true[name] - pose + rng.normal(0, 0.1, 2) for name in names]
-        steps.append((GaussianIncrement.around(increment, std), Sightings.of(seen, names)))
+        steps.append((GaussianIncrement.around(increment, std), LandmarkObservations.of(seen, names)))
     state, report, other, expected = along([(slam, 20_000), ekf], steps)
     assert state.drift.any()
     ours, theirs = slam.landmark_map(state), ekf.landmark_map(other)
@@ -85,15 +85,15 @@ def test_a_raft_turns_with_all_that_is_on_it():
     """The landmarks on it stay as far from each other and from the robot aboard, however it is turned."""
     sensor = RangeBearing(sigma_range_m=0.05, sigma_bearing_rad=0.01)
     slam, rng = FastSlam2(LandmarkFilters(sensor)), np.random.default_rng(1)
-    state, _ = slam.step(slam.init(4), STILL, Sightings.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
+    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
     blind = GaussianIncrement.around(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
-    state, _ = slam.step(state, blind, Sightings.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
+    state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
     points, before = state.positions.copy(), between(state.rafts, state.poses)
     belief = PoseAndRaft.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
     rows = np.arange(4)
     columns = np.full(4, state.column(1))
     seen = slam.landmarks.innovation(
-        state, rows, columns, belief.mean, belief.spread(rows, columns), Sightings.of([[4.2, -0.1]]), 0
+        state, rows, columns, belief.mean, belief.spread(rows, columns), LandmarkObservations.of([[4.2, -0.1]]), 0
     )
     rafts = state.rafts.copy()
     belief.correct(seen)
@@ -109,15 +109,15 @@ def test_a_raft_turns_with_all_that_is_on_it():
 
 def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(2)
-    state, _ = slam.step(slam.init(5), STILL, Sightings.of([[1.0, 0.0]], [1]), rng)
+    state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
     for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
         wide = GaussianIncrement.around(AWAY, np.array([width, width, 0.1 * width]))
-        state, _ = slam.step(state, wide, Sightings.of([[1.0, 0.0]], [number]), rng)
+        state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [number]), rng)
         assert (state.launched == 2).all()
         assert state.adrift[:, state.column(number)].all()
     poses = state.poses.copy()
     wide = GaussianIncrement.around(AWAY, np.array([2.0, 2.0, 0.5]))
-    state, _ = slam.step(state, wide, Sightings.of([[1.0, 0.0]], [4]), rng)
+    state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [4]), rng)
     assert (state.launched == 4).all()
     assert state.adrift.sum(axis=1).tolist() == [1] * 5
     assert np.std(state.poses[:, 0]) > np.std(poses[:, 0])  # where the first raft lay was drawn at last
@@ -128,8 +128,12 @@ def test_what_was_not_drawn_is_told_from_both_ends():
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(4)
     wide = GaussianIncrement.around(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
     motions = [STILL, wide, wide, wide]
-    state, _ = slam.step(slam.init(1), STILL, Sightings.of([[5.0, 0.0]], [1]), rng)
-    for motion, seen in ((wide, NOTHING_SEEN), (wide, Sightings.of([[2.4, 0.6]], [1])), (wide, NOTHING_SEEN)):
+    state, _ = slam.step(slam.init(1), STILL, LandmarkObservations.of([[5.0, 0.0]], [1]), rng)
+    for motion, seen in (
+        (wide, NO_OBSERVATIONS),
+        (wide, LandmarkObservations.of([[2.4, 0.6]], [1])),
+        (wide, NO_OBSERVATIONS),
+    ):
         state, _ = slam.step(state, motion, seen, rng)
     way, told = path(state, 0, motions), state.ancestry.trajectory(0)[:, :3]
     np.testing.assert_allclose(way[[0, 1, 3]], told[[0, 1, 3]])
@@ -141,14 +145,14 @@ def test_fastslam1_draws_every_pose():
     slam, rng = FastSlam1(LandmarkFilters(SENSOR)), np.random.default_rng(5)
     state = slam.init(4)
     for _ in range(3):
-        state, _ = slam.step(state, BLIND, NOTHING_SEEN, rng)
+        state, _ = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
     np.testing.assert_array_equal(path(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
 
 
 @pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
 def test_without_uncertainty_there_is_no_raft(kind):
     slam, rng = kind(LandmarkFilters(SENSOR)), np.random.default_rng(6)
-    state, _ = slam.step(slam.init(4), STILL, Sightings.of([[1.0, 0.0]], [1]), rng)
-    state, _ = slam.step(state, BLIND, Sightings.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
+    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
+    state, _ = slam.step(state, BLIND, LandmarkObservations.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
     assert not state.drift.any()
     assert not state.adrift.any()
