@@ -66,7 +66,7 @@ class LandmarkResult:
     method : str
     stamps_ns : (T,) int64, ns
         Of the steps.
-    estimate : Estimate
+    estimate : LandmarkEstimate
     unknown : bool
         Whether the correspondences were to be found.
     particles : int or None

@@ -13,7 +13,7 @@ import numpy as np
 
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl
 from gridslam.api.localization import localize
-from gridslam.api.localization_parameters import override_parts
+from gridslam.api.localization_parameters import override_configuration
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
@@ -26,7 +26,7 @@ from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.map_server import read_map
 from gridslam.live.options import LiveOptions
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray
@@ -60,7 +60,7 @@ def localize_to_folder(
     read = _parameters(preset, assignments, particles)
     pose = read.pose if initial_pose is None else np.array(initial_pose)
     source = checked(open_log(log, options), options)
-    name, range_max_m, known = source.path.name, read.parts.range_max_m, None
+    name, range_max_m, known = source.path.name, read.configuration.range_max_m, None
     if live is not None or rerun is not None:
         known = read_map(map_path, strict_thresholds=strict_thresholds)
     with ExitStack() as onlookers:
@@ -105,19 +105,19 @@ def _shown(
 
         with named(pose="--initial-pose"):
             return localize(
-                source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
-                strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers], stopwatch=watch,
-                gate=lambda source: watched(source, page, recording, watch),
+                source, map_path, pose=pose, covariance=read.covariance, seed=seed, configuration=read.configuration,
+                threads=threads, strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers],
+                stopwatch=watch, gate=lambda source: watched(source, page, recording, watch),
             )  # fmt: skip
 
 
 def _parameters(preset: str, assignments: Sequence[str], particles: int | None) -> AmclParameters:
     """The preset, then single parameters; --particles holds whatever these say."""
-    parts = MonteCarloParts() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).parts
+    configuration = MonteCarloConfiguration() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).configuration
     most = [] if particles is None else [f"kld.particles_max={particles}"]
-    if particles is not None and particles < parts.kld.particles_min:
+    if particles is not None and particles < configuration.kld.particles_min:
         most.append(f"kld.particles_min={particles}")
-    return override_parts(parts, [*assignments, *most])
+    return override_configuration(configuration, [*assignments, *most])
 
 
 def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
@@ -129,7 +129,7 @@ def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | N
     )
     yield (
         f"localized in {seconds:.1f} s: {scans['used']} updates of {filter_['particles_mean']:.0f} particles "
-        f"on average, {filter_['agreement_mean']:.0%} of the beams agree with the map"
+        f"on average, {filter_['inlier_ratio_mean']:.0%} of the beams agree with the map"
     )
     yield from _found(result)
     x, y, theta = result.reports[-1].pose.tolist()
@@ -141,15 +141,15 @@ def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | N
 
 def _found(result: LocalizationResult) -> Iterator[str]:
     """Where the robot was found and lost."""
-    begin, stretches = int(result.stamps_ns[0]), result.stretches()
-    for k, stretch in enumerate(stretches[:_TOLD]):
-        after = 1e-9 * (int(result.stamps_ns[stretch.first]) - begin)
-        if stretch.lost:
+    begin, intervals = int(result.stamps_ns[0]), result.intervals()
+    for k, interval in enumerate(intervals[:_TOLD]):
+        after = 1e-9 * (int(result.stamps_ns[interval.first]) - begin)
+        if interval.lost:
             yield f"lost from {after:.1f} s on" if k else "lost at first: poses until it is found are guesses"
         elif k or result.pose is None:
-            yield f"found after {stretch.driven_m:.1f} m ({after:.1f} s)"
-    if len(stretches) > _TOLD:
-        yield f"and so on, {len(stretches)} stretches in all: run.json has them"
+            yield f"found after {interval.driven_m:.1f} m ({after:.1f} s)"
+    if len(intervals) > _TOLD:
+        yield f"and so on, {len(intervals)} stretches in all: run.json has them"
 
 
 _TOLD = 8

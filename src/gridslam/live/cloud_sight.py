@@ -79,4 +79,4 @@ class _CloudView:
 
     def facts(self) -> dict[str, Any]:
         report = self.report
-        return {"particles": report.particles, "doubt": report.lost_probability, "agreement": report.agreement}
+        return {"particles": report.particles, "doubt": report.lost_probability, "agreement": report.inlier_ratio}

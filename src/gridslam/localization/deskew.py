@@ -11,12 +11,12 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["Deskew"]
+__all__ = ["LocalizationDeskew"]
 
 
 @final
 @parameters(frozen=True, config=STRICT)
-class Deskew:
+class LocalizationDeskew:
     """Deskews a scan by the times of its beams, in the order by which it fits the map.
 
     Drivers exist that tell these times in the wrong order, as their lidar turns the other way, or tell times that mean

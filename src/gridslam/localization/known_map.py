@@ -22,9 +22,9 @@ from gridslam.models.endpoint import CauchyAgreement
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
 
-__all__ = ["KnownMap", "PoseWeigher"]
+__all__ = ["KnownMap", "PoseLikelihood"]
 
-PoseWeigher = Callable[[FloatArray], FloatArray]
+PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
 _OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
@@ -111,7 +111,7 @@ class KnownMap:
         spread[2, 2] = math.pi**2 / 3
         return spread
 
-    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def sample_poses(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Poses (count, 3), uniform over free cells and headings."""
         cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
         poses = rng.random((count, 3))
@@ -119,11 +119,11 @@ class KnownMap:
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
-    def blurred_m(self, sigma_m: float) -> float:
+    def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""
         return math.hypot(sigma_m, self.resolution_m / math.sqrt(12))
 
-    def weigher(self, sensor: SensorModel, beams: Beams) -> PoseWeigher:
+    def condition(self, sensor: SensorModel, beams: Beams) -> PoseLikelihood:
         """Condition a measurement model on this map and one scan.
 
         What a likelihood field or an agreement says of an end depends on its distance alone, so it is tabulated for all
@@ -132,8 +132,8 @@ class KnownMap:
         if isinstance(sensor, LikelihoodField | CauchyAgreement):
             table, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
             return lambda poses: table.sums(poses, ends, self.threads)
-        weigh = sensor(beams)
-        return lambda poses: weigh(self, np.zeros(len(poses), np.int32), poses)
+        log_likelihood = sensor(beams)
+        return lambda poses: log_likelihood(self, np.zeros(len(poses), np.int32), poses)
 
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
@@ -178,7 +178,7 @@ class KnownMap:
         if sensor not in self._tabulated:
             blurred = sensor
             if isinstance(sensor, LikelihoodField):
-                blurred = replace(sensor, sigma_hit_m=self.blurred_m(sensor.sigma_hit_m))
+                blurred = replace(sensor, sigma_hit_m=self.blurred_sigma_m(sensor.sigma_hit_m))
             field = sensor.tempering * blurred.log_likelihoods(self._distances)
             self._tabulated[sensor] = FieldTable.of(field, self._corner, self.resolution_m)
         return self._tabulated[sensor]

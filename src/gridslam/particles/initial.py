@@ -10,10 +10,10 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["at_pose", "spread"]
+__all__ = ["repeat_pose", "sample_gaussian"]
 
 
-def at_pose(count: int, pose: ArrayLike) -> FloatArray:
+def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
 
     Parameters
@@ -42,7 +42,7 @@ def at_pose(count: int, pose: ArrayLike) -> FloatArray:
     return np.tile(mean, (count, 1))
 
 
-def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
+def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
 
     Parameters
@@ -66,7 +66,7 @@ def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Ge
         If an argument is anything else.
     """
     require_generator(rng)
-    poses, matrix = at_pose(count, pose), frozen(covariance, np.float64, (3, 3), "covariance")
+    poses, matrix = repeat_pose(count, pose), frozen(covariance, np.float64, (3, 3), "covariance")
     if not np.isfinite(matrix).all():
         raise ArgumentError("covariance", "a finite (3, 3) matrix", matrix.tolist())
     rounding = 1e-12 * np.abs(matrix).max()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
-from gridslam.particles.initial import at_pose
+from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmark_report import LandmarkMap
 from gridslam.types import FloatArray, IntArray
 
@@ -54,7 +54,7 @@ class EkfSlamState:
         """
         nothing, size = np.empty(0, np.int64), 3 + len(bias)
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        mean[:3], covariance[3:, 3:] = at_pose(1, pose)[0], bias
+        mean[:3], covariance[3:, 3:] = repeat_pose(1, pose)[0], bias
         return cls(mean, covariance, nothing, np.empty(0), nothing, biases=len(bias))
 
     @property

@@ -21,7 +21,7 @@ from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.endpoint import CauchyAgreement
 from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import at_pose
+from gridslam.particles.initial import repeat_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
@@ -123,8 +123,8 @@ class GridFastSlam:
         scan : LaserScan
             One without a usable beam is fine.
         particles : int or (N, 3) float64, optional
-            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`); as many as
-            the filter's own `particles` if not given.
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.sample_gaussian`); as
+            many as the filter's own `particles` if not given.
         pose : (3,) float64
             Where they start, map frame [x m, y m, theta rad].
 
@@ -135,7 +135,7 @@ class GridFastSlam:
         """
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
-        poses = at_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
+        poses = repeat_pose(int(particles), pose) if isinstance(particles, int | np.integer) else _given(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = scan.beams(self.range_min_m, self.range_max_m)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)

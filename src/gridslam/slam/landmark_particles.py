@@ -12,7 +12,7 @@ from gridslam.errors import ConsumedStateError
 from gridslam.geometry.se2 import weighted_covariance
 from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import at_pose
+from gridslam.particles.initial import repeat_pose
 from gridslam.particles.weights import effective_sample_size, normalize
 from gridslam.slam.landmark_raft import lever
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
@@ -96,7 +96,7 @@ class LandmarkParticles:
 
         Raises ArgumentError where there is no particle, or no such pose.
         """
-        poses, errors = at_pose(particles, pose), len(bias)
+        poses, errors = repeat_pose(particles, pose), len(bias)
         known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
         known[:, :3], spread[:, 3:, 3:] = poses, bias
         return cls(

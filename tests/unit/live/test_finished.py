@@ -64,7 +64,7 @@ def test_a_localization_is_shown_at_each_scan(place):
         np.testing.assert_allclose(status["covariance"], report.covariance, rtol=1e-6, atol=1e-12)
         assert (status["lost"], status["particles"]) == (report.lost, report.particles)
         assert status["doubt"] == pytest.approx(report.lost_probability, abs=1e-5)
-        assert status["agreement"] == pytest.approx(report.agreement, abs=1e-4)
+        assert status["agreement"] == pytest.approx(report.inlier_ratio, abs=1e-4)
         assert (status["scans"], len(onlooker.path)) == (at + 1, at + 1)
         np.testing.assert_array_equal(np.isnan(onlooker.path[:, 0]), result.lost[: at + 1])
 

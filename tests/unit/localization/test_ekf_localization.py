@@ -21,14 +21,14 @@ from gridslam.models.velocity import VelocityMotion
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 RING = KnownLandmarks.of(np.arange(100, 112), ring(12))
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 SOME = np.array([[0.04, 0.01, 0.005], [0.01, 0.09, -0.01], [0.005, -0.01, 0.02]])
 
 
 def test_it_is_the_kalman_filter_where_all_is_linear():
     """A robot that cannot turn, and sees positions: textbook equations over [x, y], sighting by sighting."""
     rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
-    motion = GaussianIncrement.around(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
+    motion = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
     places = np.array([[3.0, 1.0], [2.0, -2.0]])
     ekf = EkfLocalization(KnownLandmarks.of([7, 8], places), RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
     mean, P, likelihood = np.array([0.2, -0.1]), np.diag([0.3, 0.2]), 0.0

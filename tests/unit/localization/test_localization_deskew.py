@@ -9,8 +9,8 @@ import pytest
 from localization_world import flat, flat_map
 
 from gridslam.geometry.angles import wrap
-from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
-from gridslam.localization.deskew import Deskew
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.types import Beams, LaserScan, ScanGeometry
 
@@ -38,7 +38,7 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
         def share(one: Beams) -> float:
             return 0.6 + gains[next(k for k, known in ends.items() if np.array_equal(one.ends, known))]
 
-        return Deskew()(beams, np.array([0, 0, turn_rps]), share).ends
+        return LocalizationDeskew()(beams, np.array([0, 0, turn_rps]), share).ends
 
     for gains, order in (
         ({1: 0, 0: 0, -1: 0}, 1), ({1: 0, 0: 0.04, -1: 0.04}, 1), ({1: 0, 0: 0.1, -1: 0.2}, -1),
@@ -51,8 +51,8 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
 
 def heading_rmse(known, log, order, deskew):
     """Of the pose that is told, in rad, where the driver tells `order` times the times of beams."""
-    mcl, rng = MonteCarloLocalization(known, MonteCarloParts(deskew=deskew)), np.random.default_rng(0)
-    state, off = mcl.around(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
+    mcl, rng = MonteCarloLocalization(known, MonteCarloConfiguration(deskew=deskew)), np.random.default_rng(0)
+    state, off = mcl.init_gaussian(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
     for (odometry, scan), truth in zip(log.measurements, log.truth.poses, strict=True):
         told = replace(scan, beam_times_s=order * scan.beam_times_s)
         state, report = mcl.step(state, odometry, told, rng)
@@ -62,7 +62,7 @@ def heading_rmse(known, log, order, deskew):
 
 def test_times_that_a_driver_tells_backward_do_not_turn_the_pose(known, log):
     """At 1 rad/s a scan of 0.15 s is bent by 0.15 rad, and by as much again where it is straightened the wrong way."""
-    believing = Deskew(margin=1.0)
+    believing = LocalizationDeskew(margin=1.0)
     assert heading_rmse(known, log, -1.0, believing) > 0.05
-    assert heading_rmse(known, log, -1.0, Deskew()) < 0.02
-    assert heading_rmse(known, log, 1.0, Deskew()) < 1.1 * heading_rmse(known, log, 1.0, believing)
+    assert heading_rmse(known, log, -1.0, LocalizationDeskew()) < 0.02
+    assert heading_rmse(known, log, 1.0, LocalizationDeskew()) < 1.1 * heading_rmse(known, log, 1.0, believing)

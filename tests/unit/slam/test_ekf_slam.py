@@ -18,7 +18,7 @@ SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 ALL_AROUND = Existence(
     detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
-EXACT = GaussianIncrement.around(INCREMENT, np.zeros(3))
+EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
 
 
 def run(slam, steps, motion=MOTION, known=True):
@@ -33,7 +33,7 @@ def run(slam, steps, motion=MOTION, known=True):
 def test_it_is_the_kalman_filter_where_all_is_linear():
     """A robot that cannot turn, and sees positions: textbook equations over [x, y, m_1, m_2], sighting by sighting."""
     rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
-    motion = GaussianIncrement.around(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
+    motion = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
     slam = EkfSlam(RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
     state = slam.init()
     big = 1e9  # a landmark of which nothing is known, which is what the first sighting of one means
@@ -100,13 +100,13 @@ def test_all_at_once_is_one_after_the_other_where_noise_is_small():
     state = slam.init()
     exact = sensor.linearize(np.zeros(3), landmarks)[0]
     state, _ = slam.step(
-        state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), LandmarkObservations.of(exact, range(4))
+        state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of(exact, range(4))
     )
-    motion = GaussianIncrement.around(np.zeros(3), np.full(3, 1e-4))
+    motion = GaussianIncrement.from_std(np.zeros(3), np.full(3, 1e-4))
     seen = LandmarkObservations.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
     together, _ = slam.step(state.snapshot(), motion, seen)
     state, _ = slam.step(state, motion, NO_OBSERVATIONS)
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
     for k in range(4):
         state, _ = slam.step(state, still, LandmarkObservations.of(seen.values[k : k + 1], [k]))
     np.testing.assert_allclose(together.mean, state.mean, atol=1e-7)
@@ -129,7 +129,7 @@ def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_do
     for _ in range(3):
         z = SENSOR.linearize(state.pose, state.positions[0])[0]
         before = state.pose_covariance.copy()
-        state, _ = slam.step(state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), LandmarkObservations.of([z]))
+        state, _ = slam.step(state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of([z]))
     assert len(slam.landmark_map(state)) == 1
     assert np.trace(state.pose_covariance) < np.trace(before)  # the fifth sighting is of a confirmed landmark
 
@@ -154,7 +154,7 @@ def test_a_provisional_landmark_is_corrected_as_the_consider_filter_says():
 
 def test_a_provisional_landmark_that_is_not_seen_again_is_dropped_and_its_name_not_used_again():
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
     state, _ = slam.step(slam.init(), still, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]))
     for _ in range(3):
         state, _ = slam.step(state, still, LandmarkObservations.of([[2.0, 1.0]]))
@@ -201,7 +201,7 @@ def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():
     """0.18 m apart and 4 standard deviations: alone it may be an outlier, but not while the landmark is seen, too."""
     slam = EkfSlam(RelativePosition(sigma_x_m=0.03, sigma_y_m=0.03), MaximumLikelihood(), ALL_AROUND)
     state, _ = slam.step(slam.init(), EXACT, LandmarkObservations.of([[3.0, 0.0]]))
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
     _, report = slam.step(state.snapshot(), still, LandmarkObservations.of([[3.0, 0.18]]))
     assert report.landmarks.tolist() == [AMBIGUOUS]
     for seen, names in (([[3.0, 0.0], [3.0, 0.18]], [0, 1]), ([[3.0, 0.18], [3.0, 0.0]], [1, 0])):

@@ -31,8 +31,8 @@ ALL_AROUND = Existence(
     detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
 FINDING = LandmarkFilters(SENSOR, MaximumLikelihood(), ALL_AROUND)
-EXACT = GaussianIncrement.around(INCREMENT, np.zeros(3))
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 BOTH = pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
 
 
@@ -75,7 +75,7 @@ def test_the_proposal_of_fastslam2_is_what_sampling_finds():
     base = slam.init(count)
     seen = SENSOR.linearize(np.zeros(3), np.array([[4.0, 1.0], [2.0, -3.0]]))[0]
     base, _ = slam.step(base, STILL, LandmarkObservations.of(seen, [1, 2]), rng)
-    motion = GaussianIncrement.around(INCREMENT, np.array([0.06, 0.05, 0.03]))
+    motion = GaussianIncrement.from_std(INCREMENT, np.array([0.06, 0.05, 0.03]))
     truth = np.array([0.24, -0.03, 0.07])
     z = LandmarkObservations.of(SENSOR.linearize(truth, np.array([[4.0, 1.0], [2.0, -3.0]]))[0], [1, 2])
     drawn, _ = slam.step(base.snapshot(), motion, z, rng)
@@ -114,7 +114,7 @@ def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_moti
     slam, rng = FastSlam2(FILTERS, when_to_resample=Never()), np.random.default_rng(6)
     state, _ = slam.step(slam.init(2), STILL, LandmarkObservations.of([[4.0, 0.3], [3.0, -0.8]], [1, 2]), rng)
     state.positions[1] += 0.05
-    motion = GaussianIncrement.around(INCREMENT, np.array([0.03, 0.03, 0.02]))
+    motion = GaussianIncrement.from_std(INCREMENT, np.array([0.03, 0.03, 0.02]))
     z = LandmarkObservations.of([[3.9, 0.24], [2.9, -0.9]], [1, 2])
     (centre, _), (cov, _) = motion.moments(np.zeros((2, 3)))
     logs = []
@@ -136,7 +136,7 @@ def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_moti
 def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(kind):
     """A robot that cannot turn and sees positions: the posterior is EKF SLAM's, exactly."""
     sensor = RelativePosition(sigma_x_m=0.3, sigma_y_m=0.3)
-    motion = GaussianIncrement.around(np.array([0.5, 0.0, 0.0]), np.array([0.15, 0.15, 0.0]))
+    motion = GaussianIncrement.from_std(np.array([0.5, 0.0, 0.0]), np.array([0.15, 0.15, 0.0]))
     slam, ekf = kind(LandmarkFilters(sensor), when_to_resample=Never()), EkfSlam(sensor)
     rng, seen = np.random.default_rng(7), np.random.default_rng(8)
     state, expected = slam.init(20_000), ekf.init()
@@ -177,7 +177,7 @@ def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
 def test_each_particle_has_its_own_correspondences(kind):
     """Two landmarks and a sighting between them: particles on one side take it for one, the others for the other."""
     slam = kind(LandmarkFilters(RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1), MaximumLikelihood(), ALL_AROUND))
-    rng, motion = np.random.default_rng(11), GaussianIncrement.around(np.zeros(3), np.array([0.0, 1.0, 0.0]))
+    rng, motion = np.random.default_rng(11), GaussianIncrement.from_std(np.zeros(3), np.array([0.0, 1.0, 0.0]))
     state, _ = slam.step(slam.init(300), STILL, LandmarkObservations.of([[3.0, 1.0], [3.0, -1.0]]), rng)
     state.poses[:, 1] = np.repeat([1.0, -1.0, 9.0], 100)
     seen, nothing = LandmarkObservations.of([[3.0, 0.0]] * 2), np.full((300, 2), NEW)

@@ -32,7 +32,7 @@ def test_one_particle_whose_odometry_has_no_noise_is_ekf_slam():
     steps, _ = drive(ring(12), 160, np.random.default_rng(0), SENSOR, NO_NOISE)
     slam, ekf = FastSlam2(FILTERS, bias=BIAS), EkfSlam(SENSOR, bias=BIAS)
     rng, state, other = np.random.default_rng(1), slam.init(1), ekf.init()
-    told = GaussianIncrement.around(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
+    told = GaussianIncrement.from_std(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
     for step in steps:
         state, report = slam.step(state, told, step.observations, rng)
         other, expected = ekf.step(other, told, step.observations)
@@ -70,7 +70,7 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
     for way, names in [(0.0, [1]), (2.0, [2]), (2.0, [2, 3]), (2.0, [3]), (-2.0, [2]), (-4.0, [1])]:
         pose = compose(pose, [way, 0.0, 0.03 * way + seen.normal(0, 0.02)])
         z = [sensor.linearize(pose, np.array(true[name]))[0] + seen.normal(0, 0.1, 2) for name in names]
-        told = GaussianIncrement.around(np.array([way, 0.0, 0.0]), np.array([0.02, 0.02, 0.02]))
+        told = GaussianIncrement.from_std(np.array([way, 0.0, 0.0]), np.array([0.02, 0.02, 0.02]))
         state, report = slam.step(state, told, LandmarkObservations.of(z, names), rng)
         other, expected = ekf.step(other, told, LandmarkObservations.of(z, names))
     found, theirs = slam.landmark_map(state), ekf.landmark_map(other)
@@ -130,7 +130,7 @@ def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go(
     """
     bias = OdometryBias(sigma_per_m=0.01, sigma_per_rad=0.01, memory_m=4.0)
     steps, _ = drive(ring(12), 80, np.random.default_rng(7), SENSOR, NO_NOISE)
-    slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.around(INCREMENT, np.zeros(3))
+    slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.from_std(INCREMENT, np.zeros(3))
     state = slam.init(20)
     for t, step in enumerate(steps):
         state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)

@@ -18,7 +18,7 @@ from gridslam.slam.landmark_filters import LandmarkFilters
 ALL_AROUND = Existence(
     detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 
 
 def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():

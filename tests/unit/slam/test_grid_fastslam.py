@@ -12,7 +12,16 @@ from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import DiffusionMotion, OdometryMotion
-from gridslam.particles import Always, Multinomial, Never, ResamplingWheel, Residual, Stratified, Systematic, spread
+from gridslam.particles import (
+    Always,
+    Multinomial,
+    Never,
+    ResamplingWheel,
+    Residual,
+    Stratified,
+    Systematic,
+    sample_gaussian,
+)
 from gridslam.slam import Gaussian, GridFastSlam, OdometryTracker, Peak, Prior, Tracker
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry, SkipReason, Trajectory
 
@@ -186,7 +195,7 @@ def test_one_particle_is_enough(drive, play):
 
 
 def test_particles_may_begin_anywhere(drive, play):
-    start = spread(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
+    start = sample_gaussian(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
     given = start.copy()
     state, report = GridFastSlam().init(*drive.measurements[0], start)
     np.testing.assert_array_equal(state.poses, given)

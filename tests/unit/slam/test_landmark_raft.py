@@ -18,9 +18,9 @@ from gridslam.slam.landmark_path import path
 from gridslam.slam.landmark_raft import PoseAndRaft
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 AWAY, BACK = np.array([4.0, 0.0, 0.0]), np.array([-4.0, 0.0, 0.0])
-BLIND = GaussianIncrement.around(AWAY, np.array([0.5, 0.3, 0.0]))
+BLIND = GaussianIncrement.from_std(AWAY, np.array([0.5, 0.3, 0.0]))
 
 
 def along(filters: list, steps: list) -> list:
@@ -39,7 +39,7 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     steps = [
         (STILL, LandmarkObservations.of([[1.0, 1.0]], [1])),
         (BLIND, LandmarkObservations.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
-        (GaussianIncrement.around(BACK, np.zeros(3)), LandmarkObservations.of([[1.4, 0.8]], [1])),
+        (GaussianIncrement.from_std(BACK, np.zeros(3)), LandmarkObservations.of([[1.4, 0.8]], [1])),
     ]
     state, report, other, expected = along([(slam, 3), ekf], steps[:2])
     assert state.aboard.all()
@@ -69,7 +69,7 @@ def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_
         std = np.array([0.5, 0.3, 0.0]) if increment.any() else noise * bool(steps)
         pose = pose + increment[:2] + std[:2] * rng.standard_normal(2)
         seen = [true[name] - pose + rng.normal(0, 0.1, 2) for name in names]
-        steps.append((GaussianIncrement.around(increment, std), LandmarkObservations.of(seen, names)))
+        steps.append((GaussianIncrement.from_std(increment, std), LandmarkObservations.of(seen, names)))
     state, report, other, expected = along([(slam, 20_000), ekf], steps)
     assert state.drift.any()
     ours, theirs = slam.landmark_map(state), ekf.landmark_map(other)
@@ -86,7 +86,7 @@ def test_a_raft_turns_with_all_that_is_on_it():
     sensor = RangeBearing(sigma_range_m=0.05, sigma_bearing_rad=0.01)
     slam, rng = FastSlam2(LandmarkFilters(sensor)), np.random.default_rng(1)
     state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
-    blind = GaussianIncrement.around(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
+    blind = GaussianIncrement.from_std(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
     state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
     points, before = state.positions.copy(), between(state.rafts, state.poses)
     belief = PoseAndRaft.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
@@ -111,12 +111,12 @@ def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(2)
     state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
     for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
-        wide = GaussianIncrement.around(AWAY, np.array([width, width, 0.1 * width]))
+        wide = GaussianIncrement.from_std(AWAY, np.array([width, width, 0.1 * width]))
         state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [number]), rng)
         assert (state.launched == 2).all()
         assert state.adrift[:, state.column(number)].all()
     poses = state.poses.copy()
-    wide = GaussianIncrement.around(AWAY, np.array([2.0, 2.0, 0.5]))
+    wide = GaussianIncrement.from_std(AWAY, np.array([2.0, 2.0, 0.5]))
     state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [4]), rng)
     assert (state.launched == 4).all()
     assert state.adrift.sum(axis=1).tolist() == [1] * 5
@@ -126,7 +126,7 @@ def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
 def test_what_was_not_drawn_is_told_from_both_ends():
     """Two equal motions without a sighting between poses that are drawn: half of the second's error is the first's."""
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(4)
-    wide = GaussianIncrement.around(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
+    wide = GaussianIncrement.from_std(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
     motions = [STILL, wide, wide, wide]
     state, _ = slam.step(slam.init(1), STILL, LandmarkObservations.of([[5.0, 0.0]], [1]), rng)
     for motion, seen in (

@@ -127,7 +127,7 @@ def log_normal(x, mean, covariance):
 
 DRAWS = 4000
 PLACE = np.array([[1.0, 2.0, 0.0]])
-MOTION = GaussianIncrement.around(np.array([0.5, 0.1, 0.2]), np.array([0.1, 0.06, 0.04]))
+MOTION = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.2]), np.array([0.1, 0.06, 0.04]))
 PREDICTED = PLACE[0] + MOTION.mean
 SPREAD = np.diag(MOTION.std**2)
 NOISE = np.array([[0.009, 0.003, 0.0], [0.003, 0.006, -0.0005], [0.0, -0.0005, 0.0009]])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.matching import GaussNewton
-from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spread
+from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
@@ -113,7 +113,7 @@ def test_between_key_scans_a_random_walk_is_added(run):
 
 def test_the_first_covariance_is_that_of_the_spread(drive):
     given = np.diag([0.04, 0.01, 0.0025])
-    start = spread(500, (1.0, 2.0, 3.0), given, np.random.default_rng(0))
+    start = sample_gaussian(500, (1.0, 2.0, 3.0), given, np.random.default_rng(0))
     _, report = GridFastSlam().init(*drive.measurements[0], start)
     # about the best particle, which is any of them, it is between one and about ten times the sample's covariance
     assert (np.diag(report.covariance) > 0.8 * np.diag(given)).all()

@@ -7,10 +7,10 @@ from typing import final
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.localization.deskew import Deskew
+from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.localization.kld_sampling import KldSampling
+from gridslam.localization.pose_hypotheses import HypothesisTracker
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
-from gridslam.localization.rivals import RivalPlaces
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
@@ -18,7 +18,7 @@ from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMoti
 from gridslam.models.parameters import STRICT
 from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast
 
-__all__ = ["MonteCarloParts"]
+__all__ = ["MonteCarloConfiguration"]
 
 
 def _sensor() -> LikelihoodField:
@@ -37,7 +37,7 @@ def _when_to_update() -> MovedAtLeast:
 
 @final
 @parameters(frozen=True, config=STRICT)
-class MonteCarloParts:
+class MonteCarloConfiguration:
     """Parts and parameters of the filter; each part is explained at its class.
 
     Parameters
@@ -51,12 +51,12 @@ class MonteCarloParts:
         How probable it is that the robot is somewhere else.
     proposal : MeasurementProposal
         Where it may be, then and at the start.
-    rivals : RivalPlaces
+    hypotheses : HypothesisTracker
         Which places that look like the one that is told keep it in doubt.
     matcher : GaussNewton
         Moves the pose that is told from the mean of the particles to where the scan fits best; max_passes=0: not at
         all, as AMCL.
-    deskew : Deskew
+    deskew : LocalizationDeskew
         How scans with beam times are straightened.
     kld : KldSampling
         How many particles survive.
@@ -73,7 +73,7 @@ class MonteCarloParts:
         what it hits.
     reach_m : float, m, > 0
         Distances from the map's obstacles saturate here: ten standard deviations of a beam.
-    off_free : float, (0, 1]
+    off_free_factor : float, (0, 1]
         What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
         a robot may drive where its map ends.
     lost_below : float, (0, 1]
@@ -82,8 +82,9 @@ class MonteCarloParts:
     lost_above : float, (0, 1)
         It counts as lost where it is more probable than this that it is somewhere else. One place of two that look
         alike is far above, whatever little a scan tells of them.
-    follow_m : float, m, > 0
-        A place just found is doubted by exp(-way / follow_m): places that look alike are told apart by driving on.
+    confirm_distance_m : float, m, > 0
+        A place just found is doubted by exp(-way / confirm_distance_m): places that look alike are told apart by
+        driving on.
 
     Raises
     ------
@@ -95,9 +96,9 @@ class MonteCarloParts:
     sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
-    rivals: RivalPlaces = Field(default_factory=RivalPlaces)
+    hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     matcher: GaussNewton = Field(default_factory=_matcher)
-    deskew: Deskew = Field(default_factory=Deskew)
+    deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
     when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)
@@ -106,13 +107,13 @@ class MonteCarloParts:
     range_min_m: float = Field(default=0.05, ge=0)
     range_max_m: float = Field(default=30.0, gt=0)
     reach_m: float = Field(default=1.0, gt=0)
-    off_free: float = Field(default=0.01, gt=0, le=1)
+    off_free_factor: float = Field(default=0.01, gt=0, le=1)
     lost_below: float = Field(default=0.3, gt=0, le=1)
     lost_above: float = Field(default=0.2, gt=0, lt=1)
-    follow_m: float = Field(default=1.0, gt=0)
+    confirm_distance_m: float = Field(default=1.0, gt=0)
 
     @model_validator(mode="after")
-    def _beams_can_tell(self) -> MonteCarloParts:
+    def _check_ranges(self) -> MonteCarloConfiguration:
         if self.range_min_m >= self.range_max_m:
             raise ValueError("range_min_m must be less than range_max_m")
         if self.reach_m < self.sensor.sigma_hit_m:
