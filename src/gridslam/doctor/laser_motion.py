@@ -13,7 +13,7 @@ import numpy as np
 from gridslam.doctor.beam_order import BeamTimes
 from gridslam.doctor.laser_odometry import LaserOdometry
 from gridslam.io.measurement import Measurement
-from gridslam.matching.gauss_newton import LEAST_INFORMATION
+from gridslam.matching.gauss_newton import MIN_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
 __all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
@@ -217,7 +217,7 @@ def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArr
     place = local[:, :2, :2] - local[:, :2, 2, None] * by_turn[:, None]
     strength, directions = np.linalg.eigh(place)
     agreeing = shares * min(beams, _MOST_BEAMS)
-    held = strength < LEAST_INFORMATION * agreeing[:, None]
+    held = strength < MIN_INFORMATION * agreeing[:, None]
     weak = np.where(held, _BEAM_SIGMA_M**2 - strength, 0.0)
     regular = local.copy()
     regular[:, :2, :2] += np.einsum("kij,kj,klj->kil", directions, weak, directions)

@@ -28,7 +28,7 @@ def _sensor() -> LikelihoodField:
 
 def _matcher() -> GaussNewton:
     """Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a dot."""
-    return GaussNewton(sparse_m=0.0)
+    return GaussNewton(dense_spacing_m=0.0)
 
 
 def _when_to_update() -> MovedAtLeast:
@@ -54,7 +54,7 @@ class MonteCarloConfiguration:
     hypotheses : HypothesisTracker
         Which places that look like the one that is told keep it in doubt.
     matcher : GaussNewton
-        Moves the pose that is told from the mean of the particles to where the scan fits best; max_passes=0: not at
+        Moves the pose that is told from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL.
     deskew : LocalizationDeskew
         How scans with beam times are straightened.

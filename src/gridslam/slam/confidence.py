@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.matching.gauss_newton import undetermined
+from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.particles.weights import effective_sample_size
 from gridslam.slam.proposals import Proposed
 from gridslam.slam.state import GridFastSlamState
@@ -20,7 +20,7 @@ from gridslam.types import BeamEnds, FloatArray, LaserScan, SkipReason, StepRepo
 __all__ = ["Confidence"]
 
 
-_LEAST_INFORMATION = 1e-2 * np.eye(3)
+_MIN_INFORMATION = 1e-2 * np.eye(3)
 """Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
 
 
@@ -77,12 +77,12 @@ class Confidence:
         """Report of a key scan, before resampling; keeps the covariance and the lost flag in the state."""
         best, match = state.best, proposed.match
         information, score = match.information[best], float(match.score[best])
-        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _LEAST_INFORMATION)
+        state.covariance = self._spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         state.lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
         return StepReport(
             scan.stamp_ns, state.poses[best], state.covariance, key_from_base,
-            undetermined=undetermined(information, score), lost=state.lost, best=best,
+            undetermined=degenerate_direction(information, score), lost=state.lost, best=best,
             n_eff=effective_sample_size(state.log_weights), poses=state.poses, log_weights=state.log_weights,
         )  # fmt: skip
 

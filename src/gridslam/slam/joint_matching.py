@@ -205,7 +205,11 @@ class JointMatching:
         return self._refined(name, memory, recognized, ties, begin.increments, mapper, tick)
 
     def _candidates(
-        self, memory: Memory, trajectory: FloatArray, closure: LoopClosure, mapper: OccupancyGridMapping,
+        self,
+        memory: Memory,
+        trajectory: FloatArray,
+        closure: LoopClosure,
+        mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Iterator[Candidate]:
         """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""
@@ -264,7 +268,7 @@ class JointMatching:
         prior = self.scan_prior * np.eye(3)[None]
         for scan in range(len(poses)):
             beams = memory.scans[scan]
-            if len(beams) < self.matcher.least_beams:
+            if len(beams) < self.matcher.min_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
             last = scan

@@ -74,7 +74,7 @@ class KeyScanMatching:
             maps = drawn(mapper, memory.scans, keys, between(poses[anchor], poses[keys]))
             for key in members:
                 beams = memory.scans.key(key)
-                if len(beams) < self.matcher.least_beams:
+                if len(beams) < self.matcher.min_beams:
                     continue
                 guess = between(poses[anchor], poses[key])
                 match = surveyed(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)

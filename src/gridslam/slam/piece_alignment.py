@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thinned
+from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam import place_evidence as evidence
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
@@ -114,7 +114,7 @@ class PieceAlignment:
     alike: float = Field(default=0.85, gt=0, le=1)
     share: float = Field(default=0.5, gt=0, le=1)
     least: int = Field(default=3, ge=1)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
@@ -179,19 +179,17 @@ class PieceAlignment:
     def _same(self, one: _Alignment, other: _Alignment) -> bool:
         return float(np.median(np.hypot(*(one.poses - other.poses)[:, :2].T))) < self.same_m
 
-    def _hits(
-        self, memory: Memory, places: PlaceParameters, pyramid: Pyramid, ways: dict[int, Nearby]
-    ) -> list[_Hit]:
+    def _hits(self, memory: Memory, places: PlaceParameters, pyramid: Pyramid, ways: dict[int, Nearby]) -> list[_Hit]:
         """Search key scans; keep the best place of each and the next best one."""
         hits = []
-        beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / self.search.gate)
+        beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / self.search.gate_sigmas)
         for key, way in ways.items():
             guess = self._guess(memory.graph, way)
             found = self.search.search(pyramid, guess, way.covariance + beyond, self._points(memory, places, key))
             if found is None:
                 continue
-            alone = found.other_share <= places.other_share * found.share
-            two = (found.pose, found.share, alone), (found.other_pose, found.other_share, False)
+            alone = found.runner_up_score <= places.other_share * found.score
+            two = (found.pose, found.score, alone), (found.runner_up_pose, found.runner_up_score, False)
             for pose, share, alone in two:
                 if pose is not None:
                     missed = np.append((pose - guess)[:2], between(guess, pose)[2])
@@ -199,7 +197,7 @@ class PieceAlignment:
         return hits
 
     def _points(self, memory: Memory, places: PlaceParameters, key: int) -> FloatArray:
-        return thinned(evidence.recent_points(memory, key, places.query), self.search.points)
+        return thin_points(evidence.recent_points(memory, key, places.query), self.search.max_points)
 
     def _grouped(self, graph: KeyGraph, hits: list[_Hit]) -> list[list[_Hit]]:
         """Put together hits that the tracked motion joins."""
@@ -235,14 +233,14 @@ class PieceAlignment:
     ) -> tuple[FloatArray, float]:
         """Match a key scan if the motion allows it, and tell in nats what its beams say for being there."""
         beams, pose = memory.scans.key(key), guess
-        if len(beams) < self.matcher.least_beams:
+        if len(beams) < self.matcher.min_beams:
             return pose, 0.0
-        if np.mean(maps.known(0, transform_points(guess, beams.ends))) >= 0.4:
+        if np.mean(maps.is_known(0, transform_points(guess, beams.ends))) >= 0.4:
             match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
             x, y, turn = between(guess, match.poses[0]).tolist()
             if (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.follow_sigma**2:
                 pose = match.poses[0]
-        known = maps.known(0, transform_points(pose, beams.ends))
+        known = maps.is_known(0, transform_points(pose, beams.ends))
         away = maps.distances(ROW, pose[None], beams.ends)[0, known].astype(np.float64)
         agreeing = float(np.sum(1 / (1 + np.square(away / self.scale_m))))
         return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
@@ -253,7 +251,7 @@ class PieceAlignment:
         ratios = []
         for key in keys[min(places.query, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
             found = within.search(own, memory.graph.poses[key], None, self._points(memory, places, key))
-            ratios.append(0.0 if found is None else found.other_share / found.share)
+            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
         return float(np.quantile(ratios, 0.75)) >= self.alike
 
     def _ties(
@@ -266,7 +264,7 @@ class PieceAlignment:
         anchors = np.array([graph.poses[anchor_of(block)] for block in blocks.tolist()]).reshape(-1, 3)
         for index in range(0, len(keys), self.every):
             key, pose = int(keys[index]), best.poses[index]
-            if not len(blocks) or len(memory.scans.key(key)) < self.matcher.least_beams:
+            if not len(blocks) or len(memory.scans.key(key)) < self.matcher.min_beams:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             seen, anchor, block = between(anchors[nearest], pose), anchors[nearest], int(blocks[nearest])

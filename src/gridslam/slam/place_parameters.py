@@ -90,7 +90,7 @@ class PlaceParameters:
     agree_rad: float = Field(default=0.05, gt=0)
     least_information: float = Field(default=0.06, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def match(
@@ -123,4 +123,4 @@ class PlaceParameters:
 
     def is_plausible(self, covariance: FloatArray, missed: FloatArray) -> bool:
         """Whether the drift explains what a match differs by (3,)."""
-        return evidence.plausible(covariance, missed, self.search.gate)
+        return evidence.plausible(covariance, missed, self.search.gate_sigmas)

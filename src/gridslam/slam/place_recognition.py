@@ -36,7 +36,7 @@ class PlaceRecognition(PlaceParameters):
         """Look at the newest key scan; returns the ties of a place just recognized, which are in the graph, too."""
         graph = memory.graph
         newest = len(graph) - 1
-        if newest // BLOCK < self.gap or len(memory.scans.key(newest)) < self.matcher.least_beams:
+        if newest // BLOCK < self.gap or len(memory.scans.key(newest)) < self.matcher.min_beams:
             return []
         if tie_known_place(self, memory, mapper):
             memory.hypotheses.clear()
@@ -78,7 +78,7 @@ class PlaceRecognition(PlaceParameters):
         tied, labels = {tie.to + k for tie in known for k in near}, graph.pieces()
         groups: list[list[Tie]] = []
         for key in range(self.gap * BLOCK + self.every, len(graph), self.every):
-            if key in tied or len(memory.scans.key(key)) < self.matcher.least_beams:
+            if key in tied or len(memory.scans.key(key)) < self.matcher.min_beams:
                 continue
             for piece in candidate_pieces(self, graph, key):
                 if piece[0].sigma_m < 2 * self.known_m or labels[anchor_of(piece[0].block)] != labels[key]:

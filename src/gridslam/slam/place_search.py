@@ -9,7 +9,7 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import Found, thinned
+from gridslam.matching.branch_and_bound import LatticeMatch, thin_points
 from gridslam.slam import place_evidence as evidence
 from gridslam.slam.key_graph import BLOCK, KeyGraph, Nearby
 from gridslam.slam.memory import Memory, Rejection
@@ -35,12 +35,12 @@ def search_place(
     graph, oldest = memory.graph, key // BLOCK - places.gap
     way, blocks = candidates[0], tuple(n.block for n in candidates)
     guess = compose(graph.poses[way.block * BLOCK], way.pose)
-    points = thinned(evidence.recent_points(memory, key, places.query), places.search.points)
+    points = thin_points(evidence.recent_points(memory, key, places.query), places.search.max_points)
     if set(blocks[:_FEW]) <= set(memory.wide):
         found = _told_apart(places, memory, mapper, key, guess, way.covariance, points)
         memory.wide = () if isinstance(found, Rejection) else memory.wide
         return found
-    near = [n.block for n in candidates if _away(places, n) < places.search.gate][:_FEW]
+    near = [n.block for n in candidates if _away(places, n) < places.search.gate_sigmas][:_FEW]
     if not set(near[:6]) <= set(memory.area):
         seen_too = {b for block in near for b in range(block - 1, block + 2)}  # what is seen reaches farther
         memory.area = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
@@ -64,7 +64,7 @@ def _told_apart(
     graph, blocks = memory.graph, memory.wide
     pyramid = memory.submaps.pyramid(blocks, mapper, memory.scans, graph)
     maps = memory.submaps.joint(blocks, mapper, memory.scans, graph)
-    beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / places.search.gate)
+    beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / places.search.gate_sigmas)
     found = places.search.search(pyramid, guess, spread + beyond, points)
     if found is None:
         return Rejection.POOR
@@ -87,15 +87,15 @@ def candidate_pieces(places: PlaceParameters, graph: KeyGraph, key: int) -> list
     """
     oldest, labels = key // BLOCK - places.gap, graph.pieces()
     found: dict[int, list[tuple[float, Nearby]]] = {}
-    for nearby in graph.nearby(key, places.search.window_m / places.search.gate, len(graph)):
+    for nearby in graph.nearby(key, places.search.window_m / places.search.gate_sigmas, len(graph)):
         if nearby.block > oldest:
             continue
         away, sigma_m = _away(places, nearby), nearby.sigma_m
-        if away * sigma_m < places.search.gate * sigma_m + places.unlike_m:
+        if away * sigma_m < places.search.gate_sigmas * sigma_m + places.unlike_m:
             found.setdefault(int(labels[anchor_of(nearby.block)]), []).append((away, nearby))
     for piece in found.values():
         piece.sort(key=lambda f: (f[0], f[1].block))
-    near = sorted((piece for piece in found.values() if piece[0][0] < places.search.gate), key=lambda p: p[0][0])
+    near = sorted((piece for piece in found.values() if piece[0][0] < places.search.gate_sigmas), key=lambda p: p[0][0])
     return [[nearby for _, nearby in piece[:_MOST_SUBMAPS]] for piece in near]
 
 
@@ -105,12 +105,12 @@ def _away(places: PlaceParameters, nearby: Nearby) -> float:
 
 
 def _judged(
-    places: PlaceParameters, found: Found, maps: TileMaps, points: FloatArray, memory: Memory, key: int
+    places: PlaceParameters, found: LatticeMatch, maps: TileMaps, points: FloatArray, memory: Memory, key: int
 ) -> Rejection | None:
     """What speaks against a place that was found."""
     if not places.agrees(maps, found.pose, points):
         return Rejection.POOR
-    if found.other_share > places.other_share * found.share:
+    if found.runner_up_score > places.other_share * found.score:
         return Rejection.AMBIGUOUS
     through = evidence.through_walls(maps, found.pose, memory.scans.key(key))
     return Rejection.THROUGH_WALLS if through > places.through else None

@@ -18,7 +18,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.angles import wrap
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import LOOK, GaussNewton
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
 
@@ -101,7 +101,7 @@ class Prior:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
+        match = EVALUATE_ONLY(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
         return Proposed(drawn, weigh(maps, rows, drawn), match)
 
 
@@ -141,7 +141,7 @@ class Peak:
     ) -> Proposed:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        matcher = self.matcher if self._moved(motion, poses) else LOOK
+        matcher = self.matcher if self._moved(motion, poses) else EVALUATE_ONLY
         match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return Proposed(match.poses, weigh(maps, rows, match.poses), match)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = ["Source", "Tie", "seen_from", "surveyed", "ties_from_arrays", "ties_to_arrays"]
@@ -23,7 +23,7 @@ _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) of a direction that a match leaves open: 10 m, 10 rad."""
 
 
-_CLOSE = GaussNewton(max_passes=0, sparse_m=1e-3)
+_CLOSE = GaussNewton(max_iterations=0, dense_spacing_m=1e-3)
 """Looks only at what the ends of beams say across the wall they lie on."""
 
 
@@ -74,7 +74,7 @@ class Tie(NamedTuple):
             Least eigenvalue of the position's information, per agreeing beam, that counts as determined.
         """
         pose, information = match.poses[0].copy(), match.information[0] / sigma_m**2
-        weak = undetermined(match.information[0], float(match.score[0]), least)
+        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
         if weak is not None:
             pose[:2] -= weak * float(weak @ (pose - guess)[:2])
             across = np.eye(3)

@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import Deskew
 from gridslam.slam.tracker_search import OdometrySearch
@@ -168,7 +168,7 @@ class Tracker:
         if seen is None:  # the other lasers may look elsewhere
             return Found(predicted.pose, predicted, matched=len(beams) > 0, poor=False)
         joint = self._joined(state, predicted.pose, predicted, beams)
-        if not len(beams) or len(joint) < self.matcher.least_beams:
+        if not len(beams) or len(joint) < self.matcher.min_beams:
             return Found(predicted.pose, predicted, matched=False, poor=not predicted.by_odometry)
         if not predicted.by_odometry:
             return self._searched(state, predicted, joint)
@@ -196,7 +196,7 @@ class Tracker:
         """Whether the robot has not moved, by the odometry, and the scan does not say otherwise."""
         if not is_within(seen.matched_pose, predicted.pose, self.still_m, self.still_rad):
             return False
-        share = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        share = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
         return bool(share > seen.share - self.slip_gain)
 
     def _matched(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> Found:
@@ -211,7 +211,7 @@ class Tracker:
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
-            before = LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
+            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_gain * len(beams) else stayed
         determined = pose is best and self._determined(match)
         return Found(pose, predicted, matched=True, poor=False, share=score / len(beams), determined=determined)
@@ -259,7 +259,7 @@ class Tracker:
     def _determined(self, match: Match) -> bool:
         """Whether a match tells the position in all directions, better than odometry whose errors are known."""
         least = self.steady_matcher.min_information
-        return undetermined(match.information[0], float(match.score[0]), least) is None
+        return degenerate_direction(match.information[0], float(match.score[0]), least) is None
 
     def _odometry_sigma(self, moved: float, turned: float, cell: float) -> tuple[float, float]:
         """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""

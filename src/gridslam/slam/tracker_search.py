@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.slam.tracker_state import Found, Prediction, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
@@ -68,8 +68,8 @@ class OdometrySearch:
     gains: tuple[float, ...] = (0.1, 0.1, 0.3)
     certain_share: float = Field(default=0.7, gt=0, le=1)
     overlap: float = Field(default=0.4, gt=0, le=1)
-    window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, floor=0.3)
-    anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, floor=0.5)
+    window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, min_score=0.3)
+    anywhere: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=math.pi, min_score=0.5)
     anywhere_share: float = Field(default=0.8, gt=0, le=1)
     anywhere_gain: float = Field(default=0.3, ge=0, le=1)
     unique: float = Field(default=0.85, gt=0, le=1)
@@ -110,16 +110,16 @@ class OdometrySearch:
         learned_m, learned_rad = np.sqrt(state.learned.variances).tolist()
         sigma_m, sigma_rad = max(predicted.sigma_m, learned_m), max(predicted.sigma_rad, learned_rad)
         for gate, gain in zip(self.gates, self.gains, strict=True):
-            covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
+            covariance = np.square(gate / self.window.gate_sigmas * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
-            if place is None or place.other_share > self.unique * place.share:
+            if place is None or place.runner_up_score > self.unique * place.score:
                 continue
             found = self._refined(state, place.pose, predicted, beams)
             best = found if found.share > best.share + gain else best
             if best.share >= self.certain_share:
                 return best
         place = self.anywhere.search(pyramid, predicted.pose, None, beams.ends)
-        if place is None or place.other_share > self.unique * place.share:
+        if place is None or place.runner_up_score > self.unique * place.score:
             return best
         found = self._refined(state, place.pose, predicted, beams)
         return found if found.share >= max(self.anywhere_share, best.share + self.anywhere_gain) else best
@@ -128,13 +128,13 @@ class OdometrySearch:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""
         maps, row, least = state.maps, state.row, self.steady_matcher.min_information
         match = self.matcher(maps, row, pose[None], _NO_PRIOR, beams)
-        weak = undetermined(match.information[0], float(match.score[0]), least)
+        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
         if weak is not None:
             along = match.poses[0].copy()
             along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
             match = self.steady_matcher(maps, row, along[None], _NO_PRIOR, beams)
         at = match.poses[0]
-        known = maps.known(state.active, transform_points(at, beams.ends))
+        known = maps.is_known(state.active, transform_points(at, beams.ends))
         away = maps.distances(row, at[None], beams.ends)[0, known]
         agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
         share = agreeing / max(len(away), self.overlap * len(beams))

@@ -112,7 +112,7 @@ class JointMapScore:
 
     def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
         """Sum of the agreement of those beams that end in what the map knows, and their number."""
-        known = maps.known(0, transform_points(pose, ends))
+        known = maps.is_known(0, transform_points(pose, ends))
         count = int(known.sum())
         if not count:
             return 0.0, 0

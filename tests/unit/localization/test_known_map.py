@@ -118,7 +118,7 @@ def seen_from(known: KnownMap, pose: np.ndarray) -> Beams:
     return LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
 
 
-LINES = GaussNewton(sparse_m=0.0)
+LINES = GaussNewton(dense_spacing_m=0.0)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -138,7 +138,7 @@ def test_who_is_sure_of_the_guess_keeps_it():
     np.testing.assert_allclose(known.match(LINES, guess, 1e9 * np.eye(3), beams), guess, atol=1e-6)
     none = replace(beams, indices=beams.indices[:0], ends=beams.ends[:0])
     np.testing.assert_allclose(known.match(LINES, guess, np.zeros((3, 3)), none), guess, atol=1e-12)
-    off = known.match(GaussNewton(max_passes=0), guess, np.zeros((3, 3)), beams)
+    off = known.match(GaussNewton(max_iterations=0), guess, np.zeros((3, 3)), beams)
     np.testing.assert_allclose(off, guess, atol=1e-12)
 
 

@@ -190,7 +190,7 @@ def test_between_updates_the_pose_goes_on_by_odometry_and_grows_less_sure(known,
         assert np.linalg.eigvalsh(reports[k + 2].covariance)[0] > 0
 
 
-MEAN = MonteCarloConfiguration(matcher=GaussNewton(max_passes=0))
+MEAN = MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))
 """Tells the mean of the particles."""
 
 

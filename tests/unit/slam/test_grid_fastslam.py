@@ -289,7 +289,7 @@ def test_a_gap_of_ten_seconds_is_bridged(drive, play):
         GridFastSlam(proposal=Prior()),
         GridFastSlam(proposal=Peak(matcher=HillClimbing())),
         GridFastSlam(proposal=Gaussian()),
-        GridFastSlam(proposal=Peak(matcher=GaussNewton(max_passes=3))),
+        GridFastSlam(proposal=Peak(matcher=GaussNewton(max_iterations=3))),
         GridFastSlam(tracker=Tracker(map_scans=5)),
         GridFastSlam(tracker=OdometryTracker(), motion=OdometryMotion()),
         GridFastSlam(tracker=OdometryTracker(), motion=DiffusionMotion(0.05, 0.05), proposal=Gaussian()),

@@ -153,7 +153,7 @@ def test_a_kidnapped_robot_is_lost(drive, play, hall, start):
     assert all(between_keys)
 
 
-DEFAULT = GaussNewton().sparse_m
+DEFAULT = GaussNewton().dense_spacing_m
 ACROSS = 0.01
 """Of no wall in sight do ends lie denser than this, so that all count across only."""
 
@@ -166,8 +166,8 @@ def corridor_drive(seed):
     return simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
 
 
-def played_bare(play, sparse_m):
-    matcher, runs = GaussNewton(sparse_m=sparse_m), []
+def played_bare(play, dense_spacing_m):
+    matcher, runs = GaussNewton(dense_spacing_m=dense_spacing_m), []
     slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=Peak(matcher=matcher))
     for log in map(corridor_drive, range(3)):
         reports, odometry = play(slam, log.measurements, particles=PARTICLES)[1], log.odometry.poses
@@ -178,7 +178,7 @@ def played_bare(play, sparse_m):
 
 @pytest.fixture(scope="module")
 def bare(play):
-    """By `sparse_m`: for each of three bare corridors the reports, and the way driven, beside what odometry tells."""
+    """By `dense_spacing_m`: for each of three bare corridors the reports, and the way driven, beside the odometry's."""
     return {
         0.0: played_bare(play, 0.0), DEFAULT: played_bare(play, DEFAULT), ACROSS: played_bare(play, ACROSS)
     }  # fmt: skip
@@ -223,7 +223,7 @@ def test_along_a_bare_corridor_the_position_is_undetermined(bare):
 
 def test_straight_walls_tell_corridors_from_rooms(play):
     """Looked at with all of them counted across only, the least information is more than a factor of 25 apart."""
-    look = GaussNewton(max_passes=0, sparse_m=0.001)
+    look = GaussNewton(max_iterations=0, dense_spacing_m=0.001)
 
     def least(log, scans):
         state, reports = play(GridFastSlam(), log.measurements[:scans], particles=1)
