@@ -15,7 +15,7 @@ from gridslam.api.localization import localize
 from gridslam.evaluation.trajectory import absolute_errors
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.kld_sampling import KldSampling
-from gridslam.particles import Always, MovedAtLeast
+from gridslam.particles import AlwaysResample, MotionThreshold
 from gridslam.sim.worlds import DRAWN_WORLDS
 from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 from report import Report, Target, table
@@ -68,7 +68,7 @@ def _rates(particles: int, beams: int, threads: int, updates: int) -> tuple[floa
     known = KnownMap(_hall(), threads=threads)
     kld = KldSampling(particles_min=particles, particles_max=particles)
     parts = MonteCarloConfiguration(
-        kld=kld, max_beams=beams, when_to_update=MovedAtLeast(1e-9, 1.0), when_to_resample=Always()
+        kld=kld, max_beams=beams, when_to_update=MotionThreshold(1e-9, 1.0), when_to_resample=AlwaysResample()
     )
     mcl, rng = MonteCarloLocalization(known, parts), np.random.default_rng(0)
     truth, bearings = np.array([20.0, 20.0, 0.0]), np.linspace(-math.pi / 2, math.pi / 2, beams)

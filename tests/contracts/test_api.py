@@ -116,10 +116,11 @@ def test_bad_calls_are_told(log, options, message):
     "choice",
     [
         "tracker.kind=OdometryTracker", "motion.kind=OdometryMotion", "motion.kind=GMappingMotion",
-        "sensor.kind=EndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
+        "sensor.kind=GMappingEndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
         "proposal.kind=Prior", "proposal.kind=Gaussian", "proposal.matcher.kind=HillClimbing",
-        "when_to_resample.kind=Always", "when_to_resample.kind=Never", "resampler=wheel", "resampler=stratified",
-        "resampler=residual", "resampler=multinomial", "resolution_m=0.1", "tracker.map_scans=5",
+        "when_to_resample.kind=AlwaysResample", "when_to_resample.kind=NeverResample", "resampler=wheel",
+        "resampler=stratified", "resampler=residual", "resampler=multinomial", "resolution_m=0.1",
+        "tracker.map_scans=5",
     ],
 )  # fmt: skip
 def test_every_choice_of_a_part_maps_the_log(log, choice):

@@ -22,7 +22,7 @@ from gridslam.io.map_server import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.text_source import sha256_of
 from gridslam.io.trajectory import read_tum, write_tum
-from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
 
 FILES = {"map.yaml", "map.pgm", "map.png", "run.json"}
@@ -252,7 +252,7 @@ def test_gaps_everywhere_are_told(log, truth, tmp_path):
         map_with_poses(log, ends)
     bridged = map_with_poses(log, ends, max_gap_s=100.0)
     assert bridged.unplaced == {}
-    assert Unplaced.GAP not in bridged.unplaced
+    assert NoPoseReason.GAP not in bridged.unplaced
 
 
 def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):

@@ -146,7 +146,7 @@ def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -
             table[last] = value
     if "selective_resampling" in given:
         selective = given["selective_resampling"]
-        changes["when_to_resample"] = {"kind": "EffectiveSampleSizeBelow" if selective else "Always"}
+        changes["when_to_resample"] = {"kind": "EffectiveSampleSizeBelow" if selective else "AlwaysResample"}
     return {name: value for name, value in changes.items() if value != {}}
 
 

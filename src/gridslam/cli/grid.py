@@ -16,7 +16,7 @@ from gridslam.cli.output import opened, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.errors import ArgumentError
 from gridslam.io.log import LogOptions, open_log
-from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["grid_to_folder"]
@@ -88,8 +88,8 @@ def _warnings(result: GridResult) -> Iterator[str]:
         yield f"the log is cut off; {log.scan_count} scans were there"
     first, last = (stamp * 1e-9 for stamp in (result.given.stamps_ns.min(), result.given.stamps_ns.max()))
     reasons = {
-        Unplaced.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
-        Unplaced.GAP: f"the poses about them are more than {result.max_gap_s:g} s apart (--max-gap)",
+        NoPoseReason.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
+        NoPoseReason.GAP: f"the poses about them are more than {result.max_gap_s:g} s apart (--max-gap)",
     }
     for reason, why in reasons.items():
         if count := result.unplaced[reason]:

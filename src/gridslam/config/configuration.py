@@ -14,10 +14,10 @@ from gridslam.config.tables import Table, changed, meant, names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyAgreement, EndPoint
+from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.grid_fastslam import GridFastSlam
@@ -93,11 +93,11 @@ class Configuration:
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
-    sensor: CauchyAgreement | EndPoint | LikelihoodField | BeamRangeFinder = CauchyAgreement()
+    sensor: CauchyEndPoint | GMappingEndPoint | LikelihoodField | BeamRangeFinder = CauchyEndPoint()
     proposal: Peak | Prior | Gaussian = Peak()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
-    when_to_update: MovedAtLeast = MovedAtLeast()
-    when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
+    when_to_update: MotionThreshold = MotionThreshold()
+    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample | NeverResample = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
     confidence: Confidence = Confidence()
     loop_closure: bool = True

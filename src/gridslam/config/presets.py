@@ -9,9 +9,9 @@ from gridslam.config.configuration import Configuration
 from gridslam.config.tables import changed, meant
 from gridslam.errors import ConfigurationError
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.models.endpoint import EndPoint
+from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
-from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import Peak
 
@@ -25,7 +25,7 @@ def _fast() -> Configuration:
 
 def _accurate() -> Configuration:
     """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MovedAtLeast(0.4, 0.25))
+    return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
 
 
 def _gmapping() -> Configuration:
@@ -39,9 +39,9 @@ def _gmapping() -> Configuration:
         range_max_m=80.0,
         tracker=OdometryTracker(),
         motion=GMappingMotion(),
-        sensor=EndPoint(),
+        sensor=GMappingEndPoint(),
         proposal=Peak(matcher=HillClimbing()),
-        when_to_update=MovedAtLeast(1.0, 0.5),
+        when_to_update=MotionThreshold(1.0, 0.5),
         when_to_resample=EffectiveSampleSizeBelow(0.5),
         loop_closure=False,
     )
@@ -70,4 +70,4 @@ def preset(name: str, particles: int | None = None) -> Configuration:
     config = PRESETS[name]()
     if particles is not None:
         config = changed(config, {"particles": particles})
-    return changed(config, {"sensor": {"gain": 3.0 * config.particles}}) if name == "gmapping" else config
+    return changed(config, {"sensor": {"likelihood_gain": 3.0 * config.particles}}) if name == "gmapping" else config

@@ -15,7 +15,7 @@ from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
-from gridslam.types import EndPoints, FloatArray, Match
+from gridslam.types import FloatArray, Match, StoredScan
 
 __all__ = ["LaserOdometry"]
 
@@ -135,7 +135,7 @@ class LaserOdometry:
     def _match(self, matcher: GaussNewton, guesses: FloatArray, ends: FloatArray) -> Match:
         rows = np.full(len(guesses), self._active, np.int32)
         priors = np.broadcast_to(_NO_PRIOR, (len(guesses), 3, 3)).copy()
-        return matcher(self._maps, rows, guesses, priors, EndPoints(ends, _ORIGIN))
+        return matcher(self._maps, rows, guesses, priors, StoredScan(ends, _ORIGIN))
 
     def _searched(self, predicted: FloatArray, first: Match, ends: FloatArray) -> Match:
         """The best of matches from turned guesses, where the laser was and where it would be, and of the first."""
@@ -154,7 +154,7 @@ class LaserOdometry:
         rows = _ROWS[self._active] if self._scans[self._active] < _MAP_SCANS else _BOTH
         for row in rows.tolist():
             self._scans[row] += 1
-        self._maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), EndPoints(ends, _ORIGIN))
+        self._maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), StoredScan(ends, _ORIGIN))
         if self._scans[1 - self._active] >= _MAP_SCANS:
             self._maps.clear(self._active)
             self._scans[self._active], self._active = 0, 1 - self._active

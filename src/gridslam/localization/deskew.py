@@ -46,10 +46,10 @@ class LocalizationDeskew:
         share : callable
             Share of the beams that agree with the map, once they are matched to it.
         """
-        told, times = beams.deskewed(twist), beams.scan.beam_times_s
+        told, times = beams.deskew(twist), beams.scan.beam_times_s
         if times is None or abs(twist[2]) * (times.max() - times.min()) <= self.turn_rad:
             return told
-        orders = told, beams, beams.deskewed(-twist)
+        orders = told, beams, beams.deskew(-twist)
         shares = [share(order) for order in orders]
         best = shares.index(max(shares))
         return orders[best] if shares[best] > shares[0] + self.margin else told

@@ -12,7 +12,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence
@@ -46,8 +46,8 @@ class KnownLandmarks:
     @classmethod
     def of(cls, names: ArrayLike, positions: ArrayLike) -> KnownLandmarks:
         """Validate and copy; ArgumentError for wrong shapes, no landmark, a name twice, a value that is not finite."""
-        places = frozen(positions, np.float64, (None, 2), "positions")
-        signatures = frozen(names, np.int64, (len(places),), "names")
+        places = freeze(positions, np.float64, (None, 2), "positions")
+        signatures = freeze(names, np.int64, (len(places),), "names")
         if not len(places) or not np.isfinite(places).all():
             raise ArgumentError("positions", "at least one landmark, at finite places", places.tolist())
         if len(np.unique(signatures)) < len(signatures):
@@ -115,8 +115,8 @@ class EkfLocalization:
 
         Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
         """
-        mean = frozen(pose, np.float64, (3,), "pose")
-        spread = frozen(covariance, np.float64, (3, 3), "covariance")
+        mean = freeze(pose, np.float64, (3,), "pose")
+        spread = freeze(covariance, np.float64, (3, 3), "covariance")
         if not np.isfinite(mean).all():
             raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:

@@ -18,7 +18,7 @@ from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.localization.distance_transform import distance_transform
 from gridslam.localization.field_table import FieldTable
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
 
@@ -73,7 +73,7 @@ class KnownMap:
         self._corner = np.array(grid.origin) - rim * grid.resolution_m
         cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
-        self._tabulated: dict[LikelihoodField | CauchyAgreement, FieldTable] = {}
+        self._tabulated: dict[LikelihoodField | CauchyEndPoint, FieldTable] = {}
         self._rim = rim
 
     def __repr__(self) -> str:
@@ -129,7 +129,7 @@ class KnownMap:
         What a likelihood field or an agreement says of an end depends on its distance alone, so it is tabulated for all
         cells once and each scan only adds it up; any other model looks at the map for itself.
         """
-        if isinstance(sensor, LikelihoodField | CauchyAgreement):
+        if isinstance(sensor, LikelihoodField | CauchyEndPoint):
             table, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
             return lambda poses: table.sums(poses, ends, self.threads)
         log_likelihood = sensor(beams)
@@ -173,7 +173,7 @@ class KnownMap:
             resolution_m=self.resolution_m, reach_cells=reach_cells, evidence=_NONE, threads=self.threads,
         )  # fmt: skip
 
-    def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> FieldTable:
+    def _tabulate(self, sensor: LikelihoodField | CauchyEndPoint) -> FieldTable:
         """What the sensor says of an end in each cell."""
         if sensor not in self._tabulated:
             blurred = sensor

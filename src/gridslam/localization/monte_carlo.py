@@ -19,7 +19,7 @@ from gridslam.localization.belief import PoseEstimate, estimate_pose, propagate_
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize
@@ -37,7 +37,7 @@ from gridslam.types import (
 __all__ = ["MonteCarloLocalization"]
 
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
-_INLIER_WEIGHT = CauchyAgreement(scale_m=0.1, tempering=1.0)
+_INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
 
@@ -131,7 +131,7 @@ class MonteCarloLocalization:
             return beams
         twist = log(between(last.pose, odometry.pose)) / (1e-9 * (odometry.stamp_ns - last.stamp_ns))
         if not len(state.poses):
-            return beams.deskewed(twist)
+            return beams.deskew(twist)
         guess = compose(state.estimate.pose, moved)
 
         def share(beams: Beams) -> float:

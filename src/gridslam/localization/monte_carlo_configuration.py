@@ -16,7 +16,7 @@ from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.models.parameters import STRICT
-from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 
 __all__ = ["MonteCarloConfiguration"]
 
@@ -31,8 +31,8 @@ def _matcher() -> GaussNewton:
     return GaussNewton(dense_spacing_m=0.0)
 
 
-def _when_to_update() -> MovedAtLeast:
-    return MovedAtLeast(0.2, 0.2)
+def _when_to_update() -> MotionThreshold:
+    return MotionThreshold(0.2, 0.2)
 
 
 @final
@@ -60,9 +60,9 @@ class MonteCarloConfiguration:
         How scans with beam times are straightened.
     kld : KldSampling
         How many particles survive.
-    when_to_update : MovedAtLeast
+    when_to_update : MotionThreshold
         Which scans update the particles: by what moved since the last one that did. 0.2 m and 0.2 rad.
-    when_to_resample : EffectiveSampleSizeBelow or Always
+    when_to_resample : EffectiveSampleSizeBelow or AlwaysResample
         When resampling is worth its loss of diversity.
     resample_interval : int, >= 1
         Only at every so many-th update; 1: whenever it is worth it.
@@ -100,8 +100,8 @@ class MonteCarloConfiguration:
     matcher: GaussNewton = Field(default_factory=_matcher)
     deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
     kld: KldSampling = Field(default_factory=KldSampling)
-    when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
-    when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)
+    when_to_update: MotionThreshold = Field(default_factory=_when_to_update)
+    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample = Field(default_factory=EffectiveSampleSizeBelow)
     resample_interval: int = Field(default=1, ge=1)
     max_beams: int = Field(default=120, ge=1)
     range_min_m: float = Field(default=0.05, ge=0)

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, FloatArray
 
@@ -114,7 +114,7 @@ class MeasurementProposal:
         count = math.ceil(self.draws * share)
         samples = math.ceil(min(self.samples_per_m2 * known_map.free_area_m2, self.samples_max) * share)
         poses = known_map.sample_poses(samples, rng)
-        agree = known_map.condition(CauchyAgreement(scale_m=self.scale_m, tempering=1.0), beams)
+        agree = known_map.condition(CauchyEndPoint(scale_m=self.scale_m, tempering=1.0), beams)
         log_q = agree(poses) * (self.concentration / len(beams))
         ends = np.cumsum(np.exp(log_q - log_q.max()))
         chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)

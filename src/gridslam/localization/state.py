@@ -11,7 +11,7 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
@@ -153,7 +153,7 @@ class MonteCarloState:
         def take(name: str, *shape: int | None) -> FloatArray:
             if name not in arrays:
                 raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-            return frozen(arrays[name], np.float64, shape, name)
+            return freeze(arrays[name], np.float64, shape, name)
 
         poses, hypotheses = take("poses", None, 3), take("hypotheses.poses", None, 3)
         driven_since_found_m, inlier_ratio, updates = (float(take(name)) for name in _NUMBERS)

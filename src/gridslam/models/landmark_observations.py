@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.models.motion import GaussianIncrement
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
@@ -49,10 +49,10 @@ class LandmarkObservations:
         cls, values: ArrayLike, landmarks: ArrayLike | None = None, covariances: ArrayLike | None = None
     ) -> LandmarkObservations:
         """Validate and copy; raises ArgumentError for a wrong shape, a value that is not finite, a landmark twice."""
-        z = frozen(values, np.float64, (None, 2), "values")
+        z = freeze(values, np.float64, (None, 2), "values")
         count = len(z)
-        names = None if landmarks is None else frozen(landmarks, np.int64, (count,), "landmarks")
-        spread = None if covariances is None else frozen(covariances, np.float64, (count, 2, 2), "covariances")
+        names = None if landmarks is None else freeze(landmarks, np.int64, (count,), "landmarks")
+        spread = None if covariances is None else freeze(covariances, np.float64, (count, 2, 2), "covariances")
         if not np.isfinite(z).all() or (spread is not None and not np.isfinite(spread).all()):
             raise ArgumentError("observations", "finite numbers", "a value that is not")
         if names is not None and len(np.unique(names)) < count:

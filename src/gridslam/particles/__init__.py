@@ -3,10 +3,10 @@
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose, sample_gaussian
 from gridslam.particles.policies import (
-    Always,
+    AlwaysResample,
     EffectiveSampleSizeBelow,
-    MovedAtLeast,
-    Never,
+    MotionThreshold,
+    NeverResample,
     ResamplingPolicy,
     UpdatePolicy,
 )
@@ -14,12 +14,12 @@ from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual
 from gridslam.particles.weights import effective_sample_size, entropy, normalize
 
 __all__ = [
-    "Always",
+    "AlwaysResample",
     "Ancestry",
     "EffectiveSampleSizeBelow",
-    "MovedAtLeast",
+    "MotionThreshold",
     "Multinomial",
-    "Never",
+    "NeverResample",
     "ResamplingPolicy",
     "ResamplingWheel",
     "Residual",

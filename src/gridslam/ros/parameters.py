@@ -61,7 +61,7 @@ _FILTER: Final[Mapping[str, str]] = {
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
-    "ogain": ("sensor.gain",),
+    "ogain": ("sensor.likelihood_gain",),
     "maxUrange": ("range_max_m",),
     "maxRange": ("range_max_m",),
 }
@@ -213,8 +213,8 @@ def _derived(base: Configuration, given: Mapping[str, Any], held: Mapping[str, A
     if "sensor.kernel_m" in there:  # a circle as wide as the square of cells
         kernel_m = round((number("kernelSize", 1) + 0.5) * number("delta", base.mapper.resolution_m), 9)
         values |= dict.fromkeys(_DERIVED["kernelSize"], kernel_m)
-    if "sensor.gain" in there:
-        values["sensor.gain"] = number("ogain", 3.0) * number("particles", base.particles)
+    if "sensor.likelihood_gain" in there:
+        values["sensor.likelihood_gain"] = number("ogain", 3.0) * number("particles", base.particles)
     if "maxUrange" in held or "maxRange" in held:
         bounds = [number(name, 80.0) for name in ("maxUrange", "maxRange") if name in given]
         values["range_max_m"] = min(bounds, default=80.0)

@@ -4,11 +4,19 @@
 """
 
 from gridslam.scan.arrays import FloatArray, IntArray, Rows
-from gridslam.scan.beams import BeamEnds, Beams, EndPoints
+from gridslam.scan.beams import BeamEnds, Beams, StoredScan
 from gridslam.scan.geometry import ScanGeometry
 from gridslam.scan.laser_scan import LONGEST_SCAN_S, BeamStatus, LaserScan
 
 __all__ = [
-    "LONGEST_SCAN_S", "BeamEnds", "BeamStatus", "Beams", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Rows",
+    "LONGEST_SCAN_S",
+    "BeamEnds",
+    "BeamStatus",
+    "Beams",
+    "FloatArray",
+    "IntArray",
+    "LaserScan",
+    "Rows",
     "ScanGeometry",
+    "StoredScan",
 ]  # fmt: skip

@@ -18,11 +18,11 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.confidence import Confidence
 from gridslam.slam.loop_closure import LoopClosure
@@ -93,11 +93,11 @@ class GridFastSlam:
 
     tracker: Tracker | OdometryTracker = Tracker()
     motion: MotionModel = DiffusionMotion()
-    sensor: SensorModel = CauchyAgreement()
+    sensor: SensorModel = CauchyEndPoint()
     proposal: Proposal = Peak()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     resampler: Resampler = Systematic()
-    when_to_update: UpdatePolicy = MovedAtLeast()
+    when_to_update: UpdatePolicy = MotionThreshold()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
     confidence: Confidence = Confidence()

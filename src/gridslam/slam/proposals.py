@@ -20,7 +20,7 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
+from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
 
 __all__ = ["Gaussian", "Matcher", "Peak", "Prior", "Proposal", "Proposed"]
 
@@ -52,7 +52,7 @@ class Proposal(Protocol):
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
@@ -95,7 +95,7 @@ class Prior:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
@@ -135,7 +135,7 @@ class Peak:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:
@@ -178,7 +178,7 @@ class Gaussian:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> Proposed:

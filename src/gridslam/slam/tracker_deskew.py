@@ -75,13 +75,13 @@ class Deskew:
             Matches beams to the map.
         """
         order = self.order(state.sensors.get(beams.scan.sensor))
-        sharp = beams.deskewed(order * twist_to(predicted.pose))
+        sharp = beams.deskew(order * twist_to(predicted.pose))
         best = find(sharp)
         if not best.matched or not best.share:
             return best, sharp
         twist = twist_to(best.pose)
         for other in (twist, 2 * twist - state.twist):
-            again = beams.deskewed(order * other)
+            again = beams.deskew(order * other)
             found = find(again)
             if found.share > best.share:
                 best, sharp = found, again
@@ -92,6 +92,6 @@ class Deskew:
         """Keep the number of scans that tell the order, and the sums of what the other orders gain in agreement."""
         seen, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:
-            told, none, backward = (find(beams.deskewed(order * twist)).share for order in _ORDERS)
+            told, none, backward = (find(beams.deskew(order * twist)).share for order in _ORDERS)
             orders = seen.orders + np.array([1.0, none - told, backward - told])
             state.note(beams.scan.sensor, seen._replace(orders=orders))

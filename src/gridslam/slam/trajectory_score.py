@@ -61,9 +61,9 @@ class JointMapScore:
     gap : float, m + rad
         What was mapped within so much way and turning is a scan's own time.
     scale_m : float, m
-        Distance at which a beam agrees by half, that of the measurement model `CauchyAgreement`.
+        Distance at which a beam agrees by half, that of the measurement model `CauchyEndPoint`.
     tempering : float, (0, 1]
-        Share of a beam's evidence that is new, as in `CauchyAgreement`.
+        Share of a beam's evidence that is new, as in `CauchyEndPoint`.
     neutral : float, [0, 1]
         Agreement that speaks neither for nor against a place: scans matched to a wrong place that looks alike reach
         0.6, right ones 0.75 (furniture and people have moved) to 0.97.

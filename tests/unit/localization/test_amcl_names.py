@@ -14,7 +14,7 @@ from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import OdometryMotion
-from gridslam.particles.policies import Always, EffectiveSampleSizeBelow
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
 
 
 def test_defaults_of_ros_1():
@@ -35,7 +35,7 @@ def test_defaults_of_ros_1():
     assert (configuration.when_to_update.translation_m, configuration.when_to_update.rotation_rad) == (0.2, math.pi / 6)
     assert (configuration.resample_interval, configuration.max_beams, configuration.reach_m) == (2, 30, 2.0)
     assert (configuration.recovery.alpha_slow, configuration.recovery.alpha_fast) == (0.0, 0.0)
-    assert isinstance(configuration.when_to_resample, Always)
+    assert isinstance(configuration.when_to_resample, AlwaysResample)
 
 
 def test_defaults_of_nav2():

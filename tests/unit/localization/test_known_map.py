@@ -15,7 +15,7 @@ from gridslam.localization import KnownMap
 from gridslam.localization.distance_transform import distance_transform
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
 
@@ -76,7 +76,7 @@ def test_rays_meet_the_walls():
     np.testing.assert_allclose(ranges[0], [1.65, 1.95, 1.45, 2.15], atol=1e-6)
 
 
-@pytest.mark.parametrize("sensor", [LikelihoodField(tempering=0.3), CauchyAgreement(tempering=0.2)])
+@pytest.mark.parametrize("sensor", [LikelihoodField(tempering=0.3), CauchyEndPoint(tempering=0.2)])
 def test_a_tabulated_model_says_what_the_model_says(sensor):
     known, rng = KnownMap(grid_of(room())), np.random.default_rng(1)
     beams = scan_of(rng.uniform(-2, 2, (50, 2))).beams(0.01, 29.0)
@@ -92,7 +92,7 @@ def test_a_tabulated_model_says_what_the_model_says(sensor):
 
 
 def test_at_centres_of_cells_both_agree_exactly():
-    known, sensor = KnownMap(grid_of(room())), CauchyAgreement(tempering=1.0)
+    known, sensor = KnownMap(grid_of(room())), CauchyEndPoint(tempering=1.0)
     beams = scan_of(np.array([[0.3, 0.2], [-0.5, 0.1], [1.0, -0.7]])).beams(0.01, 29.0)
     poses = np.array([[1.05, 3.05, 0.0], [2.35, 4.75, 0.0]])
     exact = sensor(beams)(known, np.zeros(2, np.int32), poses)

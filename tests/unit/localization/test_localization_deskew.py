@@ -32,7 +32,7 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
     geometry = ScanGeometry(np.array([-0.5, 0.0, 0.5]))
     scan = LaserScan.from_ranges(0, RANGES, geometry, range_max_m=30.0)
     beams = replace(scan, beam_times_s=np.array([0.0, 0.05, 0.1])).beams(0.1, 29.0)
-    ends = {order: beams.deskewed(order * np.array([0, 0, 1.0])).ends for order in (1, -1)} | {0: beams.ends}
+    ends = {order: beams.deskew(order * np.array([0, 0, 1.0])).ends for order in (1, -1)} | {0: beams.ends}
 
     def straightened(gains: dict[int, float], turn_rps: float) -> np.ndarray:
         def share(one: Beams) -> float:
@@ -46,7 +46,7 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
     ):  # fmt: skip
         np.testing.assert_array_equal(straightened(gains, 1.0), ends[order])
     slow = np.array([0, 0, 0.19])  # 0.019 rad in a scan
-    np.testing.assert_array_equal(straightened({}, 0.19), beams.deskewed(slow).ends)
+    np.testing.assert_array_equal(straightened({}, 0.19), beams.deskew(slow).ends)
 
 
 def heading_rmse(known, log, order, deskew):

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from gridslam.errors import ArgumentError
 from gridslam.particles import (
-    Always,
+    AlwaysResample,
     EffectiveSampleSizeBelow,
-    MovedAtLeast,
-    Never,
+    MotionThreshold,
+    NeverResample,
     ResamplingPolicy,
     UpdatePolicy,
     repeat_pose,
@@ -22,23 +22,26 @@ from gridslam.particles import (
 
 
 def test_resampling_policies() -> None:
-    assert all(isinstance(policy, ResamplingPolicy) for policy in (Always(), Never(), EffectiveSampleSizeBelow()))
-    assert Always()(30.0, 30)
-    assert not Never()(1.0, 30)
+    assert all(
+        isinstance(policy, ResamplingPolicy)
+        for policy in (AlwaysResample(), NeverResample(), EffectiveSampleSizeBelow())
+    )
+    assert AlwaysResample()(30.0, 30)
+    assert not NeverResample()(1.0, 30)
     assert EffectiveSampleSizeBelow()(14.9, 30)
     assert not EffectiveSampleSizeBelow()(15.0, 30)
     assert EffectiveSampleSizeBelow(fraction=0.6)(15.0, 30)
 
 
 def test_update_policy() -> None:
-    moved = MovedAtLeast(translation_m=0.5, rotation_rad=0.25)
+    moved = MotionThreshold(translation_m=0.5, rotation_rad=0.25)
     assert isinstance(moved, UpdatePolicy)
-    assert moved == MovedAtLeast()
+    assert moved == MotionThreshold()
     assert not moved(0.49, 0.24)
     assert moved(0.5, 0.0)
     assert moved(0.0, 0.25)
     assert moved(0.0, -0.25)
-    assert not MovedAtLeast(translation_m=math.inf)(1e9, 0.0)
+    assert not MotionThreshold(translation_m=math.inf)(1e9, 0.0)
 
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, math.nan, "half"])
@@ -51,10 +54,10 @@ def test_a_fraction_out_of_range_is_refused(fraction: object) -> None:
 @pytest.mark.parametrize("value", [0.0, -0.1, math.nan])
 def test_a_threshold_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValidationError, match=name):
-        MovedAtLeast(**{name: value})
+        MotionThreshold(**{name: value})
 
 
-@pytest.mark.parametrize("policy", [Always, Never, EffectiveSampleSizeBelow, MovedAtLeast])
+@pytest.mark.parametrize("policy", [AlwaysResample, NeverResample, EffectiveSampleSizeBelow, MotionThreshold])
 def test_unknown_keys_are_refused(policy) -> None:
     with pytest.raises(ValidationError, match="threshold"):
         policy(threshold=1)

@@ -55,7 +55,7 @@ def test_deskewed_with_the_true_twist_it_is_the_scan_of_an_instant():
     for (_, scan), pose in zip(log.measurements, log.truth.poses, strict=True):
         poses, _ = way.at(scan.stamp_ns * 1e-9 + np.array([0.0, 0.05, 0.1]))
         first, second = se2.log(se2.between(poses[:2], poses[1:])) / 0.05
-        ends = scan.beams(0.0, np.inf).deskewed(first).ends
+        ends = scan.beams(0.0, np.inf).deskew(first).ends
         if steady := np.abs(first - second).max() < 1e-6:
             assert clearance(log.walls, se2.transform_points(pose, ends)).max() < 1e-5
         exact += steady

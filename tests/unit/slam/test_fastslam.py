@@ -16,7 +16,7 @@ from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
-from gridslam.particles.policies import Always, Never
+from gridslam.particles.policies import AlwaysResample, NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
@@ -71,7 +71,7 @@ def test_the_proposal_of_fastslam2_is_what_sampling_finds():
     The sightings are chosen so that linearization errs little: its share of the spread is some spread / range, 1 %.
     """
     rng, count = np.random.default_rng(5), 50_000
-    slam = FastSlam2(FILTERS, when_to_resample=Never())
+    slam = FastSlam2(FILTERS, when_to_resample=NeverResample())
     base = slam.init(count)
     seen = SENSOR.linearize(np.zeros(3), np.array([[4.0, 1.0], [2.0, -3.0]]))[0]
     base, _ = slam.step(base, STILL, LandmarkObservations.of(seen, [1, 2]), rng)
@@ -111,7 +111,7 @@ def test_the_proposal_of_fastslam2_is_what_sampling_finds():
 
 def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_motion():
     """Two particles with different maps: their ratio of weights is that of two Gaussians over both sightings."""
-    slam, rng = FastSlam2(FILTERS, when_to_resample=Never()), np.random.default_rng(6)
+    slam, rng = FastSlam2(FILTERS, when_to_resample=NeverResample()), np.random.default_rng(6)
     state, _ = slam.step(slam.init(2), STILL, LandmarkObservations.of([[4.0, 0.3], [3.0, -0.8]], [1, 2]), rng)
     state.positions[1] += 0.05
     motion = GaussianIncrement.from_std(INCREMENT, np.array([0.03, 0.03, 0.02]))
@@ -137,7 +137,7 @@ def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(ki
     """A robot that cannot turn and sees positions: the posterior is EKF SLAM's, exactly."""
     sensor = RelativePosition(sigma_x_m=0.3, sigma_y_m=0.3)
     motion = GaussianIncrement.from_std(np.array([0.5, 0.0, 0.0]), np.array([0.15, 0.15, 0.0]))
-    slam, ekf = kind(LandmarkFilters(sensor), when_to_resample=Never()), EkfSlam(sensor)
+    slam, ekf = kind(LandmarkFilters(sensor), when_to_resample=NeverResample()), EkfSlam(sensor)
     rng, seen = np.random.default_rng(7), np.random.default_rng(8)
     state, expected = slam.init(20_000), ekf.init()
     for k in range(4):
@@ -257,7 +257,7 @@ def test_resampling_keeps_what_is_drawn_and_copies_are_apart(seed, count):
 @BOTH
 def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
     steps, _ = drive(ring(8), 60, np.random.default_rng(14))
-    slam = kind(FILTERS, when_to_resample=Always())
+    slam = kind(FILTERS, when_to_resample=AlwaysResample())
     one, _ = run(slam, steps, 10, np.random.default_rng(3))
     rng, state = np.random.default_rng(3), slam.init(10)
     for k, step in enumerate(steps):

@@ -12,7 +12,7 @@ from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.odometry_bias import OdometryBias
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_filters import LandmarkFilters
@@ -63,7 +63,7 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
     """
     sensor = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
     bias = OdometryBias(sigma_per_m=0.02, sigma_per_rad=0.0, memory_m=memory_m)
-    slam = FastSlam2(LandmarkFilters(sensor), when_to_resample=Never(), bias=bias)
+    slam = FastSlam2(LandmarkFilters(sensor), when_to_resample=NeverResample(), bias=bias)
     ekf, rng, seen = EkfSlam(sensor, bias=bias), np.random.default_rng(2), np.random.default_rng(3)
     true, pose = {1: [2.0, 1.0], 2: [6.0, -1.0], 3: [9.0, 1.0]}, np.zeros(3)
     state, other = slam.init(20_000), ekf.init()

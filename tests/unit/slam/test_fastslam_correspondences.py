@@ -9,7 +9,7 @@ from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RelativePosition
 from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_existence import Existence
@@ -24,7 +24,7 @@ STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     """Two landmarks, one nearer: the share of particles that take it is its share of p(z), known in closed form."""
     sensor = RelativePosition(sigma_x_m=0.2, sigma_y_m=0.2)
-    slam = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood()), when_to_resample=Never())
+    slam = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood()), when_to_resample=NeverResample())
     rng, count = np.random.default_rng(16), 4000
     state, _ = slam.step(slam.init(count), STILL, LandmarkObservations.of([[3.0, 0.6], [3.0, -0.6]]), rng)
     seen, nothing = LandmarkObservations.of([[3.0, 0.1]]), np.full((count, 1), NEW)

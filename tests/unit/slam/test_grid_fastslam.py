@@ -13,9 +13,9 @@ from gridslam.geometry.se2 import between
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import DiffusionMotion, OdometryMotion
 from gridslam.particles import (
-    Always,
+    AlwaysResample,
     Multinomial,
-    Never,
+    NeverResample,
     ResamplingWheel,
     Residual,
     Stratified,
@@ -25,7 +25,7 @@ from gridslam.particles import (
 from gridslam.slam import Gaussian, GridFastSlam, OdometryTracker, Peak, Prior, Tracker
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry, SkipReason, Trajectory
 
-LIVELY = GridFastSlam(when_to_resample=Always())
+LIVELY = GridFastSlam(when_to_resample=AlwaysResample())
 """Resamples at every key scan, so that 24 s are enough to share, copy and free maps in every way."""
 
 
@@ -202,7 +202,7 @@ def test_particles_may_begin_anywhere(drive, play):
     start[:] = 0.0  # the filter has its own copy
     np.testing.assert_array_equal(state.poses, given)
     assert report.n_eff == pytest.approx(6)
-    slam = GridFastSlam(when_to_resample=Never())
+    slam = GridFastSlam(when_to_resample=NeverResample())
     state, reports = play(slam, drive.measurements[1:], state=state)
     keys = np.flatnonzero([report.skipped is None for report in [report, *reports]])
     for begin, past in zip(given, state.ancestry.trajectories(), strict=True):
@@ -293,9 +293,12 @@ def test_a_gap_of_ten_seconds_is_bridged(drive, play):
         GridFastSlam(tracker=Tracker(map_scans=5)),
         GridFastSlam(tracker=OdometryTracker(), motion=OdometryMotion()),
         GridFastSlam(tracker=OdometryTracker(), motion=DiffusionMotion(0.05, 0.05), proposal=Gaussian()),
-        GridFastSlam(when_to_resample=Never()),
-        *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Multinomial, Residual, ResamplingWheel)),
-        *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Stratified, Systematic)),
+        GridFastSlam(when_to_resample=NeverResample()),
+        *(
+            GridFastSlam(resampler=r(), when_to_resample=AlwaysResample())
+            for r in (Multinomial, Residual, ResamplingWheel)
+        ),
+        *(GridFastSlam(resampler=r(), when_to_resample=AlwaysResample()) for r in (Stratified, Systematic)),
     ],
     ids=lambda slam: f"{type(slam.tracker).__name__}-{type(slam.proposal).__name__}-{type(slam.resampler).__name__}",
 )
@@ -305,5 +308,5 @@ def test_every_part_can_be_swapped(drive, play, slam):
     assert worst_error(reports, drive.truth) < (0.6 if isinstance(slam.proposal, Prior) else BAND_M)
     assert state.ancestry.steps == sum(report.skipped is None for report in reports)
     resampled = {report.parents is not None for report in reports[1:] if report.skipped is None}
-    if isinstance(slam.when_to_resample, Always | Never):
-        assert resampled == {isinstance(slam.when_to_resample, Always)}
+    if isinstance(slam.when_to_resample, AlwaysResample | NeverResample):
+        assert resampled == {isinstance(slam.when_to_resample, AlwaysResample)}

@@ -9,7 +9,7 @@ from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
@@ -62,7 +62,7 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
 
 def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_is_linear():
     """There and back twice, with noise at every step: pose and landmarks, adrift or not, are EKF SLAM's."""
-    slam, ekf = FastSlam2(LandmarkFilters(SENSOR), when_to_resample=Never()), EkfSlam(SENSOR)
+    slam, ekf = FastSlam2(LandmarkFilters(SENSOR), when_to_resample=NeverResample()), EkfSlam(SENSOR)
     noise, rng = np.array([0.05, 0.05, 0.0]), np.random.default_rng(3)
     true, pose, steps = {1: [1.0, 1.0], 2: [0.0, -1.0], 3: [6.0, 0.5], 4: [5.0, -1.0]}, np.zeros(2), []
     for increment, names in ([STILL.increment, (1, 2)], [AWAY, (3, 4)], [AWAY * 0, (3,)], [BACK, (1,)], [AWAY, (4,)]):

@@ -11,7 +11,7 @@ from gridslam.slam.memory import Memory
 from gridslam.slam.place_evidence import recent_points
 from gridslam.slam.submaps import anchor_of, keys_of
 from gridslam.slam.ties import Source, Tie
-from gridslam.types import EndPoints
+from gridslam.types import StoredScan
 
 SURE = (0.02**2, 0.01**2)
 BLIND = (1.0, 0.3**2)
@@ -133,7 +133,7 @@ def test_recent_points_are_none_from_before_a_gap(key, scans, first):
     memory = Memory()
     memory.graph = chain(40, [25])
     for k in range(40):
-        memory.scans.append(EndPoints(np.array([[1.0 + k, 0.5]]), np.zeros(2)), memory.graph.tracked[k], is_key=True)
+        memory.scans.append(StoredScan(np.array([[1.0 + k, 0.5]]), np.zeros(2)), memory.graph.tracked[k], is_key=True)
     tracked = memory.graph.tracked_from(key, np.arange(first, key + 1))
     seen = zip(range(first, key + 1), tracked, strict=True)
     expected = [transform_points(pose, np.array([[1.0 + k, 0.5]]))[0] for k, pose in seen]

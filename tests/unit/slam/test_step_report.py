@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.matching import GaussNewton
-from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, sample_gaussian
+from gridslam.particles import AlwaysResample, EffectiveSampleSizeBelow, normalize, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
@@ -21,7 +21,7 @@ from gridslam.types import LaserScan, SkipReason
 PARTICLES = 8
 
 
-@pytest.fixture(scope="module", params=[EffectiveSampleSizeBelow(), EffectiveSampleSizeBelow(0.98), Always()])
+@pytest.fixture(scope="module", params=[EffectiveSampleSizeBelow(), EffectiveSampleSizeBelow(0.98), AlwaysResample()])
 def run(request, drive, play):
     slam = GridFastSlam(when_to_resample=request.param)
     return slam, *play(slam, drive.measurements, particles=PARTICLES)
