@@ -35,9 +35,7 @@ def run_broken_logs(folder: Path, count: int, seed: int, whole_command_every: in
 
     A log is cut off as often read as far as it goes as not; every so many-th is given to the command itself.
     """
-    return _came(
-        folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library
-    )
+    return _came(folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library)
 
 
 def read_broken_logs(folder: Path, count: int, seed: int) -> Counter[str]:
@@ -107,7 +105,7 @@ def _diagnosed(path: Path, keep: bool) -> str:
     json.dumps(document(diagnosis), allow_nan=False)
     for finding in diagnosis.findings:
         if finding.figure is not None:
-            draw_chart(finding.figure, caption=[finding.says])
+            draw_chart(finding.figure, caption=[finding.message])
     with TemporaryDirectory(dir=path.parent) as out:
         for form in _FORMS:
             with suppress(InputError):

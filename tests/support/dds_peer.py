@@ -207,7 +207,7 @@ class Node:
         with log.open("w") as out:
             self.process = subprocess.Popen([*command, *arguments], env=environment, stderr=out, start_new_session=True)
 
-    def says(self, words: str, seconds: float = 60.0) -> bool:
+    def message(self, words: str, seconds: float = 60.0) -> bool:
         """Wait for words in its log."""
         return until(lambda: words in self.log.read_text(), seconds)
 

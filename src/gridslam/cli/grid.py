@@ -81,7 +81,7 @@ def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[st
 def _warnings(result: GridResult) -> Iterator[str]:
     """What is not in the map, and what makes it doubtful."""
     log = result.log
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{fault}: taken out before mapping (--repair none leaves it; gridslam doctor tells more)"
     yield from log.remarks
     if log.truncated:

@@ -157,7 +157,7 @@ _TOLD = 8
 
 def _warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
     """What is odd about the log and the map, and what was not heeded."""
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{result.source}: {fault}: taken out (--repair none leaves it; gridslam doctor tells more)"
     yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
     if ignored:

@@ -149,7 +149,7 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
 def _warnings(result: MapResult) -> Iterator[str]:
     """What makes the map doubtful, and what was done about it."""
     log = result.log
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{fault}: taken out before mapping (--repair none leaves it; gridslam doctor tells more)"
     yield from log.remarks
     if log.truncated:

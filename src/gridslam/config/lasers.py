@@ -22,7 +22,7 @@ class Laser(NamedTuple):
 
     Attributes
     ----------
-    says : str
+    description : str
         Which one it is, and its data sheet's figures.
     range_min_m, range_max_m : float
         Ranges outside are not used, whatever the log tells: nearer ones see the robot, and farther ones are noise, or
@@ -33,7 +33,7 @@ class Laser(NamedTuple):
         cost; with the noise of cheaper lasers it did not fall.
     """
 
-    says: str
+    description: str
     range_min_m: float
     range_max_m: float
     fine: bool = False

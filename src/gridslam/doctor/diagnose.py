@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import final
 
 from gridslam.doctor.beams import BeamExaminer
-from gridslam.doctor.cost import expected_cost
+from gridslam.doctor.cost import estimate_cost
 from gridslam.doctor.diagnosis import Diagnosis, LaserFacts
 from gridslam.doctor.examiner import Examiner
 from gridslam.doctor.finding import Finding, Severity
@@ -21,11 +21,12 @@ from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
 
+
 @final
 class Doctor:
     """Sees every measurement of a log, in its order, and tells at any time what was found.
 
-    The memory does not grow with the log; with matching (see `LaserWitness`) by 100 bytes for each scan that is
+    The memory does not grow with the log; with matching (see `LaserMotionEstimator`) by 100 bytes for each scan that is
     matched, which are ever fewer.
 
     Parameters
@@ -66,7 +67,7 @@ class Doctor:
     def cost(self) -> Finding:
         """Tell what mapping so many scans costs; without odometry as if each stepped the particles."""
         odometry = self._odometry
-        return expected_cost(odometry.scans, odometry.key_scans + odometry.without)
+        return estimate_cost(odometry.scans, odometry.key_scans + odometry.without)
 
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:
         """Put findings and facts together."""
@@ -118,6 +119,6 @@ def diagnose(
 
 def _unreadable(error: InputError, scans: int) -> Finding:
     return Finding(
-        "unreadable", Severity.SPOILS, f"The log cannot be read to its end: {error}", scans, "scans",
+        "unreadable", Severity.ERROR, f"The log cannot be read to its end: {error}", scans, "scans",
         "Record it again or repair it; a log that is cut off is mapped as far as it goes with --keep-truncated.",
     )  # fmt: skip
