@@ -15,7 +15,7 @@ from gridslam.api.localization_result import BELIEF_HEADER
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import write_map
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
@@ -54,7 +54,7 @@ def test_files_and_figures(place, tmp_path, capsys):
     assert {file.name for file in out.iterdir()} == FILES
     assert (document["schema"], document["seed"]) == ("gridslam.localization/2", 3)
     assert document["initial_pose"] == "global"
-    assert document["input"]["sha256"] == digest_of(place / "flat.clf")
+    assert document["input"]["sha256"] == compute_digest(place / "flat.clf")
     assert document["configuration"]["kld"]["particles_min"] == 2000
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
     truth = drive(1).truth.poses

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.config.tables import Table, changed, meant, to_table
+from gridslam.config.tables import Table, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.types import FloatArray
@@ -104,13 +104,13 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | Non
     """
     unknown = [name for name in parameters if name not in AMCL_NAMES]
     if unknown:
-        raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{meant(unknown[0], AMCL_NAMES)}")
+        raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{suggest_names(unknown[0], AMCL_NAMES)}")
     _check_numbers(parameters)
     given = {_NAV2.get(name, name): value for name, value in parameters.items()}
     configuration = base or MonteCarloConfiguration()
     if isinstance(most := given.get("max_particles"), int) and 0 < most < configuration.kld.particles_min:
         given.setdefault("min_particles", most)
-    configuration = changed(configuration, _changes(given, configuration))
+    configuration = replace_parameters(configuration, _changes(given, configuration))
     ignored = [name for name in parameters if _NAV2.get(name, name) in _IGNORED]
     if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(configuration.sensor):
         ignored.append("lambda_short" if "lambda_short" in parameters else "laser_lambda_short")

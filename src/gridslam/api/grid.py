@@ -11,11 +11,11 @@ import numpy as np
 
 from gridslam.api.grid_result import GridResult
 from gridslam.arguments import require_instance, require_threads
-from gridslam.config import Configuration, override, with_laser
+from gridslam.config import Configuration, apply_laser, override
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.trajectory import read_tum
 from gridslam.mapping.beam_counts import BeamCounts
@@ -114,7 +114,7 @@ def map_with_poses(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
         deskew=deskew, configuration=config, log=source.statistics, repair=_repair_of(source), given=given,
-        source=source.path, digest=digest_of(source.path), given_path=path, stopwatch=watch,
+        source=source.path, digest=compute_digest(source.path), given_path=path, stopwatch=watch,
     )  # fmt: skip
     watch.lap("map")
     return result
@@ -167,7 +167,7 @@ def _repair_of(log: Log) -> Repair:
 
 def _configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
     config = base or Configuration()
-    config = config if laser is None else with_laser(config, laser)
+    config = config if laser is None else apply_laser(config, laser)
     if resolution_m is None:
         return config
     if not 0 < resolution_m <= 1:

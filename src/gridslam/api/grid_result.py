@@ -13,7 +13,7 @@ from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
 from gridslam.io.output import OutputFolder
@@ -181,7 +181,7 @@ class GridResult:
     def _given(self) -> dict[str, Any]:
         return {
             "path": None if self.given_path is None else os.fspath(self.given_path),
-            "sha256": None if self.given_path is None else digest_of(self.given_path),
+            "sha256": None if self.given_path is None else compute_digest(self.given_path),
             "poses": len(self.given),
             "first_stamp_ns": int(self.given.stamps_ns.min()),
             "last_stamp_ns": int(self.given.stamps_ns.max()),

@@ -12,9 +12,9 @@ from gridslam.api.landmark_localization_result import LandmarkLocalizationResult
 from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
+from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
@@ -81,7 +81,7 @@ def localize_by_landmarks(
         of the map.
     """
     watch = stopwatch or Stopwatch()
-    source = opened_landmark_log(log)
+    source = open_landmark_log_if_path(log)
     known = _known(source, landmarks)
     association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
@@ -104,7 +104,7 @@ def localize_by_landmarks(
         reports=tuple(reports), landmarks=known, unknown=unknown, log=source,
         landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None,
         in_true_frame=landmarks is None, models={"sensor": model, "motion": motion, "association": association},
-        digest=digest_of(source.path), stopwatch=watch,
+        digest=compute_digest(source.path), stopwatch=watch,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gridslam import __version__
 from gridslam.api.showing import describe_result, tabulate
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.landmark_log import LandmarkLog
 from gridslam.io.output import OutputFolder
@@ -164,7 +164,7 @@ class LandmarkLocalizationResult:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        return covered(self.trajectory, known)
+        return clip_to_truth(self.trajectory, known)
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from gridslam import __version__
 from gridslam.api.showing import describe_result, tabulate
-from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_place
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
+from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_files import write_landmarks
 from gridslam.io.landmark_log import LandmarkLog
@@ -190,7 +190,7 @@ class LandmarkResult:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        return covered(self.trajectory, known)
+        return clip_to_truth(self.trajectory, known)
 
     def _pairs(self, compared: tuple[Trajectory, Trajectory] | None) -> tuple[IntArray, IntArray] | None:
         """Partners among the landmarks and the true ones; None where there is none."""
@@ -201,7 +201,7 @@ class LandmarkResult:
         elif compared is None:
             return None
         else:
-            pairs = pair_by_place(self.landmarks.positions, known.positions, _true_from_map(*compared))
+            pairs = pair_by_position(self.landmarks.positions, known.positions, _true_from_map(*compared))
         return pairs if len(pairs[0]) else None
 
     def picture(self) -> Picture:

@@ -13,8 +13,8 @@ from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
 from gridslam.api.landmark_result import LandmarkEstimate, LandmarkResult
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
-from gridslam.io.digest import digest_of
-from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
+from gridslam.io.digest import compute_digest
+from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.landmark_observations import LandmarkStep
@@ -101,7 +101,7 @@ def map_landmarks(
     """
     _check(method, particles, seed, unknown)
     watch = stopwatch or Stopwatch()
-    source = opened_landmark_log(log)
+    source = open_landmark_log_if_path(log)
     if particles is None and method in PARTICLES:
         particles = PARTICLES_UNKNOWN_CORRESPONDENCES if unknown else PARTICLES[method]
     model, motion = sensor or SENSORS[source.kind], motion or (WIDE_MOTION if unknown else MOTION)
@@ -125,7 +125,7 @@ def map_landmarks(
     return LandmarkResult(
         method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
-        particles=particles, models=models, digest=digest_of(source.path),
+        particles=particles, models=models, digest=compute_digest(source.path),
     )  # fmt: skip
 
 

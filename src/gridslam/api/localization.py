@@ -16,7 +16,7 @@ from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.map_server import read_map
 from gridslam.io.measurement import Measurement
@@ -113,7 +113,7 @@ def localize(
     result = LocalizationResult(
         told.reports, driven, known.grid, state, configuration,
         None if pose is None else np.array(pose, np.float64), seed, threads, source.statistics, source.path, path,
-        digest_of(source.path), remarks, taken_out or Repair(), watch,
+        compute_digest(source.path), remarks, taken_out or Repair(), watch,
     )  # fmt: skip
     watch.lap("finish")
     return result

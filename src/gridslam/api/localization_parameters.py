@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable
 
 from gridslam.api.amcl import AMCL_NAMES, AmclParameters, from_amcl
-from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 
@@ -32,14 +32,16 @@ def override_configuration(configuration: MonteCarloConfiguration, assignments: 
         else:
             _put(changes, name, _value(text), configuration)
     read = from_amcl(amcl, configuration)
-    return read._replace(configuration=changed(read.configuration, changes))
+    return read._replace(configuration=replace_parameters(read.configuration, changes))
 
 
 def _put(changes: Table, name: str, value: object, configuration: MonteCarloConfiguration) -> None:
     """Put a value into nested tables, where its dotted name says."""
     *above, last = name.split(".")
     if [*above, last][0] not in to_table(configuration):
-        raise ConfigurationError(f"{name}: no such parameter{meant(name, [*names(configuration), *AMCL_NAMES])}")
+        raise ConfigurationError(
+            f"{name}: no such parameter{suggest_names(name, [*names(configuration), *AMCL_NAMES])}"
+        )
     for key in above:
         changes = changes.setdefault(key, {})
         if not isinstance(changes, dict):

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
 from gridslam.doctor.report import document, markdown, picture_name, text
@@ -26,7 +26,7 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     if out is None:
         diagnosis = _shown(source, not as_json)
     else:
-        with opened(out) as folder:
+        with open_output(out) as folder:
             diagnosis = _shown(source, not as_json)
             _write(diagnosis, folder)
     if as_json:

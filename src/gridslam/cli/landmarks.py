@@ -11,7 +11,7 @@ from gridslam.api.landmark_result import LandmarkResult
 from gridslam.api.landmarks import LandmarkMethod, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -27,7 +27,7 @@ def landmarks_to_folder(
         raise click.ClickException("--unknown: GraphSLAM has to be told which landmark was seen")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with opened(out) as folder:
+    with open_output(out) as folder:
         try:
             result = map_landmarks(
                 source, method, particles=particles, seed=seed, unknown=unknown, tick=stop_if_interrupted,

@@ -20,7 +20,7 @@ from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import live_page, watched
 from gridslam.cli.options import named
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
@@ -66,7 +66,7 @@ def localize_to_folder(
     with ExitStack() as onlookers:
         recording = onlookers.enter_context(rerun_recording(rerun, name, range_max_m, known))
         page = onlookers.enter_context(live_page(live, name, range_max_m, known))
-        with nullcontext() if out is None else opened(out) as folder:
+        with nullcontext() if out is None else open_output(out) as folder:
             result = _shown(
                 source, map_path, pose, read, seed, threads, strict_thresholds, repair, not as_json, watch, page,
                 recording,

@@ -10,7 +10,7 @@ from typing import Final, Literal, final
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
@@ -145,7 +145,7 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         changes = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"expected TOML: {error}") from None
-    return changed(base or Configuration(), changes)
+    return replace_parameters(base or Configuration(), changes)
 
 
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:
@@ -175,14 +175,14 @@ def override(config: Configuration, *assignments: str) -> Configuration:
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
         *above, last = PARAMETERS.get(name, (name,))[0].split(".")
         if [*above, last][0] not in to_table(config):
-            raise ConfigurationError(f"{name}: no such parameter{meant(name, [*PARAMETERS, *names(config)])}")
+            raise ConfigurationError(f"{name}: no such parameter{suggest_names(name, [*PARAMETERS, *names(config)])}")
         table = changes
         for key in above:
             table = table.setdefault(key, {})
             if not isinstance(table, dict):
                 raise ConfigurationError(f"{name}: {key} was given as {table!r} before")
         table[last] = _value(text)
-    return changed(config, changes)
+    return replace_parameters(config, changes)
 
 
 def _value(text: str) -> object:

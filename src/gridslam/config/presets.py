@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from gridslam.config.configuration import Configuration
-from gridslam.config.tables import changed, meant
+from gridslam.config.tables import replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models.endpoint import GMappingEndPoint
@@ -66,8 +66,12 @@ def preset(name: str, particles: int | None = None) -> Configuration:
         There is no such preset, or the number is out of range.
     """
     if name not in PRESETS:
-        raise ConfigurationError(f"preset: expected {', '.join(PRESETS)}, got {name!r}{meant(name, PRESETS)}")
+        raise ConfigurationError(f"preset: expected {', '.join(PRESETS)}, got {name!r}{suggest_names(name, PRESETS)}")
     config = PRESETS[name]()
     if particles is not None:
-        config = changed(config, {"particles": particles})
-    return changed(config, {"sensor": {"likelihood_gain": 3.0 * config.particles}}) if name == "gmapping" else config
+        config = replace_parameters(config, {"particles": particles})
+    return (
+        replace_parameters(config, {"sensor": {"likelihood_gain": 3.0 * config.particles}})
+        if name == "gmapping"
+        else config
+    )

@@ -16,7 +16,7 @@ from gridslam.doctor.range_limits import RangeExaminer
 from gridslam.doctor.reader import reader_findings
 from gridslam.doctor.stamps import StampExaminer
 from gridslam.errors import InputError
-from gridslam.io.log import Log, LogOptions, LogSource, opened_log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
@@ -103,7 +103,7 @@ def diagnose(
         The log has no scan that can be read. One that cannot be read to its end is diagnosed as far as it goes, and
         that is a finding.
     """
-    source, doctor, broken, scans = opened_log(log, options), Doctor(), None, 0
+    source, doctor, broken, scans = open_if_path(log, options), Doctor(), None, 0
     try:
         for measurement in source:
             doctor.take(measurement)

@@ -8,7 +8,7 @@ from typing import final
 
 from gridslam.doctor.diagnose import Doctor
 from gridslam.doctor.finding import Finding
-from gridslam.io.log import Log, LogSource, opened_log
+from gridslam.io.log import Log, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
@@ -60,7 +60,7 @@ def quick_check(log: LogSource) -> tuple[Finding, ...]:
     No scan is matched, and what only a whole log can tell, such as that the robot never moves, is left out.
     """
     found: list[Finding] = []
-    for _ in _check_first_minute(iter(opened_log(log)), found.extend):
+    for _ in _check_first_minute(iter(open_if_path(log)), found.extend):
         pass
     return tuple(found)
 

@@ -11,7 +11,7 @@ from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.doctor.repair import Repair, calibrate_early, find_full_repair, find_needed_repair, repair_measurements
 from gridslam.errors import ArgumentError
-from gridslam.io.log import Log, LogOptions, LogSource, opened_log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
@@ -84,11 +84,11 @@ def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
 
 
 def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
-    """Open a log as `opened_log` does, and take out of it what `RepairedLog` does, or nothing.
+    """Open a log as `open_if_path` does, and take out of it what `RepairedLog` does, or nothing.
 
     Raises ArgumentError for another `kind`, too.
     """
     if kind not in ("needed", "all", "none"):
         raise ArgumentError("repair", "needed, all or none", kind)
-    read = opened_log(log, options)
+    read = open_if_path(log, options)
     return read if kind == "none" else RepairedLog(read, kind)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.g2o_lines import EDGE, FIX, VERTEX, TaggedRows, read_rows
-from gridslam.io.output import written_aside
+from gridslam.io.output import write_atomically
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -121,7 +121,7 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
     edges = np.concatenate([graph.measurements, graph.information[:, _UPPER[0], _UPPER[1]]], axis=1)
     lines = _lines(VERTEX, names[written, None], graph.poses[written])
     lines.insert(int(np.flatnonzero(written == 0)[0]) + 1, f"{FIX} {names[0]}\n")  # after its vertex
-    with written_aside(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
+    with write_atomically(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
         file.writelines(lines)
         file.writelines(_lines(EDGE, names[graph.edges], edges))
 

@@ -66,11 +66,11 @@ def _numbered(path: str | Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, from 1; a file whose compressed end is missing is refused."""
     source, number = TextSource(path), 0
     for block in source:
-        if source.cut_off:  # what is left is the beginning of a line
+        if source.is_truncated:  # what is left is the beginning of a line
             break
         yield from enumerate(block, number + 1)
         number += len(block)
-    if source.cut_off:
+    if source.is_truncated:
         raise InputError(path, "expected a whole file, got one whose compressed end is missing", number)
 
 

@@ -9,11 +9,11 @@ from typing import Protocol, final, runtime_checkable
 
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text_source import head_of
+from gridslam.io.text_source import read_head
 from gridslam.models.landmark_observations import LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "opened_landmark_log"]
+__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "open_landmark_log_if_path"]
 
 _HEAD_BYTES = 4096
 _KNOWN = "an odometry file of UTIAS MRCLAM (.._Odometry.dat) or lines ODOMETRY and LANDMARK (Victoria Park)"
@@ -112,7 +112,7 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
     where = Path(path)
     if where.is_dir():
         raise InputError(path, f"expected {_KNOWN}, got a folder")
-    lines = head_of(where, _HEAD_BYTES).decode("latin-1").splitlines()
+    lines = read_head(where, _HEAD_BYTES).decode("latin-1").splitlines()
     first = next((line.split()[0] for line in lines if line.split() and not line.startswith("#")), "")
     if MrclamLog.names(where):
         return MrclamLog(where)
@@ -121,7 +121,7 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
     raise InputError(path, f"expected {_KNOWN}, got a line that begins with {first[:40]!r}")
 
 
-def opened_landmark_log(log: str | Path | LandmarkLog) -> LandmarkLog:
+def open_landmark_log_if_path(log: str | Path | LandmarkLog) -> LandmarkLog:
     """Open the log at a path, and give one that is open as it is; raises ArgumentError for what is neither."""
     if isinstance(log, str | Path):
         return open_landmark_log(log)

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.output import OutputFolder, written_aside
+from gridslam.io.output import OutputFolder, write_atomically
 
 
 def listing(folder):
@@ -38,6 +38,7 @@ def test_others_stay_and_namesakes_are_replaced(tmp_path):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_a_failed_run_leaves_no_trace(tmp_path, error):
     (tmp_path / "map.pgm").write_text("old")
+
     def run(out):
         with OutputFolder(out) as output:
             output.file("map.pgm").write_text("half")
@@ -126,11 +127,11 @@ def test_written_aside(tmp_path):
     target = tmp_path / "file"
 
     def fail():
-        with written_aside(target) as path:
+        with write_atomically(target) as path:
             path.write_text("half")
             raise KeyError
 
-    with written_aside(target) as path:
+    with write_atomically(target) as path:
         path.write_text("whole")
         assert not target.exists()
     with pytest.raises(KeyError):

@@ -69,7 +69,7 @@ def test_a_localization_is_shown_at_each_scan(place):
         np.testing.assert_array_equal(np.isnan(onlooker.path[:, 0]), result.lost[: at + 1])
 
 
-def changed(out, tmp_path, name, text):
+def replace_parameters(out, tmp_path, name, text):
     folder = tmp_path / "changed"
     shutil.copytree(out, folder)
     (folder / name).write_text(text)
@@ -80,7 +80,7 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
     folder, _ = place
     document = json.loads((folder / "out" / "run.json").read_text())
     document["input"]["map"] = str(tmp_path / "gone.yaml")
-    replay = Replay(changed(folder / "out", tmp_path, "run.json", json.dumps(document)))
+    replay = Replay(replace_parameters(folder / "out", tmp_path, "run.json", json.dumps(document)))
     _, onlooker = looking(replay)
     assert "gone.yaml" in replay.lacks
     assert onlooker.status["says"] == replay.lacks
@@ -101,7 +101,7 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
 )
 def test_a_belief_that_is_none_is_told(place, tmp_path, text, says):
     with pytest.raises(InputError, match=says):
-        Replay(changed(place[0] / "out", tmp_path, "belief.csv", text))
+        Replay(replace_parameters(place[0] / "out", tmp_path, "belief.csv", text))
 
 
 def test_landmarks_are_shown_with_the_way(tmp_path):
