@@ -27,7 +27,7 @@ from gridslam.slam.graph_cauchy import Cauchy
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmark_path import path
+from gridslam.slam.landmark_path import smooth_trajectory
 from gridslam.slam.landmark_report import LandmarkReport
 from gridslam.types import FloatArray, MotionModel
 
@@ -157,7 +157,7 @@ def _by_particles(
         "resamplings": sum(report.parents is not None for report in reports),
     }
     bias = slam.bias if isinstance(slam, FastSlam2) else EXACT_ODOMETRY
-    full = path(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
+    full = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
     landmarks = slam.landmark_map(state)
     return LandmarkEstimate(full, _poses(reports), _covariances(reports), landmarks, _count_outliers(reports), figures)
 

@@ -19,7 +19,7 @@ from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.slam.ekf_slam_state import EkfSlamState
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
 from gridslam.slam.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
@@ -38,7 +38,7 @@ class EkfSlam:
         p(z | x, m) of one landmark.
     association : Association
         `KnownCorrespondence` where the sightings tell the correspondences, `MaximumLikelihood` where they do not.
-    existence : Existence
+    existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
     bias : OdometryBias
@@ -51,7 +51,7 @@ class EkfSlam:
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
-    existence: Existence = field(default_factory=Existence)
+    existence: LandmarkExistence = field(default_factory=LandmarkExistence)
     bias: OdometryBias = EXACT_ODOMETRY
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
@@ -80,9 +80,9 @@ class EkfSlam:
         self._predict(state, motion)
         places = self._correspondences(state, observations, noise)
         known = np.flatnonzero(places >= 0)
-        firm = state.evidence[places[known]] >= self.existence.confirmed
-        self._correct(state, places[known[firm]], observations.values[known[firm]], noise[known[firm]])
-        for k in known[~firm].tolist():
+        confirmed = state.evidence[places[known]] >= self.existence.log_odds_confirmed
+        self._correct(state, places[known[confirmed]], observations.values[known[confirmed]], noise[known[confirmed]])
+        for k in known[~confirmed].tolist():
             self._correct_provisional(state, int(places[k]), observations.values[k], noise[k])
         for k in np.flatnonzero(places == NEW).tolist():
             places[k] = self._add(state, observations, k, noise[k])
@@ -93,7 +93,7 @@ class EkfSlam:
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the landmarks that are held for real."""
-        return state.landmark_map(self.existence.confirmed)
+        return state.landmark_map(self.existence.log_odds_confirmed)
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
         """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""

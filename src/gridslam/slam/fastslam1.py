@@ -87,7 +87,7 @@ class FastSlam1:
             self.landmarks.correct(state, seen)
         for k in range(len(observations)):
             self.landmarks.add(state, columns[:, k], poses, observations, k)
-        state.advance(poses, state.spread, log_weights)
+        state.advance(poses, state.state_covariances, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

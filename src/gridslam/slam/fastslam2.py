@@ -20,8 +20,8 @@ from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPoli
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmark_bias import predict
 from gridslam.slam.landmark_filters import LandmarkFilters
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
 from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.landmark_raft import PoseAndRaft
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
 from gridslam.types import MotionSampler, Resampler
 
@@ -39,7 +39,7 @@ class FastSlam2:
     part: what the proposal takes into account is not weighed again.
 
     Where nothing is seen that is known, the pose is not drawn either: what is new is put on a raft, whose place is a
-    Gaussian, too (see `gridslam.slam.landmark_raft`). So particles do not die over what nobody can tell yet.
+    Gaussian, too (see `gridslam.slam.landmark_local_frame`). So particles do not die over what nobody can tell yet.
 
     Attributes
     ----------
@@ -77,10 +77,10 @@ class FastSlam2:
         state = state.take()
         mean, spread = predict(state, self.bias, motion, rng)  # of p(x_t, b_t | x_t-1, u_t)
         if not len(observations):
-            state.wait(mean, spread)
+            state.predict_without_drawing(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))
         log_weights, columns = np.zeros(len(state)), np.full((len(state), len(observations)), NEW)
-        belief = PoseAndRaft.of(state, mean, spread)
+        belief = LocalFrameBelief.of(state, mean, spread)
         for k in self.landmarks.order(state, observations, belief.poses).tolist():
             columns[:, k], log_p, seen = self.landmarks.correspond(
                 state, observations, k, belief.poses, belief, columns, rng
@@ -88,11 +88,13 @@ class FastSlam2:
             log_weights += log_p  # w = p(z | x_t-1, u_t)
             belief.correct(seen)
         unknown = np.flatnonzero((columns == NEW).all(axis=1))
-        belief.launch(unknown[self.landmarks.outweighs(belief.poses[unknown], spread[unknown], observations)], rng)
+        belief.open_local_frame(
+            unknown[self.landmarks.is_less_certain(belief.poses[unknown], spread[unknown], observations)], rng
+        )
         state.advance(*belief.draw(rng), log_weights, belief.replaced)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
         for k in range(len(observations)):
             rows = np.flatnonzero(columns[:, k] >= 0)
-            apart = belief.apart(rows, columns[rows, k])
+            apart = belief.cross_frame_covariance(rows, columns[rows, k])
             seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, apart, observations, k)
             self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], state.poses, observations, k)

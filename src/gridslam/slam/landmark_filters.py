@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence, MaximumLikelihood, signatures
 from gridslam.models.landmark import LandmarkModel, RangeBearing
 from gridslam.models.landmark_observations import LandmarkObservations
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
 from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.landmark_raft import PoseAndRaft
-from gridslam.slam.small_gaussians import inverse_2x2, log_density, mahalanobis, projected, times, transposed
+from gridslam.slam.small_gaussians import (
+    inverse_2x2,
+    log_density,
+    mahalanobis,
+    matvec,
+    transform_covariances,
+    transpose,
+)
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Innovation", "LandmarkFilters"]
@@ -43,7 +50,7 @@ class Innovation:
     by_pose: FloatArray
     by_landmark: FloatArray
 
-    def of(self, chosen: NDArray[np.bool_]) -> Innovation:
+    def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
         if chosen.all():
             return self
@@ -65,13 +72,13 @@ class LandmarkFilters:
     association : Association
         `KnownCorrespondence` where the sightings tell the correspondences, `MaximumLikelihood` where they do not: then
         each particle finds its own.
-    existence : Existence
+    existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown.
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
     association: Association = field(default_factory=KnownCorrespondence)
-    existence: Existence = field(default_factory=Existence)
+    existence: LandmarkExistence = field(default_factory=LandmarkExistence)
 
     def order(self, state: LandmarkParticles, observations: LandmarkObservations, poses: FloatArray) -> IntArray:
         """Order (K,) in which sightings find their landmarks: the surest first, as the best particle sees them.
@@ -83,13 +90,13 @@ class LandmarkFilters:
         best = state.best
         known = state.exists[best]
         predicted, _, H_m = self.sensor.linearize(poses[best], state.positions[best, known])
-        L = projected(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
+        L = transform_covariances(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
         squared, log_dets = mahalanobis(self.sensor.residual(observations.values[:, None], predicted), L)
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
 
     def correspond(
         self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: PoseAndRaft | None, taken: IntArray, rng: np.random.Generator,
+        belief: LocalFrameBelief | None, taken: IntArray, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Find the landmark of sighting k in each particle.
 
@@ -97,7 +104,7 @@ class LandmarkFilters:
         ----------
         poses : (N, 3) float64
             From where it is seen.
-        belief : PoseAndRaft or None
+        belief : LocalFrameBelief or None
             Of these poses; None where they are given.
         taken : (N, K) int64
             Columns of the sightings before, below 0 where there is none: a landmark is seen once at a time.
@@ -117,18 +124,18 @@ class LandmarkFilters:
             self.association.outlier_distance, np.log(np.linalg.det(self.sensor.noise(observations)[k]))
         )
         if isinstance(self.association, MaximumLikelihood):
-            return self._drawn(
+            return self._draw_correspondences(
                 state, observations, k, poses, belief, taken, self.association, float(outlier_log_p), rng
             )
         column = state.column(int(signatures(observations)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
-        seen = self._predicted(state, rows, np.full(len(rows), column), poses, belief, observations, k)
+        seen = self._predict(state, rows, np.full(len(rows), column), poses, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.gate
         columns, likelihood = np.full(len(state), NEW), np.full(len(state), float(outlier_log_p))
         columns[rows] = np.where(believed, column, AMBIGUOUS)
         likelihood[rows] = log_density(np.minimum(squared, self.association.gate), log_dets)
-        return columns, likelihood, seen.of(believed)
+        return columns, likelihood, seen.select(believed)
 
     def innovation(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
@@ -136,15 +143,17 @@ class LandmarkFilters:
     ) -> Innovation:  # fmt: skip
         """Predict sighting k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
         predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
-        L = projected(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
+        L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
         if spread is not None:
-            L += projected(H_x, spread)
+            L += transform_covariances(H_x, spread)
         return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
 
-    def outweighs(self, poses: FloatArray, spread: FloatArray, observations: LandmarkObservations) -> NDArray[np.bool_]:
+    def is_less_certain(
+        self, poses: FloatArray, spread: FloatArray, observations: LandmarkObservations
+    ) -> NDArray[np.bool_]:
         """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than what the sightings tell."""
         _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, observations.values[0]))
-        of_pose = projected(H_x, np.ascontiguousarray(spread[:, :3, :3]))
+        of_pose = transform_covariances(H_x, np.ascontiguousarray(spread[:, :3, :3]))
         ratio = np.linalg.inv(self.sensor.noise(observations)[0]) @ of_pose
         return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
 
@@ -155,10 +164,10 @@ class LandmarkFilters:
         """
         of = seen.rows, seen.columns
         covariances = state.covariances[of]
-        shared = covariances @ transposed(seen.by_landmark)
+        shared = covariances @ transpose(seen.by_landmark)
         gain = shared @ inverse_2x2(seen.covariances)
-        state.positions[of] += times(gain, seen.residuals)
-        state.covariances[of] = covariances - gain @ transposed(shared)
+        state.positions[of] += matvec(gain, seen.residuals)
+        state.covariances[of] = covariances - gain @ transpose(shared)
         if state.pose_by_bias.size:
             by_pose = seen.by_pose @ state.pose_by_bias[seen.rows]
             state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
@@ -180,8 +189,11 @@ class LandmarkFilters:
         _, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[of])
         root = inverse_2x2(H_m)
         state.positions_by_bias[of] = -root @ H_x @ state.pose_by_bias[rows]
-        state.covariances[of] = projected(root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape))
-        state.evidence[of], state.observations[of], state.adrift[of] = 0.0, 0, state.aboard[rows]
+        state.covariances[of] = transform_covariances(
+            root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
+        )
+        state.evidence[of], state.observations[of] = 0.0, 0
+        state.landmark_in_local_frame[of] = state.in_local_frame[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
         """Count the sightings of landmarks `columns` (N, K), and the evidence for and against all; drop what is none.
@@ -192,29 +204,29 @@ class LandmarkFilters:
         of = rows, columns[rows, k]
         state.observations[of] += 1
         if self.association.uses_signatures:
-            state.evidence[of], state.firm[of] = math.inf, True
+            state.evidence[of], state.confirmed[of] = math.inf, True
         elif columns.shape[1]:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
             seen[of] = True
             evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
-            state.firm = (state.firm | (evidence >= self.existence.confirmed)) & (evidence >= 0)
+            state.confirmed = (state.confirmed | (evidence >= self.existence.log_odds_confirmed)) & (evidence >= 0)
 
-    def _predicted(
+    def _predict(
         self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        belief: PoseAndRaft | None, observations: LandmarkObservations, k: int,
+        belief: LocalFrameBelief | None, observations: LandmarkObservations, k: int,
     ) -> Innovation:  # fmt: skip
-        spread = None if belief is None else belief.spread(rows, columns)
+        spread = None if belief is None else belief.covariance_seen_from(rows, columns)
         return self.innovation(state, rows, columns, poses, spread, observations, k)
 
-    def _drawn(
+    def _draw_correspondences(
         self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: PoseAndRaft | None, taken: IntArray, within: MaximumLikelihood, outlier_log_p: float,
+        belief: LocalFrameBelief | None, taken: IntArray, within: MaximumLikelihood, outlier_log_p: float,
         rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Draw c ~ p(c | z), so that particles hold rival correspondences; its weight is then the sum of p(z | c)."""
-        rows, columns = np.nonzero(self._near(state, observations, k, poses, belief, within.new_gate))
-        seen = self._predicted(state, rows, columns, poses, belief, observations, k)
+        rows, columns = np.nonzero(self._may_match(state, observations, k, poses, belief, within.new_gate))
+        seen = self._predict(state, rows, columns, poses, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         free = (taken[rows] != columns[:, None]).all(axis=1)
         near = np.zeros(len(state), np.bool_)
@@ -228,17 +240,19 @@ class LandmarkFilters:
         drawn[(drawn == NEW) & near] = AMBIGUOUS
         chosen = drawn[rows] == columns
         drawn[rows[chosen & (squared > within.match_gate)]] = AMBIGUOUS
-        return drawn, likelihood, seen.of(chosen & (squared <= within.match_gate))
+        return drawn, likelihood, seen.select(chosen & (squared <= within.match_gate))
 
-    def _near(
+    def _may_match(
         self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: PoseAndRaft | None, distance: float,
+        belief: LocalFrameBelief | None, distance: float,
     ) -> NDArray[np.bool_]:  # fmt: skip
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
         at = self.sensor.locate(poses, observations.values[k])
         _, H_x, H_m = self.sensor.linearize(poses, at)
-        L = self.sensor.noise(observations)[k] + (0.0 if belief is None else projected(H_x, belief.reach()))
-        reach = np.trace(projected(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
+        L = self.sensor.noise(observations)[k]
+        if belief is not None:
+            L = L + transform_covariances(H_x, belief.bound_covariance())
+        reach = np.trace(transform_covariances(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))
         return np.asarray(state.exists & (x * x + y * y <= distance * reach))

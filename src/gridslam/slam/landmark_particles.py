@@ -14,9 +14,9 @@ from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.weights import effective_sample_size, normalize
-from gridslam.slam.landmark_raft import lever
+from gridslam.slam.landmark_local_frame import lever_arm_jacobian
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
-from gridslam.slam.small_gaussians import projected
+from gridslam.slam.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LandmarkParticles"]
@@ -38,9 +38,9 @@ class LandmarkParticles:
 
     Attributes
     ----------
-    known : (N, 3 + B) float64
+    state_means : (N, 3 + B) float64
         The pose, map frame, and the B errors of the odometry that are learned.
-    spread : (N, 3 + B, 3 + B) float64
+    state_covariances : (N, 3 + B, 3 + B) float64
         Their covariance given what was drawn: of the pose what these errors explain, and all as long as drawing waits.
     pose_by_bias, positions_by_bias : (N, 3, B), (N, M, 2, B) float64
         Derivatives of the pose and of the landmarks by these errors: what was drawn of the path is the rest.
@@ -55,22 +55,24 @@ class LandmarkParticles:
         Of the landmarks, given what was drawn and the errors of the odometry.
     evidence : (N, M) float64, nats
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
-    firm : (N, M) bool
+    confirmed : (N, M) bool
         Which of them are held for real.
     observations : (N, M) int64
         How often each was seen.
-    rafts, drift, aboard, launched : (N, 3), (N, 3, 3) float64, (N,) bool, (N,) int64
-        Where each particle's raft lies, map frame, the covariance of that, whether the robot is on it, and the step
-        at which it came to be, 0 where there is none: see `gridslam.slam.landmark_raft`.
-    adrift : (N, M) bool
+    local_frames, local_frame_covariances : (N, 3), (N, 3, 3) float64
+        Where each particle's local frame lies, map frame, and the covariance of that: see
+        `gridslam.slam.landmark_local_frame`.
+    in_local_frame, local_frame_step : (N,) bool, (N,) int64
+        Whether the robot's pose is drawn in it, and the step at which it was opened, 0 where there is none.
+    landmark_in_local_frame : (N, M) bool
         Which landmarks are on the raft.
     ancestry : Ancestry
-        All particles' pasts, step by step, the first pose included: what `landmark_path.path` tells the trajectories
-        from.
+        All particles' pasts, step by step, the first pose included, from which `landmark_path.smooth_trajectory`
+        computes trajectories.
     """
 
-    known: FloatArray
-    spread: FloatArray
+    state_means: FloatArray
+    state_covariances: FloatArray
     pose_by_bias: FloatArray
     bias_before: FloatArray
     log_weights: FloatArray
@@ -80,13 +82,13 @@ class LandmarkParticles:
     covariances: FloatArray
     positions_by_bias: FloatArray
     evidence: FloatArray
-    firm: NDArray[np.bool_]
+    confirmed: NDArray[np.bool_]
     observations: IntArray
-    rafts: FloatArray
-    drift: FloatArray
-    aboard: NDArray[np.bool_]
-    launched: IntArray
-    adrift: NDArray[np.bool_]
+    local_frames: FloatArray
+    local_frame_covariances: FloatArray
+    in_local_frame: NDArray[np.bool_]
+    local_frame_step: IntArray
+    landmark_in_local_frame: NDArray[np.bool_]
     ancestry: Ancestry
     consumed: bool = False
 
@@ -112,12 +114,12 @@ class LandmarkParticles:
 
     def __len__(self) -> int:
         """Return the number N of particles."""
-        return len(self.known)
+        return len(self.state_means)
 
     @property
     def poses(self) -> FloatArray:
         """Poses (N, 3), map frame."""
-        return self.known[:, :3]
+        return self.state_means[:, :3]
 
     @property
     def exists(self) -> NDArray[np.bool_]:
@@ -137,7 +139,7 @@ class LandmarkParticles:
         """
         spread = self._landmark_covariances()
         if (self.names < 0).all():
-            best, kept = self.best, np.flatnonzero(self.firm[self.best])
+            best, kept = self.best, np.flatnonzero(self.confirmed[self.best])
             return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
         kept = np.flatnonzero(self.names >= 0)
         weights, positions = np.exp(self.log_weights), self.positions[:, kept]
@@ -164,28 +166,31 @@ class LandmarkParticles:
         return np.full(len(particles), column)
 
     def advance(
-        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, rafts: FloatArray | None = None
+        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, local_frames: FloatArray | None = None
     ) -> None:
         """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
 
-        `rafts` (N, 5) goes into the past instead of `rafts_now()` where rafts are replaced.
+        `local_frames` (N, 5) goes into the past instead of `current_local_frames()` where rafts are replaced.
         """
-        self._go(known, spread, True, rafts)
+        self._extend_ancestry(known, spread, True, local_frames)
         self.log_weights = normalize(self.log_weights + log_weights)
         accumulated = self.log_ancestry + log_weights
         self.log_ancestry = accumulated - accumulated.max()
 
-    def wait(self, known: FloatArray, spread: FloatArray) -> None:
+    def predict_without_drawing(self, known: FloatArray, spread: FloatArray) -> None:
         """Move to poses and errors (N, 3 + B) of covariance (N, 3 + B, 3 + B), with no news to weigh."""
-        self._go(known, spread, False, None)
+        self._extend_ancestry(known, spread, False, None)
 
-    def rafts_now(self) -> FloatArray:
+    def current_local_frames(self) -> FloatArray:
         """Of each particle (N, 5): where its raft lies, when it came to be, and whether the robot is aboard."""
-        return np.column_stack([self.rafts, self.launched, self.aboard])
+        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
 
-    def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
-        self.known, self.spread = known, spread
-        past = [self.poses, self.rafts_now() if rafts is None else rafts, np.full(len(self), drawn)]
+    def _extend_ancestry(
+        self, known: FloatArray, spread: FloatArray, drawn: bool, local_frames: FloatArray | None
+    ) -> None:
+        self.state_means, self.state_covariances = known, spread
+        frames = self.current_local_frames() if local_frames is None else local_frames
+        past = [self.poses, frames, np.full(len(self), drawn)]
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
             past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
@@ -232,16 +237,18 @@ class LandmarkParticles:
 
     def _pose_covariances(self) -> FloatArray:
         """Of each particle's pose (N, 3, 3), that of its raft included where the robot is aboard."""
-        if not self.aboard.any():
-            return self.spread[:, :3, :3]
-        of_raft = projected(lever(self.rafts, self.poses), self.drift)
-        return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
+        if not self.in_local_frame.any():
+            return self.state_covariances[:, :3, :3]
+        levers = lever_arm_jacobian(self.local_frames, self.poses)
+        of_frame = transform_covariances(levers, self.local_frame_covariances)
+        return self.state_covariances[:, :3, :3] + self.in_local_frame[:, None, None] * of_frame
 
     def _landmark_covariances(self) -> FloatArray:
         """Of each particle's landmarks (N, M, 2, 2), with what the odometry's errors and the raft have part in."""
-        moved = projected(lever(self.rafts[:, None], self.positions), self.drift[:, None])[..., :2, :2]
-        turned = projected(self.positions_by_bias, self.spread[:, None, 3:, 3:])
-        return self.covariances + turned + self.adrift[..., None, None] * moved
+        levers = lever_arm_jacobian(self.local_frames[:, None], self.positions)
+        moved = transform_covariances(levers, self.local_frame_covariances[:, None])[..., :2, :2]
+        turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
+        return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
 
     def _name(self, column: int) -> int:
         """Name of the landmark in a column; what is no column stays what it is."""
@@ -263,9 +270,19 @@ class LandmarkParticles:
 
 # What there is of each landmark of each particle, and what stands there where there is none.
 _OF_LANDMARKS = {
-    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False,
-    "observations": 0, "adrift": False,
+    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "confirmed": False,
+    "observations": 0, "landmark_in_local_frame": False,
 }  # fmt: skip
-_OF_POSES = "known", "spread", "pose_by_bias", "bias_before", "log_ancestry", "rafts", "drift", "aboard", "launched"
+_OF_POSES = (
+    "state_means",
+    "state_covariances",
+    "pose_by_bias",
+    "bias_before",
+    "log_ancestry",
+    "local_frames",
+    "local_frame_covariances",
+    "in_local_frame",
+    "local_frame_step",
+)
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

@@ -12,11 +12,11 @@ from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
-ALL_AROUND = Existence(
-    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+ALL_AROUND = LandmarkExistence(
+    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
 EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
 
@@ -194,7 +194,7 @@ def test_what_is_refused():
     with pytest.raises(ValueError, match="match_gate <= new_gate"):
         MaximumLikelihood(match_gate=9, new_gate=8)
     with pytest.raises(ValueError, match="false_alarm < detection"):
-        Existence(detection=0.1, false_alarm=0.2)
+        LandmarkExistence(detection=0.1, false_alarm=0.2)
 
 
 def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():

@@ -20,15 +20,15 @@ from gridslam.particles.policies import AlwaysResample, NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 FILTERS = LandmarkFilters(SENSOR)
-ALL_AROUND = Existence(
-    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+ALL_AROUND = LandmarkExistence(
+    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
 FINDING = LandmarkFilters(SENSOR, MaximumLikelihood(), ALL_AROUND)
 EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
@@ -216,7 +216,7 @@ def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind
     for _ in range(6):
         state, _ = slam.step(state, STILL, LandmarkObservations.of([[2.0, 1.0]]), rng)
         hidden = state.evidence[state.best, 1]
-        held.append((hidden >= ALL_AROUND.confirmed, len(slam.landmark_map(state))))
+        held.append((hidden >= ALL_AROUND.log_odds_confirmed, len(slam.landmark_map(state))))
     assert (False, 2) in held
     assert held[-1] == (False, 1)
 
@@ -231,8 +231,10 @@ def test_nothing_is_drawn_while_nothing_is_seen():
     np.testing.assert_allclose(state.poses, np.tile(expected.pose, (3, 1)), atol=1e-12)
     np.testing.assert_allclose(report.covariance, other.covariance, atol=1e-14)
     state, _ = slam.step(state, MOTION(INCREMENT), LandmarkObservations.of([[2.0, 0.0]], [4]), rng)
-    assert not state.spread.any()
-    assert len(np.unique(state.poses, axis=0)) == 1  # nor while nothing is seen that is known: see test_landmark_raft
+    assert not state.state_covariances.any()
+    assert (
+        len(np.unique(state.poses, axis=0)) == 1
+    )  # nor while nothing is seen that is known: see test_landmark_local_frame
     state, _ = slam.step(state, MOTION(INCREMENT), LandmarkObservations.of([[1.8, 0.0]], [4]), rng)
     assert len(np.unique(state.poses, axis=0)) == 3
 

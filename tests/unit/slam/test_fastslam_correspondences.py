@@ -12,11 +12,11 @@ from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from gridslam.slam.landmark_filters import LandmarkFilters
 
-ALL_AROUND = Existence(
-    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+ALL_AROUND = LandmarkExistence(
+    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 

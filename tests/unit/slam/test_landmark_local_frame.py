@@ -14,8 +14,8 @@ from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_path import path
-from gridslam.slam.landmark_raft import PoseAndRaft
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
+from gridslam.slam.landmark_path import smooth_trajectory
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
@@ -42,9 +42,9 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
         (GaussianIncrement.from_std(BACK, np.zeros(3)), LandmarkObservations.of([[1.4, 0.8]], [1])),
     ]
     state, report, other, expected = along([(slam, 3), ekf], steps[:2])
-    assert state.aboard.all()
-    assert state.adrift[:, [state.column(3), state.column(4)]].all()
-    assert not state.adrift[:, state.column(1)].any()
+    assert state.in_local_frame.all()
+    assert state.landmark_in_local_frame[:, [state.column(3), state.column(4)]].all()
+    assert not state.landmark_in_local_frame[:, state.column(1)].any()
     assert len(np.unique(state.poses, axis=0)) == 1  # nothing was drawn
     np.testing.assert_allclose(report.covariance, expected.covariance, atol=1e-12)
     state, report, other, expected = along([(slam, 3), ekf], steps)
@@ -55,7 +55,7 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     np.testing.assert_allclose(ours.positions[1:], theirs.positions[1:], atol=1e-9)
     np.testing.assert_allclose(ours.covariances[1:], theirs.covariances[1:], atol=1e-9)
     # The robot's way on the raft moves with it: what it saw there it saw from there.
-    way = path(state, state.best, [motion for motion, _ in steps])
+    way = smooth_trajectory(state, state.best, [motion for motion, _ in steps])
     np.testing.assert_allclose(way[2, :2] + [2.0, 0.5], ours.positions[1], atol=1e-9)
     np.testing.assert_allclose(way[3], report.pose, atol=1e-12)
 
@@ -71,7 +71,7 @@ def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_
         seen = [true[name] - pose + rng.normal(0, 0.1, 2) for name in names]
         steps.append((GaussianIncrement.from_std(increment, std), LandmarkObservations.of(seen, names)))
     state, report, other, expected = along([(slam, 20_000), ekf], steps)
-    assert state.drift.any()
+    assert state.local_frame_covariances.any()
     ours, theirs = slam.landmark_map(state), ekf.landmark_map(other)
     # Means err by 0.4 m / sqrt(N_eff) = 0.01 m at most, five times that; variances by sqrt(2 / N_eff) = 3 %, and what
     # one sighting from the raft tells of landmarks across is counted less than it tells.
@@ -88,23 +88,31 @@ def test_a_raft_turns_with_all_that_is_on_it():
     state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
     blind = GaussianIncrement.from_std(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
     state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
-    points, before = state.positions.copy(), between(state.rafts, state.poses)
-    belief = PoseAndRaft.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
+    points, before = state.positions.copy(), between(state.local_frames, state.poses)
+    belief = LocalFrameBelief.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
     rows = np.arange(4)
     columns = np.full(4, state.column(1))
     seen = slam.landmarks.innovation(
-        state, rows, columns, belief.mean, belief.spread(rows, columns), LandmarkObservations.of([[4.2, -0.1]]), 0
+        state,
+        rows,
+        columns,
+        belief.mean,
+        belief.covariance_seen_from(rows, columns),
+        LandmarkObservations.of([[4.2, -0.1]]),
+        0,
     )
-    rafts = state.rafts.copy()
+    local_frames = state.local_frames.copy()
     belief.correct(seen)
-    assert (np.abs(between(rafts, state.rafts)) > 1e-3).all()  # it moved and turned
-    ashore, adrift = [state.column(1), state.column(2)], [state.column(3), state.column(4)]
+    assert (np.abs(between(local_frames, state.local_frames)) > 1e-3).all()  # it moved and turned
+    ashore, landmark_in_local_frame = [state.column(1), state.column(2)], [state.column(3), state.column(4)]
     np.testing.assert_array_equal(state.positions[:, ashore], points[:, ashore])
-    moved = compose(state.rafts, inverse(rafts))
+    moved = compose(state.local_frames, inverse(local_frames))
     np.testing.assert_allclose(
-        state.positions[:, adrift], transform_points(moved[:, None], points[:, adrift]), atol=1e-12
+        state.positions[:, landmark_in_local_frame],
+        transform_points(moved[:, None], points[:, landmark_in_local_frame]),
+        atol=1e-12,
     )
-    np.testing.assert_allclose(between(state.rafts, belief.mean), before, atol=1e-12)
+    np.testing.assert_allclose(between(state.local_frames, belief.mean), before, atol=1e-12)
 
 
 def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
@@ -113,13 +121,13 @@ def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
     for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
         wide = GaussianIncrement.from_std(AWAY, np.array([width, width, 0.1 * width]))
         state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [number]), rng)
-        assert (state.launched == 2).all()
-        assert state.adrift[:, state.column(number)].all()
+        assert (state.local_frame_step == 2).all()
+        assert state.landmark_in_local_frame[:, state.column(number)].all()
     poses = state.poses.copy()
     wide = GaussianIncrement.from_std(AWAY, np.array([2.0, 2.0, 0.5]))
     state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [4]), rng)
-    assert (state.launched == 4).all()
-    assert state.adrift.sum(axis=1).tolist() == [1] * 5
+    assert (state.local_frame_step == 4).all()
+    assert state.landmark_in_local_frame.sum(axis=1).tolist() == [1] * 5
     assert np.std(state.poses[:, 0]) > np.std(poses[:, 0])  # where the first raft lay was drawn at last
 
 
@@ -135,7 +143,7 @@ def test_what_was_not_drawn_is_told_from_both_ends():
         (wide, NO_OBSERVATIONS),
     ):
         state, _ = slam.step(state, motion, seen, rng)
-    way, told = path(state, 0, motions), state.ancestry.trajectory(0)[:, :3]
+    way, told = smooth_trajectory(state, 0, motions), state.ancestry.trajectory(0)[:, :3]
     np.testing.assert_allclose(way[[0, 1, 3]], told[[0, 1, 3]])
     np.testing.assert_allclose(way[2], told[3] / 2, atol=1e-12)
     np.testing.assert_allclose(way[4], compose(told[3], [1.0, 0.0, 0.0]), atol=1e-12)
@@ -146,7 +154,7 @@ def test_fastslam1_draws_every_pose():
     state = slam.init(4)
     for _ in range(3):
         state, _ = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
-    np.testing.assert_array_equal(path(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
+    np.testing.assert_array_equal(smooth_trajectory(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
 
 
 @pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
@@ -154,5 +162,5 @@ def test_without_uncertainty_there_is_no_raft(kind):
     slam, rng = kind(LandmarkFilters(SENSOR)), np.random.default_rng(6)
     state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
     state, _ = slam.step(state, BLIND, LandmarkObservations.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
-    assert not state.drift.any()
-    assert not state.adrift.any()
+    assert not state.local_frame_covariances.any()
+    assert not state.landmark_in_local_frame.any()
