@@ -62,7 +62,7 @@ def graphs(data: Path, report: Report, repeats: int = 7) -> None:
 
 def _timed(graph: PoseGraph, repeats: int) -> Iterator[tuple[Solver, float, float]]:
     """Each solver's least time and its chi2; all take turns, so that a busy moment strikes none alone."""
-    solvers = [*_own(), *_gtsam()]
+    solvers = [*_make_writable(), *_gtsam()]
     seconds, chi2 = np.full(len(solvers), np.inf), np.full(len(solvers), np.nan)
     for _ in range(repeats):
         for k, solver in enumerate(solvers):
@@ -77,7 +77,7 @@ def _timed(graph: PoseGraph, repeats: int) -> Iterator[tuple[Solver, float, floa
     yield from zip(solvers, seconds.tolist(), chi2.tolist(), strict=True)
 
 
-def _own() -> Iterator[Solver]:
+def _make_writable() -> Iterator[Solver]:
     variants = {
         "gridslam": GraphSlam(),
         "gridslam, from the file's guess": GraphSlam(first_guess="given"),

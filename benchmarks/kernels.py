@@ -107,16 +107,16 @@ def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m:
     looked_up = len(poses) * len(beams)
     searched = calls["correlate"].arguments
     x0, x1, y0, y1 = searched[4]
-    touched, changed = len(calls["touch_rays"].result), len(calls["update_log_odds"].result)
+    touched, changed = len(calls["tiles_on_rays"].result), len(calls["update_log_odds"].result)
     return {
         "match": (looked_up, "beam"),
         "distances": (looked_up, "beam"),
         "sum_at_ends": (looked_up, "beam"),
         "cast_rays": (calls["cast_rays"].result.size, "beam"),
-        "touch_rays": (touched, "tile"),
-        "own": (len(calls["own"].arguments[-1]), "tile"),
+        "tiles_on_rays": (touched, "tile"),
+        "make_tiles_writable": (len(calls["make_tiles_writable"].arguments[-1]), "tile"),
         "update_log_odds": (round(float(cells.sum())), "cell on a ray"),
-        "touch_cells": (changed, "changed cell"),
+        "tiles_near_cells": (changed, "changed cell"),
         "update_field": (changed, "changed cell"),
         "max_pyramid": (calls["max_pyramid"].arguments[0].size, "cell"),
         "correlate": ((x1 - x0) * (y1 - y0) * len(searched[3]), "pose of the lattice"),

@@ -13,10 +13,10 @@ from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, map_landm
 from gridslam.evaluation.landmarks import pair_by_name
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
-from gridslam.models.association import MaximumLikelihood, Told
+from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import RangeBearing
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import Sightings
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
@@ -38,7 +38,7 @@ def landmarks(report: Report, data: Path, seeds: Sequence[int], steps: int = 100
     rows = []
     for particles, count in ((100, 100), (1000, 8), (1000, 100)):
         for kind in (FastSlam1, FastSlam2):
-            for association in (Told(), MaximumLikelihood()):
+            for association in (KnownCorrespondence(), MaximumLikelihood()):
                 rate = _fastslam_rate(kind(LandmarkFilters(_SENSOR, association)), particles, count, steps)
                 rows.append([kind.__name__, type(association).__name__, particles, count, rate])
     report.add(
@@ -66,9 +66,11 @@ def _field(count: int) -> FloatArray:
     return (5.0 + 0.2 * np.arange(count))[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-def _sightings(field: FloatArray, pose: FloatArray, seen: Sequence[int], rng: np.random.Generator) -> Sightings:
+def _sightings(
+    field: FloatArray, pose: FloatArray, seen: Sequence[int], rng: np.random.Generator
+) -> LandmarkObservations:
     exact = _SENSOR.linearize(pose, field[list(seen)])[0]
-    return Sightings.of(exact + rng.normal(0, [0.1, 0.02], exact.shape), seen)
+    return LandmarkObservations.of(exact + rng.normal(0, [0.1, 0.02], exact.shape), seen)
 
 
 def _fastslam_rate(slam: FastSlam1 | FastSlam2, particles: int, count: int, steps: int) -> float:
@@ -82,8 +84,8 @@ def _fastslam_rate(slam: FastSlam1 | FastSlam2, particles: int, count: int, step
     for _ in range(_PARTS):  # the best of some, since other work on the machine can only slow it down
         seen = [_sightings(field, pose, [k % count, (k + count // 2) % count], rng) for k in range(steps)]
         begin = time.perf_counter()
-        for sightings in seen:
-            state, _ = slam.step(state, _MOTION(np.zeros(3)), sightings, rng)
+        for observations in seen:
+            state, _ = slam.step(state, _MOTION(np.zeros(3)), observations, rng)
         rates.append(steps / (time.perf_counter() - begin))
     return max(rates)
 
@@ -104,8 +106,8 @@ def _ekf_ms(count: int, steps: int) -> float:
     state, _ = slam.step(slam.init(), _MOTION(_INCREMENT * 0), _sightings(field, pose, range(count), rng))
     seen = [_sightings(field, pose, [k % count, (k + count // 2) % count], rng) for k in range(steps)]
     begin = time.perf_counter()
-    for sightings in seen:
-        state, _ = slam.step(state, _MOTION(_INCREMENT * 0), sightings)
+    for observations in seen:
+        state, _ = slam.step(state, _MOTION(_INCREMENT * 0), observations)
     return 1e3 * (time.perf_counter() - begin) / steps
 
 

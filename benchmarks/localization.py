@@ -13,9 +13,9 @@ import numpy as np
 
 from gridslam.api.localization import localize
 from gridslam.evaluation.trajectory import absolute_errors
-from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.kld_sampling import KldSampling
-from gridslam.particles import Always, MovedAtLeast
+from gridslam.particles import AlwaysResample, MotionThreshold
 from gridslam.sim.worlds import DRAWN_WORLDS
 from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 from report import Report, Target, table
@@ -67,11 +67,13 @@ def _cost(report: Report, updates: int) -> None:
 def _rates(particles: int, beams: int, threads: int, updates: int) -> tuple[float, float]:
     known = KnownMap(_hall(), threads=threads)
     kld = KldSampling(particles_min=particles, particles_max=particles)
-    parts = MonteCarloParts(kld=kld, max_beams=beams, when_to_update=MovedAtLeast(1e-9, 1.0), when_to_resample=Always())
+    parts = MonteCarloConfiguration(
+        kld=kld, max_beams=beams, when_to_update=MotionThreshold(1e-9, 1.0), when_to_resample=AlwaysResample()
+    )
     mcl, rng = MonteCarloLocalization(known, parts), np.random.default_rng(0)
     truth, bearings = np.array([20.0, 20.0, 0.0]), np.linspace(-math.pi / 2, math.pi / 2, beams)
     directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    state, scans = mcl.around(truth, np.diag([0.01, 0.01, 0.01]), rng), []
+    state, scans = mcl.init_gaussian(truth, np.diag([0.01, 0.01, 0.01]), rng), []
     for k in range(updates):
         pose = truth + np.array([0.01 * k, 0.0, 0.0])
         ranges = known.cast_rays(np.zeros(1), pose[None], np.zeros(2), directions, 30.0)[0]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.matching import BranchAndBound, Found, Pyramid
+from gridslam.matching import BranchAndBound, LatticeMatch, Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import FloatArray
 from report import Report, Target, table
@@ -67,7 +67,7 @@ def place_search(report: Report, worlds: Sequence[str] = ("demo", "rooms", "loop
                     found = _searched(window, pyramid, place, rng)
                     times.append(1e3 * (time.perf_counter() - begin))
                     right += found is not None and math.hypot(*(found.pose - place.pose)[:2]) < 0.15
-                    ambiguous += found is not None and found.other_share > 0.85 * found.share
+                    ambiguous += found is not None and found.runner_up_score > 0.85 * found.score
             told = [right, ambiguous] if shift == 0 else ["", ambiguous]
             medians.append(statistics.median(times))
             rows.append([window.name, name, medians[-1], max(times), len(times), *told])
@@ -102,7 +102,7 @@ def _cells(pyramid: Pyramid) -> str:
     return f"{width} x {height}"
 
 
-def _searched(window: _Window, pyramid: Pyramid, place: Place, rng: np.random.Generator) -> Found | None:
+def _searched(window: _Window, pyramid: Pyramid, place: Place, rng: np.random.Generator) -> LatticeMatch | None:
     search = window.search
     if window.covariance is None:
         off = rng.uniform(-0.9, 0.9, 3) * [search.window_m, search.window_m, search.window_rad]

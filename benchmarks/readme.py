@@ -91,10 +91,14 @@ def _read(name: str) -> dict[str, Any]:
 def _cells(log: str, row: _Row, present: dict[str, Any], others: dict[str, Any]) -> list[str]:
     own = [present["logs"][log][variant] for variant in ("gridslam", "filter")]
     systems = [system[log] for system in others["systems"].values()]
-    return [f"{_LOGS[log]}, {row.name}", *(_own(row, figures) for figures in own), *(_other(row, s) for s in systems)]
+    return [
+        f"{_LOGS[log]}, {row.name}",
+        *(_make_writable(row, figures) for figures in own),
+        *(_other(row, s) for s in systems),
+    ]
 
 
-def _own(row: _Row, figures: dict[str, Any]) -> str:
+def _make_writable(row: _Row, figures: dict[str, Any]) -> str:
     figure = figures[row.key]
     if not isinstance(figure, dict):
         return row.form.format(figure)

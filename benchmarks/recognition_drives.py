@@ -23,7 +23,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.io.measurement import Measurement
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import BranchAndBound, GaussNewton, Pyramid
-from gridslam.matching.gauss_newton import undetermined
+from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world
 from gridslam.types import Beams, FloatArray, IntArray, LaserScan, Odometry
 
@@ -49,7 +49,7 @@ _QUERY = 8  # key scans by which a place is told from others
 _JOINED_M, _SHORTEST_M = 2.0, 2.0
 _ROW = np.zeros(1, np.int32)
 _LOOSE = np.full((1, 3, 3), 1e-9) * np.eye(3)
-_SURVEY = GaussNewton(max_passes=0, sparse_m=1e-3)  # straight walls tell only across themselves
+_SURVEY = GaussNewton(max_iterations=0, dense_spacing_m=1e-3)  # straight walls tell only across themselves
 
 
 class _Dark(NamedTuple):
@@ -234,7 +234,7 @@ def _cells(pose: FloatArray, beams: Beams) -> IntArray:
 
 def _determined(old: TileMaps, pose: FloatArray, beams: Beams) -> bool:
     match = _SURVEY(old, _ROW, pose[None], _LOOSE, beams)
-    return undetermined(match.information[0], float(match.score[0]), _DETERMINED) is None
+    return degenerate_direction(match.information[0], float(match.score[0]), _DETERMINED) is None
 
 
 def _lately(drive: Drive, shown: IntArray, scan: int, beams: dict[int, Beams]) -> FloatArray:
@@ -251,9 +251,9 @@ def _alone(pyramid: Pyramid, truth: FloatArray, scan: int, points: FloatArray) -
     low, high = truth[:, :2].min(axis=0), truth[:, :2].max(axis=0)
     middle = np.append((low + high) / 2, truth[scan, 2])
     reach = min(float((high - low).max()) / 2 + 5.0, 100.0)
-    search = BranchAndBound(window_m=reach, window_rad=math.pi, rival=_RIVAL)
+    search = BranchAndBound(window_m=reach, window_rad=math.pi, min_runner_up_ratio=_RIVAL)
     found = search.search(pyramid, middle, None, points)
-    if found is None or found.other_share >= _RIVAL * found.share:
+    if found is None or found.runner_up_score >= _RIVAL * found.score:
         return False
     x, y, turn = between(truth[scan], found.pose)
     return math.hypot(x, y) < _THERE_M and abs(turn) < _THERE_RAD

@@ -16,7 +16,7 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models import (
     BeamRangeFinder,
-    CauchyAgreement,
+    CauchyEndPoint,
     DiffusionMotion,
     GMappingMotion,
     LikelihoodField,
@@ -74,7 +74,7 @@ def measurement_models() -> None:
     for head, model in (
         ("BeamRangeFinder(tempering=0.03)", BeamRangeFinder(tempering=0.03)),
         ("LikelihoodField(tempering=0.03)", LikelihoodField(tempering=0.03)),
-        ("CauchyAgreement(), the default", CauchyAgreement()),
+        ("CauchyEndPoint(), the default", CauchyEndPoint()),
     ):
         log_likelihood = model(beams)(maps, rows, poses).reshape(x.shape)
         share = np.clip(1 + (log_likelihood - log_likelihood.max()) / 5, 0, 1)[..., None]

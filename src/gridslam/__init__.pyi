@@ -34,8 +34,8 @@ from gridslam.io.log import open_log as open_log
 from gridslam.io.map_server import read_map as read_map
 from gridslam.io.map_server import write_map as write_map
 from gridslam.localization import KnownMap as KnownMap
+from gridslam.localization import MonteCarloConfiguration as MonteCarloConfiguration
 from gridslam.localization import MonteCarloLocalization as MonteCarloLocalization
-from gridslam.localization import MonteCarloParts as MonteCarloParts
 from gridslam.pipeline import run as run
 from gridslam.slam.graph_slam import GraphSlam as GraphSlam
 from gridslam.slam.grid_fastslam import GridFastSlam as GridFastSlam

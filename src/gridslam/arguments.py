@@ -11,7 +11,7 @@ from gridslam.errors import ArgumentError
 
 __all__ = [
     "describe",
-    "frozen",
+    "freeze",
     "is_covariance",
     "require_array",
     "require_covariance",
@@ -22,7 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def frozen(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
+def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
     """A read-only copy of `values` with the given dtype and shape (None: any length)."""
     try:
         array: NDArray[Any] = np.array(values, dtype=dtype)

@@ -66,7 +66,7 @@ def park(tmp_path_factory):
     for k, step in enumerate(steps):
         x, y, theta = step.increment
         lines.append(f"ODOMETRY {k} {k + 1} {x} {y} {theta} {spread}")
-        for name, (a, b) in zip(step.sightings.landmarks.tolist(), step.sightings.values.tolist(), strict=True):
+        for name, (a, b) in zip(step.observations.landmarks.tolist(), step.observations.values.tolist(), strict=True):
             lines.append(f"LANDMARK {k + 1} {name + 1000} {a:.6f} {b:.6f} 0.0025 0 0.0025")
     path.write_text("\n".join(lines) + "\n")
     return path, truth

@@ -14,7 +14,7 @@ import pytest
 
 import gridslam
 from gridslam import errors
-from gridslam.cli.map import map_shown
+from gridslam.cli.map import map_with_progress
 from gridslam.config import override
 from gridslam.doctor import quick_check
 from gridslam.evaluation import absolute_errors
@@ -78,7 +78,7 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
     assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
     assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
     source, shown = gridslam.CarmenLog(log), gridslam.Configuration(particles=3)
-    assert len(map_shown(source, shown, 0, 1, False, Stopwatch()).state.poses) == 1
+    assert len(map_with_progress(source, shown, 0, 1, False, Stopwatch()).state.poses) == 1
 
 
 def test_ones_own_loop_gives_the_same(log):
@@ -116,10 +116,11 @@ def test_bad_calls_are_told(log, options, message):
     "choice",
     [
         "tracker.kind=OdometryTracker", "motion.kind=OdometryMotion", "motion.kind=GMappingMotion",
-        "sensor.kind=EndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
+        "sensor.kind=GMappingEndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
         "proposal.kind=MotionModelProposal", "proposal.kind=ImprovedProposal", "proposal.matcher.kind=HillClimbing",
-        "when_to_resample.kind=Always", "when_to_resample.kind=Never", "resampler=wheel", "resampler=stratified",
-        "resampler=residual", "resampler=multinomial", "resolution_m=0.1", "tracker.map_scans=5",
+        "when_to_resample.kind=AlwaysResample", "when_to_resample.kind=NeverResample", "resampler=wheel",
+        "resampler=stratified", "resampler=residual", "resampler=multinomial", "resolution_m=0.1",
+        "tracker.map_scans=5",
     ],
 )  # fmt: skip
 def test_every_choice_of_a_part_maps_the_log(log, choice):

@@ -21,7 +21,7 @@ LASER_KEYS = {
     "scans", "rate_hz", "beams", "field_of_view_rad", "direction", "range_min_m", "range_max_m", "invalid_share",
     "no_return_share", "mounting",
 }  # fmt: skip
-FINDING_KEYS = {"code", "severity", "size", "unit", "says", "remedy", "sensor", "picture"}
+FINDING_KEYS = {"code", "severity", "size", "unit", "message", "remedy", "sensor", "picture"}
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_one_json_object_tells_all(call, log):
     told = json.loads(out)
     assert (status, err) == (0, "")
     assert set(told) == {"schema", "version", "log", "worst", "counts", "findings"}
-    assert (told["schema"], told["version"], told["worst"]) == ("gridslam.doctor/1", __version__, "info")
+    assert (told["schema"], told["version"], told["worst"]) == ("gridslam.doctor/2", __version__, "info")
     assert told["log"]["path"] == str(log)
     assert told["log"]["scans"] == 120
     assert told["log"]["duration_s"] == pytest.approx(119 / 5)
@@ -58,7 +58,7 @@ def test_one_json_object_tells_all(call, log):
     assert laser["field_of_view_rad"] == pytest.approx(np.pi)
     assert laser["mounting"]["x_m"] == pytest.approx(0.1)
     assert all(set(finding) == FINDING_KEYS for finding in told["findings"])
-    assert told["counts"] == {"info": len(told["findings"]), "doubtful": 0, "spoils": 0}
+    assert told["counts"] == {"info": len(told["findings"]), "warning": 0, "error": 0}
     assert {"topics", "expected_cost"} <= {finding["code"] for finding in told["findings"]}
 
 
@@ -67,11 +67,11 @@ def test_what_spoils_the_map_ends_with_status_3(call, reflected, tmp_path):
     status, printed, _ = call("doctor", reflected, "-o", out)
     assert status == 3
     report = json.loads((out / "report.json").read_text())
-    spoiling = [finding for finding in report["findings"] if finding["severity"] == "spoils"]
+    spoiling = [finding for finding in report["findings"] if finding["severity"] == "error"]
     assert [finding["code"] for finding in spoiling] == ["reflected_laser"]
-    assert report["worst"] == "spoils"
+    assert report["worst"] == "error"
     assert spoiling[0] == report["findings"][0], "the worst come first"
-    assert spoiling[0]["says"] in printed
+    assert spoiling[0]["message"] in printed
     assert f"-> {spoiling[0]['remedy']}" in printed
     assert f"report: {out / 'report.md'}" in printed
 
@@ -85,7 +85,7 @@ def test_the_report_shows_a_picture_where_one_helps(call, reflected, tmp_path):
     told = (tmp_path / "report.md").read_text()
     assert set(re.findall(r"!\[\w+\]\(([^)]+)\)", told)) == pictures
     for finding in report["findings"]:
-        assert finding["says"] in told
+        assert finding["message"] in told
     for name in pictures:
         with Image.open(tmp_path / name) as picture:
             assert picture.width == 1400
@@ -113,11 +113,11 @@ def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes(call, log, tmp_pat
     status, out, _ = call("doctor", cut, "--json")
     findings = json.loads(out)["findings"]
     assert status == 3
-    assert (findings[0]["code"], findings[0]["severity"]) == ("unreadable", "spoils")
+    assert (findings[0]["code"], findings[0]["severity"]) == ("unreadable", "error")
     assert "--keep-truncated" in findings[0]["remedy"]
     status, out, _ = call("doctor", cut, "--json", "--keep-truncated")
     assert status == 0
-    assert [f["severity"] for f in json.loads(out)["findings"] if f["code"] == "unreadable"] == ["doubtful"]
+    assert [f["severity"] for f in json.loads(out)["findings"] if f["code"] == "unreadable"] == ["warning"]
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00\x01\x02 no log", b"PARAM robot_front_laser_max 81.9 x x 0\n"])

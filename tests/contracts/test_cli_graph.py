@@ -15,7 +15,7 @@ from gridslam import __version__
 from gridslam.cli.main import main
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.slam.pose_graph import PoseGraph
 
 FILES = {"graph.g2o", "graph.png", "graph.json"}
@@ -94,8 +94,8 @@ def test_json(call, graph, tmp_path):
     assert document["schema"] == "gridslam.graph/1"
     assert document["version"] == __version__
     assert document["input"] == {
-        "path": str(path), "sha256": sha256_of(path), "vertices": 60, "edges": 119, "loop_closures": 60, "fixed": 100,
-        "skipped": {},
+        "path": str(path), "sha256": compute_sha256(path), "vertices": 60, "edges": 119, "loop_closures": 60,
+        "fixed": 100, "skipped": {},
     }  # fmt: skip
     assert document["converged"] is True
     assert 0 < document["iterations"] <= 50

@@ -19,9 +19,9 @@ from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import read_map
 from gridslam.io.measurement import Measurement
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.io.trajectory import read_tum, write_tum
-from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
 from support.same_map import assert_same_map
 
@@ -68,8 +68,8 @@ def test_files_and_figures(call, log, truth, tmp_path):
     assert document["scans"] == {
         "read": 120, "used": 120, "skipped": {"outside the trajectory": 0, "in a gap of the trajectory": 0}
     }  # fmt: skip
-    assert document["input"]["sha256"] == sha256_of(log)
-    assert document["trajectory"]["sha256"] == sha256_of(truth)
+    assert document["input"]["sha256"] == compute_sha256(log)
+    assert document["trajectory"]["sha256"] == compute_sha256(truth)
     assert document["trajectory"]["poses"] == 120
     assert document["configuration"]["resolution_m"] == 0.05
     assert f"map, {document['map']['width_m']:.1f} m x {document['map']['height_m']:.1f} m: {out / 'map.png'}" in text
@@ -252,7 +252,7 @@ def test_gaps_everywhere_are_told(log, truth, tmp_path):
         map_with_poses(log, ends)
     bridged = map_with_poses(log, ends, max_gap_s=100.0)
     assert bridged.unplaced == {}
-    assert Unplaced.GAP not in bridged.unplaced
+    assert NoPoseReason.GAP not in bridged.unplaced
 
 
 def test_a_real_log_with_jittering_stamps_gets_every_pose(data_dir):

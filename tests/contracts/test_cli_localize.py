@@ -14,7 +14,7 @@ from gridslam.api.localization_result import BELIEF_HEADER
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.map_server import write_map
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
@@ -52,9 +52,9 @@ def test_files_and_figures(place, tmp_path, capsys):
     document = json.loads(text)
     assert document == json.loads((out / "run.json").read_text())
     assert {file.name for file in out.iterdir()} == FILES
-    assert (document["schema"], document["seed"]) == ("gridslam.localization/1", 3)
+    assert (document["schema"], document["seed"]) == ("gridslam.localization/2", 3)
     assert document["initial_pose"] == "global"
-    assert document["input"]["sha256"] == digest_of(place / "flat.clf")
+    assert document["input"]["sha256"] == compute_digest(place / "flat.clf")
     assert document["configuration"]["kld"]["particles_min"] == 2000
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
     truth = drive(1).truth.poses
@@ -65,7 +65,7 @@ def test_files_and_figures(place, tmp_path, capsys):
     lost = np.array([row.split(",")[1] == "1" for row in rows[1:]])
     assert lost.sum() == document["scans"]["lost"] > 0
     assert np.hypot(*(trajectory.poses - truth)[~lost, :2].T).max() < 0.3
-    first, second, *_ = document["stretches"]
+    first, second, *_ = document["intervals"]
     assert (first["lost"], second["lost"]) == (True, False)
     assert 0 < second["driven_m"] < 5
     with Image.open(out / "localization.png") as picture:

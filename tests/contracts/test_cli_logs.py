@@ -11,7 +11,7 @@ import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.io.bag_writer import write_bag
 from gridslam.io.carmen import CarmenLog
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions
 from gridslam.io.trajectory import read_tum
 
@@ -45,7 +45,7 @@ def test_run_json_tells_what_a_bag_is_read_from(bag, tmp_path, call):
     assert (status, err) == (0, "")
     told = json.loads(out)["input"]
     assert told["path"] == str(bag)
-    assert told["sha256"] == digest_of(bag)
+    assert told["sha256"] == compute_digest(bag)
     assert told["bytes"] > 0
     assert (told["odometry"], told["without_odometry"], told["selection"]) == ("/odom", 0, {})
     assert set(told["sensors"]) == {"/scan"}

@@ -7,7 +7,7 @@ import pytest
 
 import gridslam
 from gridslam.localization import MonteCarloLocalization
-from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic, spread
+from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.sim.faults import with_fault
 from gridslam.slam.fastslam1 import FastSlam1
@@ -39,10 +39,10 @@ def seeded(rng):
         "run": lambda: gridslam.run([(ODOMETRY, SCAN)], SLAM, rng=rng),
         "GridFastSlam.step": lambda: SLAM.step(SLAM.init(ODOMETRY, SCAN)[0], ODOMETRY, SCAN, rng),
         "MonteCarloLocalization.step": lambda: MCL.step(MCL.init(), ODOMETRY, SCAN, rng),
-        "MonteCarloLocalization.around": lambda: MCL.around(np.zeros(3), np.eye(3), rng),
+        "MonteCarloLocalization.init_gaussian": lambda: MCL.init_gaussian(np.zeros(3), np.eye(3), rng),
         "FastSlam1.step": lambda: FastSlam1().step(FastSlam1().init(2), still, None, rng),
         "FastSlam2.step": lambda: FastSlam2().step(FastSlam2().init(2), still, None, rng),
-        "spread": lambda: spread(3, np.zeros(3), np.eye(3), rng),
+        "sample_gaussian": lambda: sample_gaussian(3, np.zeros(3), np.eye(3), rng),
         "make_world": lambda: make_world("demo", rng),
         "simulate": lambda: simulate(world(), RobotConfig(), OdometryNoise(), LidarConfig(), rng),
         "with_fault": lambda: with_fault([], "gaps", rng),
@@ -82,8 +82,8 @@ def test_a_refused_call_does_not_consume_the_state():
         (lambda: SLAM.init(ODOMETRY, SCAN, (0.0, 0.0, 0.0), 30), "particles: expected a number, or finite poses"),
         (lambda: SLAM.init(ODOMETRY, SCAN, 2, "here"), "pose: expected"),
         (lambda: FastSlam1().init("many"), "count: expected int"),
-        (lambda: spread(2.5, np.zeros(3), np.eye(3), RNG), "count: expected int"),
-        (lambda: spread(2, np.zeros(3), "wide", RNG), "covariance: expected numbers of shape"),
+        (lambda: sample_gaussian(2.5, np.zeros(3), np.eye(3), RNG), "count: expected int"),
+        (lambda: sample_gaussian(2, np.zeros(3), "wide", RNG), "covariance: expected numbers of shape"),
         (lambda: SLAM.step(SCAN, ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a LaserScan"),
         (lambda: SLAM.step(SLAM.init(None, SCAN), ODOMETRY, SCAN, RNG), "state: expected GridFastSlamState, got a tu"),
         (lambda: MCL.step(MCL.init(), SCAN, ODOMETRY, RNG), "odometry: expected Odometry or None, got a LaserScan"),

@@ -15,7 +15,7 @@ from gridslam.api.landmarks import map_landmarks
 from gridslam.cli.landmark_localization import localize_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
 from gridslam.localization.ekf import KnownLandmarks
 
@@ -36,12 +36,12 @@ def test_files_and_figures(mapped_park, tmp_path, capsys):
     document = json.loads(capsys.readouterr().out)
     assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
     assert document == json.loads((tmp_path / "out" / "run.json").read_text())
-    assert (document["schema"], document["version"]) == ("gridslam.landmark_localization/1", __version__)
+    assert (document["schema"], document["version"]) == ("gridslam.landmark_localization/2", __version__)
     assert (document["method"], document["correspondences"]) == ("ekf-localization", "known")
     assert document["map"] == {"path": str(landmarks), "landmarks": 10}
-    assert document["input"]["sha256"] == sha256_of(log)
+    assert document["input"]["sha256"] == compute_sha256(log)
     assert document["errors"] is None
-    assert document["models"]["association"]["kind"] == "Told"
+    assert document["models"]["association"]["kind"] == "KnownCorrespondence"
     trajectory, covariances = read_trajectory_csv(tmp_path / "out" / "trajectory.csv")
     assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == len(trajectory) == len(covariances) == 141
     # The map is SLAM's, off by some decimetres at its far side; within it the robot does not drift.
@@ -77,7 +77,7 @@ def test_the_command(mapped_park, tmp_path, capsys):
     how = ["landmarks", str(log), "-o", str(tmp_path / "out"), "--method", "ekf-localization"]
     assert main([*how, "--landmarks", str(landmarks), "--initial-pose", "0,0,0.0", "--unknown", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert (document["correspondences"], document["not_believed"]) == ("unknown", 0)
+    assert (document["correspondences"], document["outliers"]) == ("unknown", 0)
     for more, said in (
         (["--particles", "5", "--landmarks", str(landmarks)], "--particles: expected none for ekf-localization, got 5"),
         (["--method", "ekf", "--landmarks", str(landmarks)], "only valid with --method ekf-localization"),

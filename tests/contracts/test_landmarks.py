@@ -15,7 +15,7 @@ from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "run.json"}
@@ -29,16 +29,16 @@ def test_files_and_figures(park, tmp_path, capsys, method):
     online = set() if method == "graph" else {"trajectory_online.tum"}
     assert {file.name for file in (tmp_path / "out").iterdir()} == FILES | online
     assert document == json.loads((tmp_path / "out" / "run.json").read_text())
-    assert (document["schema"], document["version"]) == ("gridslam.landmarks/1", __version__)
+    assert (document["schema"], document["version"]) == ("gridslam.landmarks/2", __version__)
     assert (document["method"], document["correspondences"], document["landmarks"]) == (method, "known", 10)
     assert document["particles"] == {"fastslam1": 100, "fastslam2": 20}.get(method)
-    assert document["input"]["sha256"] == sha256_of(path)
+    assert document["input"]["sha256"] == compute_sha256(path)
     assert (document["input"]["steps"], document["input"]["stamped"]) == (141, False)
     assert document["errors"] == {"trajectory": None, "landmarks": None}
     assert document["models"]["sensor"]["kind"] == "RelativePosition"
     found = read_landmarks(tmp_path / "out" / "landmarks.csv")
     assert sorted(found.names.tolist()) == list(range(1100, 1110))
-    assert found.sightings.sum() == document["input"]["sightings"]
+    assert found.observations.sum() == document["input"]["observations"]
     assert (np.linalg.eigvalsh(found.covariances) > 0).all()
     trajectory, covariances = read_trajectory_csv(tmp_path / "out" / "trajectory.csv")
     assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == len(trajectory) == len(covariances) == 141

@@ -27,7 +27,7 @@ class StoredPasts:
     def trajectories(self) -> np.ndarray:
         return np.array([[self.poses[node] for node in past] for past in self.pasts])
 
-    def coalesced(self) -> int:
+    def common_steps(self) -> int:
         steps = list(zip(*self.pasts, strict=True))
         return next((t for t, nodes in enumerate(steps) if len(set(nodes)) > 1), len(steps))
 
@@ -38,7 +38,7 @@ class StoredPasts:
 def assert_equal(ancestry: Ancestry, stored: StoredPasts) -> None:
     assert len(ancestry) == len(stored.pasts)
     assert ancestry.steps == len(stored.pasts[0])
-    assert ancestry.coalesced == stored.coalesced()
+    assert ancestry.common_steps == stored.common_steps()
     assert ancestry.node_count == stored.node_count()
     np.testing.assert_array_equal(ancestry.trajectories(), stored.trajectories())
     for i, want in enumerate(stored.trajectories()):
@@ -94,7 +94,7 @@ def test_memory_stays_bounded_however_long_the_run() -> None:
         ancestry.extend(poses_for(count, number))
         stored.resample(parents.tolist())
         stored.extend(poses_for(count, number))
-        most = max(most, ancestry.node_count - ancestry.coalesced)
+        most = max(most, ancestry.node_count - ancestry.common_steps)
     assert most <= count * 20 * count
     assert ancestry.steps == steps
     assert_equal(ancestry, stored)

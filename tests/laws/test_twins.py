@@ -15,8 +15,8 @@ from gridslam.types import LaserScan, ScanGeometry
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
-    "touch_rays", "touch_cells", "own", "update_log_odds", "update_field", "match", "distances", "cast_rays",
-    "max_pyramid", "correlate", "sum_at_ends",
+    "tiles_on_rays", "tiles_near_cells", "make_tiles_writable", "update_log_odds", "update_field", "match",
+    "distances", "cast_rays", "max_pyramid", "correlate", "sum_at_ends",
 )  # fmt: skip
 """The last three in `test_branch_and_bound_laws.py` and `test_weighing_laws.py`."""
 SEEDS = range(25)
@@ -107,20 +107,20 @@ def test_both_offer_the_same_functions():
 def test_touched_tiles(seed):
     rng = np.random.default_rng(seed)
     poses, ends = random_poses(rng), random_ends(rng)
-    by_rays = [k.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 2) for k in (compiled, reference)]
+    by_rays = [k.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 2) for k in (compiled, reference)]
     assert as_set(by_rays[0]) == as_set(by_rays[1])
     assert len(by_rays[0]) > 3
     cells = np.column_stack([np.sort(rng.integers(0, 3, 40)), rng.integers(-600, 600, (40, 2)), rng.integers(0, 2, 40)])
     cells[:9, 1:3] = [[y, x] for y in (-512, -1, 0) for x in (-32, 31, 512)]
     for reach in (1, 10, 15):
-        by_cells = [k.touch_cells(cells.astype(np.int32), reach) for k in (compiled, reference)]
+        by_cells = [k.tiles_near_cells(cells.astype(np.int32), reach) for k in (compiled, reference)]
         assert as_set(by_cells[0]) == as_set(by_cells[1])
 
 
 def test_nothing_is_touched_without_poses_or_changes():
     for kernels in (compiled, reference):
-        none = kernels.touch_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
-        assert none.shape == kernels.touch_cells(np.zeros((0, 4), np.int32), 3).shape == (0, 3)
+        none = kernels.tiles_on_rays(ROWS[:0], np.zeros((0, 3)), np.ones((4, 2)), ORIGIN, CELL, 1)
+        assert none.shape == kernels.tiles_near_cells(np.zeros((0, 4), np.int32), 3).shape == (0, 3)
 
 
 @pytest.mark.parametrize("few", [3, 1000])
@@ -132,12 +132,12 @@ def test_owned_tiles(seed, few):
     poses, ends = random_poses(rng), random_ends(rng)
     keep = maps.snapshot()
     maps._cover(poses, beams_to(ends))
-    touched = compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
-    pages, tiles = maps._arena.spare
+    touched = compiled.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1)
+    pages, tiles = maps._arena.free_ids
     results = []
     for kernels in (compiled, reference):
         view, refs = copies(maps._view), (maps._arena.page_refs.copy(), maps._arena.tile_refs.copy())
-        results.append((view, refs, kernels.own(*view, *refs, pages, tiles[-few:], touched)))
+        results.append((view, refs, kernels.make_tiles_writable(*view, *refs, pages, tiles[-few:], touched)))
     assert_same_maps(results[0][0], results[1][0])
     np.testing.assert_array_equal(results[0][1][0], results[1][1][0])
     np.testing.assert_array_equal(results[0][1][1], results[1][1][1])
@@ -153,7 +153,7 @@ def test_updated_log_odds_and_field(seed):
     maps = random_maps(rng)
     for poses, ends in ((random_poses(rng), random_ends(rng)) for _ in range(3)):
         maps._cover(poses, beams_to(ends))
-        maps._own(compiled.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
+        maps._make_writable(compiled.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
         views = copies(maps._view), copies(maps._view)
         changed = [
             kernels.update_log_odds(*view, ROWS, poses, ends, ORIGIN, CELL, *maps.evidence.steps, 2)
@@ -162,7 +162,7 @@ def test_updated_log_odds_and_field(seed):
         assert as_set(changed[0]) == as_set(changed[1])
         assert_same_maps(*views)
         maps._arena.log_odds[:] = views[0][3]
-        maps._own(compiled.touch_cells(changed[0], int(maps.reach_cells)))
+        maps._make_writable(compiled.tiles_near_cells(changed[0], int(maps.reach_cells)))
         views = copies(maps._view), copies(maps._view)
         for kernels, view in zip((compiled, reference), views, strict=True):
             kernels.update_field(*view, changed[0], maps._cone, 2)
@@ -179,7 +179,7 @@ def test_updates_meet_every_case():
         maps = random_maps(rng)
         poses, ends = random_poses(rng), random_ends(rng)
         maps._cover(poses, beams_to(ends))
-        maps._own(reference.touch_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
+        maps._make_writable(reference.tiles_on_rays(ROWS, poses, ends, ORIGIN, CELL, 1))
         steps = maps.evidence.steps
         changed = reference.update_log_odds(*maps._view, ROWS, poses, ends, ORIGIN, CELL, *steps, 1)
         kinds |= set(changed[:, 3].tolist())

@@ -33,7 +33,7 @@ def test_nees_lies_in_its_band():
         ekf = EkfLocalization(KnownLandmarks.of(np.arange(100, 112), ring(12)), SENSOR)
         belief = ekf.init(wrong, START)
         for k, step in enumerate(steps):
-            belief, _ = ekf.step(belief, MOTION(step.increment), step.sightings)
+            belief, _ = ekf.step(belief, MOTION(step.increment), step.observations)
             estimates[seed, k], covariances[seed, k] = belief.pose, belief.covariance
     band = check_consistency(estimates[:, 0], truths[:, 0], covariances[:, 0])
     squares = nees(estimates.reshape(-1, 3), truths.reshape(-1, 3), covariances.reshape(-1, 3, 3))
@@ -59,7 +59,7 @@ def test_mrclam(mrclam, unknown):
     assert errors.trans_rmse_m < 0.2
     assert errors.trans_max_m < 0.8
     assert errors.rot_rmse_deg < 7
-    assert result.not_believed <= 10  # robot 3 reads one barcode four times where another stands
+    assert result.outliers <= 10  # robot 3 reads one barcode four times where another stands
 
 
 def test_the_frame_of_the_map_does_not_matter(data_dir):

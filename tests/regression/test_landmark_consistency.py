@@ -49,7 +49,7 @@ def _average_nees(true: OdometryBias, sought: OdometryBias, runs: int = RUNS) ->
         state = slam.init()
         for step in steps:
             told = MOTION(step.increment - [0, 0, too_little])
-            state, report = slam.step(state, told, step.sightings)
+            state, report = slam.step(state, told, step.observations)
             reports.append(report)
         truths.append(truth)
         estimates.append([report.pose for report in reports])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.evaluation.consistency import nees
-from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.models.likelihood_field import LikelihoodField
 from support.localization_world import RandomWalk, drive, flat_map
 from support.lost_and_found import Building, Woken
@@ -26,12 +26,12 @@ def test_nees_with_the_simulators_true_noise(known):
     The noise of odometry and of a range is the simulator's own (1 cm); the map is of 5 cm cells, whose rounding the
     filter adds, and the beams are tempered, since they share it: less than by default, as this map has no other errors.
     """
-    parts = MonteCarloParts(sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.1))
+    parts = MonteCarloConfiguration(sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.1))
     mcl, found = MonteCarloLocalization(known, parts, motion=RandomWalk()), []
     for seed in range(1, RUNS + 1):
         log, rng = drive(seed), np.random.default_rng(seed)
         truth = log.truth.poses[:45]
-        state, reports = mcl.around(rng.multivariate_normal(truth[0], FIRST), FIRST, rng), []
+        state, reports = mcl.init_gaussian(rng.multivariate_normal(truth[0], FIRST), FIRST, rng), []
         for odometry, scan in log.measurements[:45]:
             state, report = mcl.step(state, odometry, scan, rng)
             reports.append(report)

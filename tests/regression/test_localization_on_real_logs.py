@@ -82,7 +82,7 @@ def test_turtlebot_on_its_floor(data_dir, seed):
     assert all(known.is_free(report.poses).mean() > 0.99 for report in updates)
     found = next(k for k, report in enumerate(reports) if not report.lost)
     assert not any(report.lost for report in reports[found:])
-    assert np.mean([report.agreement for report in updates]) > 0.7
+    assert np.mean([report.inlier_ratio for report in updates]) > 0.7
     np.testing.assert_allclose(reports[-1].pose, [9.04, -13.92, -0.99], atol=0.15)  # where all seeds end
 
 

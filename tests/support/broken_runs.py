@@ -105,7 +105,7 @@ def _diagnosed(path: Path, keep: bool) -> str:
     json.dumps(document(diagnosis), allow_nan=False)
     for finding in diagnosis.findings:
         if finding.figure is not None:
-            draw_chart(finding.figure, caption=[finding.says])
+            draw_chart(finding.figure, caption=[finding.message])
     with TemporaryDirectory(dir=path.parent) as out:
         for form in _FORMS:
             with suppress(InputError):

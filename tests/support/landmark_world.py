@@ -6,8 +6,8 @@ import numpy as np
 
 from gridslam.geometry.se2 import compose
 from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep
 from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import LandmarkStep, Sightings
 
 MOTION = DiffusionMotion(sigma_xy_m=0.05, sigma_theta_rad=0.03)
 INCREMENT = np.array([0.2, 0.0, 0.05])  # a circle of radius 4 m, once around in 126 steps
@@ -34,9 +34,9 @@ def drive(
         pose = motion(INCREMENT)(pose[None], rng)[0]
         seen = np.flatnonzero(np.hypot(*(landmarks - pose[:2]).T) < reach_m)
         exact = sensor.linearize(pose, landmarks[seen])[0].reshape(-1, 2)
-        noise = sensor.noise(Sightings.of(exact))
+        noise = sensor.noise(LandmarkObservations.of(exact))
         values = exact + np.sqrt(np.diagonal(noise, axis1=1, axis2=2)) * rng.standard_normal(exact.shape)
-        log.append(LandmarkStep(k * 10**8, INCREMENT, None, Sightings.of(values, seen + 100)))
+        log.append(LandmarkStep(k * 10**8, INCREMENT, None, LandmarkObservations.of(values, seen + 100)))
         truth.append(pose)
     return log, np.array(truth)
 

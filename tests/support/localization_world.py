@@ -54,7 +54,9 @@ class RandomWalk:
         heading = math.sqrt(n.alpha1 * radians + n.alpha2 * metres)
         # The heading walks along the way: at its end the robot is aside by a third of the heading's variance.
         aside = metres * heading / math.sqrt(3)
-        return GaussianIncrement.around(np.asarray(increment), np.array([along, max(aside, 1e-4), max(heading, 1e-4)]))
+        return GaussianIncrement.from_std(
+            np.asarray(increment), np.array([along, max(aside, 1e-4), max(heading, 1e-4)])
+        )
 
 
 def kidnapped(log: SimulatedLog, last: int, first: int) -> tuple[list, np.ndarray]:

@@ -49,7 +49,7 @@ def follow(
 ) -> list[LocalizationReport]:
     """Localize with default parameters; all reports."""
     mcl, rng = MonteCarloLocalization(known), np.random.default_rng(seed)
-    state = mcl.init() if pose is None else mcl.around(pose, np.diag([0.04, 0.04, 0.01]), rng)
+    state = mcl.init() if pose is None else mcl.init_gaussian(pose, np.diag([0.04, 0.04, 0.01]), rng)
     reports = []
     for odometry, scan in measurements:
         state, report = mcl.step(state, odometry, scan, rng)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gridslam.config import PARAMETERS, PRESETS, Configuration, build, dumps, load, loads, override, preset
 from gridslam.config.tables import names, to_table, value_of
 from gridslam.errors import ConfigurationError
-from gridslam.models import EndPoint, GMappingMotion, OdometryMotion
+from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam, OdometryTracker
 from gridslam.slam.graph_robust import GraduatedNonConvexity
@@ -79,8 +79,8 @@ def test_gmapping_preset_decides_as_gmapping():
     config = preset("gmapping", 50)
     assert config.tracker == OdometryTracker()
     assert config.motion == GMappingMotion()
-    assert config.sensor == EndPoint(gain=150.0)
-    assert preset("gmapping").sensor == EndPoint(gain=90.0)
+    assert config.sensor == GMappingEndPoint(likelihood_gain=150.0)
+    assert preset("gmapping").sensor == GMappingEndPoint(likelihood_gain=90.0)
     assert (config.when_to_update.translation_m, config.when_to_update.rotation_rad) == (1.0, 0.5)
 
 

@@ -28,7 +28,7 @@ def test_each_end_lies_where_the_base_was_at_its_time(twist, seed):
     times = rng.uniform(-0.2, 0.2, 40)
     beams = scan_of(rng, times).beams(0.5, 8.0)
     moved = se2.exp(times[beams.indices, None] * np.array(twist))
-    deskewed = beams.deskewed(np.array(twist))
+    deskewed = beams.deskew(np.array(twist))
     assert deskewed.ends.shape == beams.ends.shape
     np.testing.assert_allclose(deskewed.ends, se2.transform_points(moved, beams.ends), atol=1e-13)
     lasers = se2.transform_points(moved, beams.origin)
@@ -46,27 +46,27 @@ def test_a_wall_seen_while_turning_is_straight_again():
     scan = LaserScan.from_ranges(0, ranges, ScanGeometry.planar(bearings, mounting), beam_times_s=times)
     skewed = scan.beams(0.05, 30.0)
     assert np.ptp(skewed.ends[:, 0]) > 0.9
-    np.testing.assert_allclose(skewed.deskewed(twist).ends[:, 0], 4.0, atol=1e-12)
+    np.testing.assert_allclose(skewed.deskew(twist).ends[:, 0], 4.0, atol=1e-12)
 
 
 def test_rays_begin_within_half_the_way_of_the_laser():
     rng = np.random.default_rng(1)
     twist = np.array([0.4, 0.0, 0.0])
-    beams = scan_of(rng, np.linspace(0, 0.1, 40)).beams(0.05, 30.0).deskewed(twist)
+    beams = scan_of(rng, np.linspace(0, 0.1, 40)).beams(0.05, 30.0).deskew(twist)
     assert beams.origin[0] - beams.scan.geometry.origin[0] == pytest.approx(0.02, abs=0.005)  # a few beams are invalid
 
 
 def test_nothing_to_undo_gives_the_same_object():
     rng, twist = np.random.default_rng(2), np.array([1.0, 0.0, 1.0])
     beams = scan_of(rng).beams(0.05, 30.0)
-    assert beams.deskewed(twist) is beams
+    assert beams.deskew(twist) is beams
     nothing = scan_of(rng, np.zeros(40)).beams(40.0, 50.0)
-    assert nothing.deskewed(twist) is nothing
+    assert nothing.deskew(twist) is nothing
 
 
 def test_standing_still_changes_nothing():
     beams = scan_of(np.random.default_rng(3), np.linspace(0, 1, 40)).beams(0.05, 30.0)
-    still = beams.deskewed(np.zeros(3))
+    still = beams.deskew(np.zeros(3))
     np.testing.assert_array_equal(still.ends, beams.ends)
     np.testing.assert_allclose(still.origin, beams.origin, rtol=1e-15)
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.config import LASERS, Configuration, build, override, preset, with_laser
+from gridslam.config import LASERS, Configuration, apply_laser, build, override, preset
 from gridslam.errors import ConfigurationError
 from gridslam.evaluation import absolute_errors
 from gridslam.observers import TrajectoryRecorder
@@ -20,26 +20,26 @@ from gridslam.types import Trajectory
 def test_limits_are_those_of_the_laser_whatever_the_preset():
     for name, laser in LASERS.items():
         for base in ("default", "fast", "accurate", "gmapping"):
-            config = with_laser(preset(base), name)
+            config = apply_laser(preset(base), name)
             assert (config.range_min_m, config.range_max_m) == (laser.range_min_m, laser.range_max_m)
             assert 0 <= config.range_min_m < config.range_max_m <= 30
             assert config.particles == preset(base).particles
 
 
 def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
-    fine = with_laser(preset("fast"), "hokuyo-utm-30lx")
+    fine = apply_laser(preset("fast"), "hokuyo-utm-30lx")
     expected = override(
         preset("fast"), "resolution_m=0.03", "range_min_m=0.1", "tracker.matcher.cauchy_m=0.05",
         "proposal.matcher.cauchy_m=0.05",
     )  # fmt: skip
     assert fine == expected
-    assert with_laser(preset("gmapping"), "hokuyo-utm-30lx").mapper == preset("gmapping").mapper
-    assert with_laser(preset("default"), "rplidar-a1").mapper == Configuration().mapper
+    assert apply_laser(preset("gmapping"), "hokuyo-utm-30lx").mapper == preset("gmapping").mapper
+    assert apply_laser(preset("default"), "rplidar-a1").mapper == Configuration().mapper
 
 
 def test_an_unknown_laser_is_refused_with_what_may_be_meant():
     with pytest.raises(ConfigurationError, match=r"laser: expected sick-lms, .* got 'rplidar'; did you mean rplidar-a"):
-        with_laser(Configuration(), "rplidar")
+        apply_laser(Configuration(), "rplidar")
 
 
 def recorded(lidar: LidarConfig, seed: int) -> SimulatedLog:
@@ -65,7 +65,7 @@ def error_m(measurements, truth: Trajectory, config: Configuration) -> float:
 def test_finer_cells_pay_with_exact_lasers(name, lidar):
     """Over six buildings by a fifth to a third, in this one by more than a tenth."""
     log = recorded(lidar, 1)
-    finer = error_m(log.measurements, log.truth, with_laser(Configuration(), name))
+    finer = error_m(log.measurements, log.truth, apply_laser(Configuration(), name))
     assert finer < 0.9 * error_m(log.measurements, log.truth, Configuration())
 
 
@@ -75,7 +75,7 @@ def test_beams_without_return_are_no_walls_where_the_log_lies_about_the_greatest
     lidar = LidarConfig(beams=360, field_of_view_rad=math.tau, range_max_m=range_max_m, rate_hz=2.0)
     log = recorded(lidar, 1)
     lies = [scan for _, scan in range_limits(log.measurements, 2.0)]
-    limits = with_laser(Configuration(), name)
+    limits = apply_laser(Configuration(), name)
     true = [len(scan.beams(limits.range_min_m, limits.range_max_m)) for _, scan in log.measurements]
     assert [len(scan.beams(limits.range_min_m, limits.range_max_m)) for scan in lies] == true
     assert all(len(scan.beams(0.05, 30.0)) == 360 for scan in lies)

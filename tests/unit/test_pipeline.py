@@ -28,7 +28,7 @@ def measurements():
 
 @pytest.fixture(scope="module")
 def slam():
-    return build(override(Configuration(), "when_to_resample.kind=Always"))
+    return build(override(Configuration(), "when_to_resample.kind=AlwaysResample"))
 
 
 def seen(reports):

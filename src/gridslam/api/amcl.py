@@ -8,9 +8,9 @@ from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.config.tables import Table, changed, meant, to_table
+from gridslam.config.tables import Table, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.types import FloatArray
 
 __all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl"]
@@ -72,7 +72,7 @@ class AmclParameters(NamedTuple):
 
     Attributes
     ----------
-    parts : MonteCarloParts
+    configuration : MonteCarloConfiguration
     pose : (3,) float64 or None
         Initial pose, where one of its coordinates is given.
     covariance : (3, 3) float64
@@ -81,20 +81,20 @@ class AmclParameters(NamedTuple):
         Names that are known but mean nothing here.
     """
 
-    parts: MonteCarloParts
+    configuration: MonteCarloConfiguration
     pose: FloatArray | None
     covariance: FloatArray
     ignored: tuple[str, ...]
 
 
-def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None) -> AmclParameters:
+def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | None = None) -> AmclParameters:
     """Read AMCL's parameters, by the names of ROS 1 or nav2; parameters that are not given stay as in `base`.
 
     Parameters
     ----------
     parameters : mapping of str to object
         For all of AMCL's defaults begin with `AMCL_DEFAULTS`.
-    base : MonteCarloParts, optional
+    base : MonteCarloConfiguration, optional
         The defaults of gridslam if not given.
 
     Raises
@@ -104,19 +104,19 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloParts | None = None
     """
     unknown = [name for name in parameters if name not in AMCL_NAMES]
     if unknown:
-        raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{meant(unknown[0], AMCL_NAMES)}")
+        raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{suggest_names(unknown[0], AMCL_NAMES)}")
     _check_numbers(parameters)
     given = {_NAV2.get(name, name): value for name, value in parameters.items()}
-    parts = base or MonteCarloParts()
-    if isinstance(most := given.get("max_particles"), int) and 0 < most < parts.kld.particles_min:
+    configuration = base or MonteCarloConfiguration()
+    if isinstance(most := given.get("max_particles"), int) and 0 < most < configuration.kld.particles_min:
         given.setdefault("min_particles", most)
-    parts = changed(parts, _changes(given, parts))
+    configuration = replace_parameters(configuration, _changes(given, configuration))
     ignored = [name for name in parameters if _NAV2.get(name, name) in _IGNORED]
-    if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(parts.sensor):
+    if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(configuration.sensor):
         ignored.append("lambda_short" if "lambda_short" in parameters else "laser_lambda_short")
     pose = np.array([float(given.get(name, 0.0)) for name in _POSE]) if any(name in given for name in _POSE) else None
     variances = (float(given.get(name, default)) for name, default in zip(_COVARIANCE, _AMCL_VARIANCES, strict=True))
-    return AmclParameters(parts, pose, np.diag(list(variances)), tuple(ignored))
+    return AmclParameters(configuration, pose, np.diag(list(variances)), tuple(ignored))
 
 
 _AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
@@ -134,9 +134,9 @@ def _check_numbers(parameters: Mapping[str, Any]) -> None:
             raise ConfigurationError(f"{name}: expected a number{'' if least else ' >= 0'}, got {value!r}")
 
 
-def _changes(given: Mapping[str, Any], parts: MonteCarloParts) -> Table:
+def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
     """Nested changes to the parts."""
-    changes: Table = {"sensor": _sensor(given, parts), "motion": _motion(given)}
+    changes: Table = {"sensor": _sensor(given, configuration), "motion": _motion(given)}
     for name, value in given.items():
         if name in _PLACES and not (name.endswith("_range") and value == -1):  # -1: the sensor's own
             *above, last = _PLACES[name].split(".")
@@ -146,7 +146,7 @@ def _changes(given: Mapping[str, Any], parts: MonteCarloParts) -> Table:
             table[last] = value
     if "selective_resampling" in given:
         selective = given["selective_resampling"]
-        changes["when_to_resample"] = {"kind": "EffectiveSampleSizeBelow" if selective else "Always"}
+        changes["when_to_resample"] = {"kind": "EffectiveSampleSizeBelow" if selective else "AlwaysResample"}
     return {name: value for name, value in changes.items() if value != {}}
 
 
@@ -158,16 +158,16 @@ def _motion(given: Mapping[str, Any]) -> Table:
     return {"kind": "OdometryMotion"} if named else {}
 
 
-def _sensor(given: Mapping[str, Any], parts: MonteCarloParts) -> Table:
+def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
     """The sensor model; AMCL's shares need not sum to 1, and a factor on all of them changes nothing."""
     model = given.get("laser_model_type")
     if model not in (None, "likelihood_field", "likelihood_field_prob", "beam"):
         raise ConfigurationError(f"laser_model_type: expected likelihood_field or beam, got {model!r}")
-    now = type(parts.sensor).__name__
+    now = type(configuration.sensor).__name__
     kind = now if model is None else "BeamRangeFinder" if model == "beam" else "LikelihoodField"
     table: Table = {"kind": kind} if kind != now else {}
     if any(name in given for name in _SHARES):
-        before = to_table(parts.sensor) if kind == now else {}
+        before = to_table(configuration.sensor) if kind == now else {}
         used = ("z_hit", "z_short", "z_max", "z_rand") if kind == "BeamRangeFinder" else ("z_hit", "z_rand")
         amcl = AMCL_DEFAULTS["amcl"]
         shares = {place: float(given.get(name, before.get(place, amcl[name]))) for name, place in _SHARES.items()}

@@ -12,17 +12,17 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen_form import carmen_form
+from gridslam.io.carmen_form import to_carmen_form
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.csv_writer import write_csv_log
-from gridslam.io.log import Log, LogOptions, LogSource, opened_log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.io.output import written_aside
+from gridslam.io.output import write_atomically
 from gridslam.io.trajectory import write_tum
 from gridslam.types import BeamStatus, Odometry, Trajectory
 
-__all__ = ["Conversion", "OutFormat", "convert_log", "format_of_name"]
+__all__ = ["Conversion", "OutFormat", "convert_log", "infer_format"]
 
 
 class OutFormat(Enum):
@@ -70,7 +70,7 @@ class Conversion:
     log: LogStatistics
 
 
-def format_of_name(out: str | Path, to: str | None = None) -> OutFormat:
+def infer_format(out: str | Path, to: str | None = None) -> OutFormat:
     """The format of the new log: by the suffix of its name, or `to`.
 
     Raises ArgumentError if the name has no known suffix, or that of a bag of another kind than `to`.
@@ -124,7 +124,7 @@ def convert_log(
     OutputError
         The new log cannot be written.
     """
-    form, source, target = format_of_name(out, to), opened_log(log, options), Path(out)
+    form, source, target = infer_format(out, to), open_if_path(log, options), Path(out)
     if target.exists() and target.samefile(source.path):
         raise ArgumentError("out", "a name other than the input log", str(out))
     lost: Counter[str] = Counter()
@@ -151,7 +151,7 @@ def _write(
     counted: Callable[[Iterable[Measurement]], Iterator[Measurement]],
 ) -> None:  # fmt: skip
     if form is OutFormat.CARMEN:
-        write_carmen(target, counted(carmen_form(_with_beams(log, lost), lost)))
+        write_carmen(target, counted(to_carmen_form(_with_beams(log, lost), lost)))
     elif form is OutFormat.CSV:
         write_csv_log(target, counted(_with_beams(log, lost)))
     elif form is OutFormat.TUM:
@@ -189,7 +189,7 @@ def _write_odometry(target: Path, source: Path, measurements: Iterable[Measureme
     if not known:
         raise InputError(source, "cannot be written as tum: it has no odometry")
     stamps_ns = np.array([odometry.stamp_ns for odometry in known], dtype=np.int64)
-    with written_aside(target) as aside:
+    with write_atomically(target) as aside:
         write_tum(aside, Trajectory(stamps_ns, np.array([odometry.pose for odometry in known])))
 
 

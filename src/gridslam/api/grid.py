@@ -11,16 +11,16 @@ import numpy as np
 
 from gridslam.api.grid_result import GridResult
 from gridslam.arguments import require_instance, require_threads
-from gridslam.config import Configuration, override, with_laser
+from gridslam.config import Configuration, apply_laser, override
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.trajectory import read_tum
 from gridslam.mapping.beam_counts import BeamCounts
 from gridslam.mapping.counted_map import bayes_map, counting_map
-from gridslam.mapping.known_poses import KnownPoses, Unplaced
+from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, Trajectory
 
@@ -114,7 +114,7 @@ def map_with_poses(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
         deskew=deskew, configuration=config, log=source.statistics, repair=_repair_of(source), given=given,
-        source=source.path, digest=digest_of(source.path), given_path=path, stopwatch=watch,
+        source=source.path, digest=compute_digest(source.path), given_path=path, stopwatch=watch,
     )  # fmt: skip
     watch.lap("map")
     return result
@@ -144,17 +144,17 @@ def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajec
 def _count(
     source: Log, poses: KnownPoses, counts: BeamCounts, config: Configuration, deskew: bool,
     on_progress: Callable[[], None],
-) -> tuple[Trajectory, Counter[Unplaced]]:  # fmt: skip
+) -> tuple[Trajectory, Counter[NoPoseReason]]:  # fmt: skip
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
-    stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[Unplaced]()
+    stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[NoPoseReason]()
     scan: LaserScan
     for _, scan in source:
         pose = poses.at(scan.stamp_ns)
-        if isinstance(pose, Unplaced):
+        if isinstance(pose, NoPoseReason):
             unplaced[pose] += 1
         else:
             beams = scan.beams(config.range_min_m, config.range_max_m, config.thinning)
-            counts.add(pose, poses.sharpened(beams) if deskew else beams)
+            counts.add(pose, poses.deskew(beams) if deskew else beams)
             stamps.append(scan.stamp_ns)
             taken.append(pose)
         on_progress()
@@ -167,7 +167,7 @@ def _repair_of(log: Log) -> Repair:
 
 def _configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
     config = base or Configuration()
-    config = config if laser is None else with_laser(config, laser)
+    config = config if laser is None else apply_laser(config, laser)
     if resolution_m is None:
         return config
     if not 0 < resolution_m <= 1:
@@ -175,13 +175,13 @@ def _configuration(base: Configuration | None, laser: str | None, resolution_m: 
     return override(config, f"resolution_m={resolution_m}")
 
 
-def _nothing(source: Log, poses: KnownPoses, unplaced: Counter[Unplaced]) -> str:
+def _nothing(source: Log, poses: KnownPoses, unplaced: Counter[NoPoseReason]) -> str:
     """Why there is no map."""
     log, (first, last) = source.statistics, poses.span_ns
     if log.first_stamp_ns is None or log.last_stamp_ns is None or not sum(unplaced.values()):
         return "expected a log with scans, got one without"
     ours, theirs = ((a * 1e-9, b * 1e-9) for a, b in ((first, last), (log.first_stamp_ns, log.last_stamp_ns)))
-    if unplaced[Unplaced.GAP]:
+    if unplaced[NoPoseReason.GAP]:
         return f"expected poses about the scans' stamps, got none near enough to any of {unplaced.total()} scans"
     return (
         f"expected a trajectory of this log, but it lasts from {ours[0]:.3f} to {ours[1]:.3f} s and the log's scans "

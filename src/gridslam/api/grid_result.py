@@ -13,11 +13,11 @@ from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.map_server import write_map
 from gridslam.io.output import OutputFolder
-from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
 from gridslam.types import OccupancyGrid, Trajectory
 
@@ -41,7 +41,7 @@ class GridResult:
     map : OccupancyGrid
     trajectory : Trajectory
         Where the mapped scans were taken, in the log's order.
-    unplaced : Counter of Unplaced
+    unplaced : Counter of NoPoseReason
         Scans that are not in the map, by reason.
     model : str
         "bayes" or "counting".
@@ -66,7 +66,7 @@ class GridResult:
 
     map: OccupancyGrid
     trajectory: Trajectory
-    unplaced: Counter[Unplaced]
+    unplaced: Counter[NoPoseReason]
     model: str
     half_life_scans: float | None
     max_gap_s: float
@@ -153,7 +153,7 @@ class GridResult:
             "scans": {
                 "read": self.log.scan_count,
                 "used": len(self.trajectory),
-                "skipped": {reason.value: self.unplaced[reason] for reason in Unplaced},
+                "skipped": {reason.value: self.unplaced[reason] for reason in NoPoseReason},
             },
             "map": {"width_m": width, "height_m": height, "known_cells": int(grid.known.sum())},
             "time": self.stopwatch.to_dict(),
@@ -181,7 +181,7 @@ class GridResult:
     def _given(self) -> dict[str, Any]:
         return {
             "path": None if self.given_path is None else os.fspath(self.given_path),
-            "sha256": None if self.given_path is None else digest_of(self.given_path),
+            "sha256": None if self.given_path is None else compute_digest(self.given_path),
             "poses": len(self.given),
             "first_stamp_ns": int(self.given.stamps_ns.min()),
             "last_stamp_ns": int(self.given.stamps_ns.max()),

@@ -12,19 +12,19 @@ from gridslam.api.landmark_localization_result import LandmarkLocalizationResult
 from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
+from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
-from gridslam.models.association import MaximumLikelihood, Told
+from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
-from gridslam.models.sightings import LandmarkStep
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel
 
 __all__ = ["localize_by_landmarks"]
 
-_SEEN_IN_MAP = MaximumLikelihood(same=100.0, other=100.0)
+_COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a complete map an observation far off indicates a wrong pose rather than a new landmark.
 
 On MRCLAM a gate of 3 standard deviations loses robot 3 where it sees nothing for 24 s; 5 to 10 do not.
@@ -81,9 +81,9 @@ def localize_by_landmarks(
         of the map.
     """
     watch = stopwatch or Stopwatch()
-    source = opened_landmark_log(log)
+    source = open_landmark_log_if_path(log)
     known = _known(source, landmarks)
-    association = _SEEN_IN_MAP if unknown else Told()
+    association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
     ekf = EkfLocalization(known, model, association)
     watch.lap("start")
@@ -92,7 +92,7 @@ def localize_by_landmarks(
     belief = ekf.init(_start(source, steps, landmarks) if pose is None else pose, covariance)
     reports = list[EkfLocalizationReport]()
     for step in steps:
-        seen = step.sightings.anonymous() if unknown else step.sightings
+        seen = step.observations.drop_correspondences() if unknown else step.observations
         belief, report = ekf.step(belief, step.motion(motion), seen)
         reports.append(report)
         on_progress()
@@ -104,7 +104,7 @@ def localize_by_landmarks(
         reports=tuple(reports), landmarks=known, unknown=unknown, log=source,
         landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None,
         in_true_frame=landmarks is None, models={"sensor": model, "motion": motion, "association": association},
-        digest=digest_of(source.path), stopwatch=watch,
+        digest=compute_digest(source.path), stopwatch=watch,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from gridslam import __version__
 from gridslam.api.showing import describe_result, tabulate
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.landmark_log import LandmarkLog
 from gridslam.io.output import OutputFolder
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LANDMARK_LOCALIZATION_SCHEMA", "LandmarkLocalizationResult"]
 
-LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/1"
+LANDMARK_LOCALIZATION_SCHEMA = "gridslam.landmark_localization/2"
 
 
 @final
@@ -81,7 +81,7 @@ class LandmarkLocalizationResult:
         return np.array([report.covariance for report in self.reports])
 
     @property
-    def not_believed(self) -> int:
+    def outliers(self) -> int:
         """Number of outlier observations."""
         return sum(int((report.landmarks < 0).sum()) for report in self.reports)
 
@@ -113,7 +113,7 @@ class LandmarkLocalizationResult:
         counts, errors = self.log.statistics, self.errors()
         lines = [
             f"EKF localization, {'unknown' if self.unknown else 'known'} correspondences",
-            f"{len(self.stamps_ns)} steps, {counts.sightings} observations, "
+            f"{len(self.stamps_ns)} steps, {counts.observations} observations, "
             f"{len(self.landmarks.names)} known landmarks",
         ]
         if errors is not None:
@@ -134,7 +134,7 @@ class LandmarkLocalizationResult:
                 "path": None if self.landmarks_path is None else os.fspath(self.landmarks_path),
                 "landmarks": len(self.landmarks.names),
             },
-            "not_believed": self.not_believed,
+            "outliers": self.outliers,
             "log_likelihood": float(sum(report.log_likelihood for report in self.reports)),
             "errors": None if errors is None else {"aligned": not self.in_true_frame, **asdict(errors)},
             "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
@@ -164,7 +164,7 @@ class LandmarkLocalizationResult:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        return covered(self.trajectory, known)
+        return clip_to_truth(self.trajectory, known)
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""

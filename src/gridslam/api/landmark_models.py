@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Final
 
 from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import ObservationKind
 from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import SightingKind
 
 __all__ = ["MOTION", "SENSORS", "WIDE_MOTION"]
 
-SENSORS: Final[dict[SightingKind, LandmarkModel]] = {
-    SightingKind.RANGE_BEARING: RangeBearing(),
-    SightingKind.DEPTH_BEARING: DepthBearing(),
-    SightingKind.POSITION: RelativePosition(),
+SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
+    ObservationKind.RANGE_BEARING: RangeBearing(),
+    ObservationKind.DEPTH_BEARING: DepthBearing(),
+    ObservationKind.POSITION: RelativePosition(),
 }
 """Measurement model of each observation type."""
 

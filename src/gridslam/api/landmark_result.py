@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 from gridslam import __version__
 from gridslam.api.showing import describe_result, tabulate
-from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_place
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, covered
+from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_files import write_landmarks
 from gridslam.io.landmark_log import LandmarkLog
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
     from gridslam.viz.notebook import Picture
 
-__all__ = ["LANDMARKS_SCHEMA", "Estimate", "LandmarkResult"]
+__all__ = ["LANDMARKS_SCHEMA", "LandmarkEstimate", "LandmarkResult"]
 
-LANDMARKS_SCHEMA = "gridslam.landmarks/1"
+LANDMARKS_SCHEMA = "gridslam.landmarks/2"
 
 
-class Estimate(NamedTuple):
+class LandmarkEstimate(NamedTuple):
     """Estimate of a landmark algorithm.
 
     Attributes
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
     covariances : (T, 3, 3) float64
         Of the poses: online by filters, of the final solution by the graph.
     landmarks : LandmarkMap
-    strange : int
+    outliers : int
         Number of outlier observations.
     figures : dict
         Other results of the method, as JSON values.
@@ -52,7 +52,7 @@ class Estimate(NamedTuple):
     online: FloatArray | None
     covariances: FloatArray
     landmarks: LandmarkMap
-    strange: int
+    outliers: int
     figures: dict[str, Any]
 
 
@@ -66,7 +66,7 @@ class LandmarkResult:
     method : str
     stamps_ns : (T,) int64, ns
         Of the steps.
-    estimate : Estimate
+    estimate : LandmarkEstimate
     unknown : bool
         Whether the correspondences were to be found.
     particles : int or None
@@ -82,7 +82,7 @@ class LandmarkResult:
 
     method: str
     stamps_ns: IntArray
-    estimate: Estimate
+    estimate: LandmarkEstimate
     unknown: bool
     particles: int | None
     seed: int
@@ -143,7 +143,7 @@ class LandmarkResult:
             "seed": self.seed,
             "input": {"path": os.fspath(self.log.path), "sha256": self.digest, **statistics},
             "landmarks": len(self.landmarks),
-            "strange_sightings": self.estimate.strange,
+            "outliers": self.estimate.outliers,
             **self.estimate.figures,
             "errors": {
                 "trajectory": None if poses is None else asdict(poses),
@@ -157,11 +157,11 @@ class LandmarkResult:
         """Lines that describe the result."""
         known = "unknown" if self.unknown else "known"
         particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
+        observations = self.log.statistics.observations
         poses, landmarks = self.errors()
         lines = [
             f"{self.method}, {known} correspondences{particles}",
-            f"{len(self.stamps_ns)} steps, {self.log.statistics.sightings} observations, "
-            f"{len(self.landmarks)} landmarks",
+            f"{len(self.stamps_ns)} steps, {observations} observations, {len(self.landmarks)} landmarks",
         ]
         if poses is not None and landmarks is not None:
             lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")
@@ -190,7 +190,7 @@ class LandmarkResult:
         """The steps that the truth covers, and the truth at them."""
         if self.log.truth is None or (known := self.log.truth.trajectory) is None:
             return None
-        return covered(self.trajectory, known)
+        return clip_to_truth(self.trajectory, known)
 
     def _pairs(self, compared: tuple[Trajectory, Trajectory] | None) -> tuple[IntArray, IntArray] | None:
         """Partners among the landmarks and the true ones; None where there is none."""
@@ -201,7 +201,7 @@ class LandmarkResult:
         elif compared is None:
             return None
         else:
-            pairs = pair_by_place(self.landmarks.positions, known.positions, _true_from_map(*compared))
+            pairs = pair_by_position(self.landmarks.positions, known.positions, _true_from_map(*compared))
         return pairs if len(pairs[0]) else None
 
     def picture(self) -> Picture:

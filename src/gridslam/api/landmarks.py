@@ -10,15 +10,15 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
-from gridslam.api.landmark_result import Estimate, LandmarkResult
+from gridslam.api.landmark_result import LandmarkEstimate, LandmarkResult
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
-from gridslam.io.digest import digest_of
-from gridslam.io.landmark_log import LandmarkLog, opened_landmark_log
-from gridslam.models.association import AMBIGUOUS, Association, MaximumLikelihood, Told
+from gridslam.io.digest import compute_digest
+from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
+from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
-from gridslam.models.sightings import LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
@@ -27,11 +27,11 @@ from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
 from gridslam.slam.landmark_filters import LandmarkFilters
 from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmark_path import path
+from gridslam.slam.landmark_path import smooth_trajectory
 from gridslam.slam.landmark_report import LandmarkReport
 from gridslam.types import FloatArray, MotionModel
 
-__all__ = ["METHODS", "PARTICLES", "PARTICLES_IN_DOUBT", "LandmarkMethod", "map_landmarks"]
+__all__ = ["METHODS", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "LandmarkMethod", "map_landmarks"]
 
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
@@ -41,7 +41,7 @@ METHODS: tuple[LandmarkMethod, ...] = "ekf", "fastslam1", "fastslam2", "graph"
 PARTICLES = {"fastslam1": 100, "fastslam2": 20}
 """Default number of particles of the methods that use particles."""
 
-PARTICLES_IN_DOUBT = 200
+PARTICLES_UNKNOWN_CORRESPONDENCES = 200
 """The same where the correspondences are unknown.
 
 After an interval without observations the first one may be of any of several landmarks in any of several directions,
@@ -49,10 +49,10 @@ and some particles must be right: of MRCLAM's intervals of 30 s, in a room of 15
 all.
 """
 
-_COUNTS_LITTLE = 0.1  # an observation of a smaller weight is regarded as an outlier
-_WHATEVER = Told(believed=1e6)
+_OUTLIER_WEIGHT = 0.1  # an observation of a smaller weight is regarded as an outlier
+_NO_GATE = KnownCorrespondence(gate=1e6)
 """No observation is rejected, not even at the closure of a loop of kilometres that no particle has closed."""
-_NEARLY_ALL = Told(believed=50.0)
+_WIDE_GATE = KnownCorrespondence(gate=50.0)
 """7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
 
 _BIAS = OdometryBias()
@@ -102,9 +102,9 @@ def map_landmarks(
     """
     _check(method, particles, seed, unknown)
     watch = stopwatch or Stopwatch()
-    source = opened_landmark_log(log)
+    source = open_landmark_log_if_path(log)
     if particles is None and method in PARTICLES:
-        particles = PARTICLES_IN_DOUBT if unknown else PARTICLES[method]
+        particles = PARTICLES_UNKNOWN_CORRESPONDENCES if unknown else PARTICLES[method]
     model, motion = sensor or SENSORS[source.kind], motion or (WIDE_MOTION if unknown else MOTION)
     watch.lap("start")
     steps = list(source)
@@ -113,42 +113,44 @@ def map_landmarks(
     if method == "graph":
         estimate = _by_graph(steps, model, motion)
     else:
-        association: Association = MaximumLikelihood() if unknown else _told(steps, method)
-        shown = [replace(step, sightings=step.sightings.anonymous()) for step in steps] if unknown else steps
+        association: Association = MaximumLikelihood() if unknown else _known_correspondence(steps, method)
+        shown = _drop_correspondences(steps) if unknown else steps
         if method == "ekf":
             models["bias"] = EXACT_ODOMETRY if unknown else _BIAS
             estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
         else:
-            slam = _particle_filter(method, LandmarkFilters(model, association), _noise_is_told(steps))
+            slam = _particle_filter(method, LandmarkFilters(model, association), _has_own_noise(steps))
             models |= {"bias": slam.bias} if isinstance(slam, FastSlam2) else {}
             estimate = _by_particles(shown, slam, particles or 0, seed, motion, on_progress)
     watch.lap("solve")
     return LandmarkResult(
         method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
         stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
-        particles=particles, models=models, digest=digest_of(source.path),
+        particles=particles, models=models, digest=compute_digest(source.path),
     )  # fmt: skip
 
 
 def _by_ekf(
     steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, on_progress: Callable[[], None]
-) -> Estimate:
+) -> LandmarkEstimate:
     state, reports = slam.init(), list[LandmarkReport]()
     for step in steps:
-        state, report = slam.step(state, step.motion(motion), step.sightings)
+        state, report = slam.step(state, step.motion(motion), step.observations)
         reports.append(report)
         on_progress()
     online = _poses(reports)
-    return Estimate(online, online, _covariances(reports), slam.landmark_map(state), _strange(reports), {})
+    return LandmarkEstimate(
+        online, online, _covariances(reports), slam.landmark_map(state), _count_outliers(reports), {}
+    )
 
 
 def _by_particles(
     steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, particles: int, seed: int, motion: MotionModel,
     on_progress: Callable[[], None],
-) -> Estimate:  # fmt: skip
+) -> LandmarkEstimate:  # fmt: skip
     rng, state, reports = np.random.default_rng(seed), slam.init(particles), list[LandmarkReport]()
     for step in steps:
-        state, report = slam.step(state, step.motion(motion), step.sightings, rng)
+        state, report = slam.step(state, step.motion(motion), step.observations, rng)
         reports.append(report)
         on_progress()
     figures = {
@@ -156,32 +158,36 @@ def _by_particles(
         "resamplings": sum(report.parents is not None for report in reports),
     }
     bias = slam.bias if isinstance(slam, FastSlam2) else EXACT_ODOMETRY
-    full = path(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
+    full = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
     landmarks = slam.landmark_map(state)
-    return Estimate(full, _poses(reports), _covariances(reports), landmarks, _strange(reports), figures)
+    return LandmarkEstimate(full, _poses(reports), _covariances(reports), landmarks, _count_outliers(reports), figures)
 
 
-def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> Estimate:
-    robust = None if _noise_is_told(steps) else CauchyEstimator()
+def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> LandmarkEstimate:
+    robust = None if _has_own_noise(steps) else CauchyEstimator()
     found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
     figures = {
         "chi2": found.solution.chi2_after,
-        "degrees_of_freedom": found.freedom,
+        "degrees_of_freedom": found.degrees_of_freedom,
         "converged": found.solution.converged,
     }
-    strange = int((found.solution.weights < _COUNTS_LITTLE).sum())
-    return Estimate(found.poses, None, found.covariances, found.landmarks, strange, figures)
+    outliers = int((found.solution.weights < _OUTLIER_WEIGHT).sum())
+    return LandmarkEstimate(found.poses, None, found.covariances, found.landmarks, outliers, figures)
 
 
-def _noise_is_told(steps: Sequence[LandmarkStep]) -> bool:
+def _drop_correspondences(steps: Sequence[LandmarkStep]) -> list[LandmarkStep]:
+    return [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
+
+
+def _has_own_noise(steps: Sequence[LandmarkStep]) -> bool:
     """Whether a log contains measurement covariances; only then its correspondences are trusted without a gate."""
     return all(step.covariance is not None for step in steps)
 
 
-def _told(steps: Sequence[LandmarkStep], method: LandmarkMethod) -> Told:
-    if not _noise_is_told(steps):
-        return Told()
-    return _NEARLY_ALL if method == "ekf" else _WHATEVER
+def _known_correspondence(steps: Sequence[LandmarkStep], method: LandmarkMethod) -> KnownCorrespondence:
+    if not _has_own_noise(steps):
+        return KnownCorrespondence()
+    return _WIDE_GATE if method == "ekf" else _NO_GATE
 
 
 def _particle_filter(method: LandmarkMethod, landmarks: LandmarkFilters, told: bool) -> FastSlam1 | FastSlam2:
@@ -198,7 +204,7 @@ def _covariances(reports: Sequence[LandmarkReport]) -> FloatArray:
     return np.array([report.covariance for report in reports])
 
 
-def _strange(reports: Sequence[LandmarkReport]) -> int:
+def _count_outliers(reports: Sequence[LandmarkReport]) -> int:
     return sum(int((report.landmarks == AMBIGUOUS).sum()) for report in reports)
 
 

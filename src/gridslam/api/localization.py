@@ -16,13 +16,13 @@ from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.map_server import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch, run
 from gridslam.types import FloatArray, OccupancyGrid, Odometry
@@ -43,7 +43,7 @@ def localize(
     covariance: ArrayLike = INITIAL_COVARIANCE,
     seed: int = 0,
     options: LogOptions | None = None,
-    parts: MonteCarloParts | None = None,
+    configuration: MonteCarloConfiguration | None = None,
     threads: int = 1,
     strict_thresholds: bool = False,
     repair: Literal["needed", "all", "none"] = "needed",
@@ -67,7 +67,7 @@ def localize(
         The same log, map, parameters and seed give identical results.
     options : LogOptions, optional
         What to read of the log at a path.
-    parts : MonteCarloParts, optional
+    configuration : MonteCarloConfiguration, optional
         Of the filter.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
@@ -99,28 +99,28 @@ def localize(
     require_seed(seed)
     require_threads(threads)
     require_instance("map", map, str, Path, OccupancyGrid, KnownMap)
-    require_instance("parts", parts, MonteCarloParts, optional=True)
-    watch, parts = stopwatch or Stopwatch(), parts or MonteCarloParts()
+    require_instance("configuration", configuration, MonteCarloConfiguration, optional=True)
+    watch, configuration = stopwatch or Stopwatch(), configuration or MonteCarloConfiguration()
     source = open_repaired(log, options, repair)
-    path, known, remarks = known_map(map, parts, threads, strict_thresholds=strict_thresholds)
-    rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, parts)
-    state = mcl.init() if pose is None else mcl.around(pose, covariance, rng)
+    path, known, remarks = known_map(map, configuration, threads, strict_thresholds=strict_thresholds)
+    rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, configuration)
+    state = mcl.init() if pose is None else mcl.init_gaussian(pose, covariance, rng)
     watch.lap("start")
-    told = _Told()
+    told = _ReportRecorder()
     state = run(gate(source), mcl, rng=rng, observers=[*observers, told], state=state, stopwatch=watch)
     driven, taken_out = np.array(told.driven_m), source.repair if isinstance(source, RepairedLog) else None
-    _check(source, path, told.reports, driven, parts)
+    _check(source, path, told.reports, driven, configuration)
     result = LocalizationResult(
-        told.reports, driven, known.grid, state, parts, None if pose is None else np.array(pose, np.float64), seed,
-        threads, source.statistics, source.path, path, digest_of(source.path), remarks, taken_out or Repair(),
-        watch,
+        told.reports, driven, known.grid, state, configuration,
+        None if pose is None else np.array(pose, np.float64), seed, threads, source.statistics, source.path, path,
+        compute_digest(source.path), remarks, taken_out or Repair(), watch,
     )  # fmt: skip
     watch.lap("finish")
     return result
 
 
 def known_map(
-    source: str | Path | OccupancyGrid | KnownMap, parts: MonteCarloParts, threads: int = 1, *,
+    source: str | Path | OccupancyGrid | KnownMap, configuration: MonteCarloConfiguration, threads: int = 1, *,
     strict_thresholds: bool = False,
 ) -> tuple[Path, KnownMap, tuple[str, ...]]:  # fmt: skip
     """Read a map and lay it out; also gives its path, empty for a map at hand, and what is odd about its file.
@@ -130,16 +130,16 @@ def known_map(
     if isinstance(source, KnownMap):
         return Path(), source, ()
     if isinstance(source, OccupancyGrid):
-        return Path(), KnownMap(source, reach_m=parts.reach_m, threads=threads), ()
+        return Path(), KnownMap(source, reach_m=configuration.reach_m, threads=threads), ()
     remarks = list[str]()
     grid = read_map(source, strict_thresholds=strict_thresholds, tell=remarks.append)
     try:
-        return Path(source), KnownMap(grid, reach_m=parts.reach_m, threads=threads), tuple(remarks)
+        return Path(source), KnownMap(grid, reach_m=configuration.reach_m, threads=threads), tuple(remarks)
     except ArgumentError as error:
         raise InputError(source, str(error).removeprefix("map: ")) from None
 
 
-class _Told:
+class _ReportRecorder:
     """Observer that keeps reports (without particles) and the path length (m) at each."""
 
     def __init__(self) -> None:
@@ -155,18 +155,22 @@ class _Told:
 
 
 def _check(
-    log: Log, path: Path, reports: list[LocalizationReport], driven_m: FloatArray, parts: MonteCarloParts
+    log: Log,
+    path: Path,
+    reports: list[LocalizationReport],
+    driven_m: FloatArray,
+    configuration: MonteCarloConfiguration,
 ) -> None:
     """Raise if the log does not match the map; ambiguity alone is not an error."""
     updates = [report for report in reports if report.skipped is None]
     if not updates:
         lacks = "odometry, which localization needs" if log.statistics.without_odometry else "scan with a usable beam"
         raise InputError(log.path, f"has no {lacks}")
-    best, found = max(report.agreement for report in updates), np.mean([not report.lost for report in reports])
-    usual = float(np.median([report.agreement for report in updates]))
-    sought = np.mean([report.augmented > 0 for report in updates])  # all over the map, again and again
-    fits = usual >= parts.recovery.expected and sought < 0.5
-    if best < parts.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
+    best, found = max(report.inlier_ratio for report in updates), np.mean([not report.lost for report in reports])
+    usual = float(np.median([report.inlier_ratio for report in updates]))
+    sought = np.mean([report.injection_ratio > 0 for report in updates])  # all over the map, again and again
+    fits = usual >= configuration.recovery.expected and sought < 0.5
+    if best < configuration.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
         where = path.name or "the map"
         raise InputError(
             log.path,

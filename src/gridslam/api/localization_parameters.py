@@ -6,15 +6,15 @@ import json
 from collections.abc import Iterable
 
 from gridslam.api.amcl import AMCL_NAMES, AmclParameters, from_amcl
-from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 
-__all__ = ["override_parts"]
+__all__ = ["override_configuration"]
 
 
-def override_parts(parts: MonteCarloParts, assignments: Iterable[str]) -> AmclParameters:
-    """Change parameters by ``name=value``, AMCL's first and then gridslam's own (see `MonteCarloParts`).
+def override_configuration(configuration: MonteCarloConfiguration, assignments: Iterable[str]) -> AmclParameters:
+    """Change parameters by ``name=value``, AMCL's first and then gridslam's own (see `MonteCarloConfiguration`).
 
     Raises
     ------
@@ -27,19 +27,21 @@ def override_parts(parts: MonteCarloParts, assignments: Iterable[str]) -> AmclPa
         name, equals, text = (part.strip() for part in assignment.partition("="))
         if not (name and equals and text):
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
-        if name in AMCL_NAMES and name not in to_table(parts):
+        if name in AMCL_NAMES and name not in to_table(configuration):
             amcl[name] = _value(text)
         else:
-            _put(changes, name, _value(text), parts)
-    read = from_amcl(amcl, parts)
-    return read._replace(parts=changed(read.parts, changes))
+            _put(changes, name, _value(text), configuration)
+    read = from_amcl(amcl, configuration)
+    return read._replace(configuration=replace_parameters(read.configuration, changes))
 
 
-def _put(changes: Table, name: str, value: object, parts: MonteCarloParts) -> None:
+def _put(changes: Table, name: str, value: object, configuration: MonteCarloConfiguration) -> None:
     """Put a value into nested tables, under its dotted name."""
     *above, last = name.split(".")
-    if [*above, last][0] not in to_table(parts):
-        raise ConfigurationError(f"{name}: no such parameter{meant(name, [*names(parts), *AMCL_NAMES])}")
+    if [*above, last][0] not in to_table(configuration):
+        raise ConfigurationError(
+            f"{name}: no such parameter{suggest_names(name, [*names(configuration), *AMCL_NAMES])}"
+        )
     for key in above:
         changes = changes.setdefault(key, {})
         if not isinstance(changes, dict):

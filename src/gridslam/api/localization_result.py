@@ -18,7 +18,7 @@ from gridslam.doctor.repair import Repair
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectory import write_trajectory_csv, write_tum
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
     from gridslam.viz.notebook import Picture
 
-__all__ = ["BELIEF_HEADER", "LOCALIZATION_SCHEMA", "LocalizationResult", "Stretch"]
+__all__ = ["BELIEF_HEADER", "LOCALIZATION_SCHEMA", "LocalizationInterval", "LocalizationResult"]
 
-LOCALIZATION_SCHEMA = "gridslam.localization/1"
-BELIEF_HEADER = "stamp_s,lost,lost_probability,agreement,particles,n_eff,augmented"
+LOCALIZATION_SCHEMA = "gridslam.localization/2"
+BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 """First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""
 
 
-class Stretch(NamedTuple):
+class LocalizationInterval(NamedTuple):
     """Scans in a row at which the robot was found, or lost.
 
     Attributes
@@ -67,7 +67,7 @@ class LocalizationResult:
     map : OccupancyGrid
     state : MonteCarloState
         The filter after the last scan.
-    parts : MonteCarloParts
+    configuration : MonteCarloConfiguration
         The effective parameters.
     pose : (3,) float64 or None
         Initial pose; None for global localization.
@@ -91,7 +91,7 @@ class LocalizationResult:
     driven_m: FloatArray
     map: OccupancyGrid
     state: MonteCarloState
-    parts: MonteCarloParts
+    configuration: MonteCarloConfiguration
     pose: FloatArray | None
     seed: int
     threads: int
@@ -123,13 +123,13 @@ class LocalizationResult:
         """Whether the robot was lost at each scan: (N,)."""
         return np.array([report.lost for report in self.reports])
 
-    def stretches(self) -> list[Stretch]:
+    def intervals(self) -> list[LocalizationInterval]:
         """Where the robot was found and where it was lost, in order."""
         lost = self.lost
         begins = np.flatnonzero(np.diff(lost, prepend=~lost[:1]))
         ends = np.append(begins[1:], len(lost)) - 1
         pairs = zip(begins.tolist(), ends.tolist(), strict=True)
-        return [Stretch(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
+        return [LocalizationInterval(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
 
     def save(self, folder: str | Path) -> dict[str, Any]:
         """Write all results into a folder, all or none; returns the content of run.json."""
@@ -160,15 +160,15 @@ class LocalizationResult:
             "initial_pose": "global" if self.pose is None else self.pose.tolist(),
             "scans": self._scans(),
             "filter": self._filter(),
-            "stretches": [self._told(stretch) for stretch in self.stretches()],
+            "intervals": [self._interval_document(interval) for interval in self.intervals()],
             "time": self.stopwatch.to_dict(),
-            "configuration": to_table(self.parts),
+            "configuration": to_table(self.configuration),
         }
 
     def caption(self) -> list[str]:
         """Lines that describe the result."""
         scans, lost = len(self.reports), int(self.lost.sum())
-        found = next((stretch for stretch in self.stretches() if not stretch.lost), None)
+        found = next((interval for interval in self.intervals() if not interval.lost), None)
         where = "never found" if found is None else f"found after {found.driven_m:.1f} m"
         start = where if self.pose is None else f"begun at {', '.join(f'{v:g}' for v in self.pose)}"
         return [
@@ -179,14 +179,14 @@ class LocalizationResult:
 
     def to_dataframe(self) -> DataFrame:
         """Return a pandas.DataFrame with a row for each scan: stamp_ns, the columns of trajectory.csv, and
-        lost, lost_probability, agreement and particles.
+        lost, lost_probability, inlier_ratio and particles.
 
         Raises
         ------
         MissingDependencyError
             pandas is not installed; the extra ``pandas`` brings it.
         """
-        told = ("lost_probability", "agreement", "particles")
+        told = ("lost_probability", "inlier_ratio", "particles")
         more = {name: [getattr(report, name) for report in self.reports] for name in told}
         return tabulate(self.trajectory, self.covariances, lost=self.lost, **more)
 
@@ -222,21 +222,21 @@ class LocalizationResult:
             "particles_mean": float(np.mean([report.particles for report in updates])),
             "particles_max": max(report.particles for report in updates),
             "n_eff_mean": float(np.mean([report.n_eff for report in updates])),
-            "agreement_mean": float(np.mean([report.agreement for report in updates])),
-            "augmented_updates": sum(report.augmented > 0 for report in updates),
+            "inlier_ratio_mean": float(np.mean([report.inlier_ratio for report in updates])),
+            "injected_updates": sum(report.injection_ratio > 0 for report in updates),
         }
 
-    def _told(self, stretch: Stretch) -> dict[str, Any]:
-        stamps = self.stamps_ns[[stretch.first, stretch.last]].tolist()
-        return {"lost": stretch.lost, "stamps_ns": stamps, "driven_m": stretch.driven_m}
+    def _interval_document(self, interval: LocalizationInterval) -> dict[str, Any]:
+        stamps = self.stamps_ns[[interval.first, interval.last]].tolist()
+        return {"lost": interval.lost, "stamps_ns": stamps, "driven_m": interval.driven_m}
 
     def _belief(self) -> Iterator[str]:
         for r in self.reports:
             n_eff = f"{r.n_eff:.1f}" if r.skipped is None else ""
             whole, rest = divmod(r.stamp_ns, 10**9)
             yield (
-                f"{whole}.{rest:09d},{r.lost:d},{r.lost_probability:.6g},{r.agreement:.4f},{r.particles},{n_eff},"
-                f"{r.augmented:.4g}"
+                f"{whole}.{rest:09d},{r.lost:d},{r.lost_probability:.6g},{r.inlier_ratio:.4f},{r.particles},{n_eff},"
+                f"{r.injection_ratio:.4g}"
             )
 
     def picture(self) -> Picture:

@@ -9,12 +9,12 @@ import numpy as np
 
 from gridslam.api.result import MapResult
 from gridslam.arguments import require_instance, require_seed, require_threads
-from gridslam.config import Configuration, build, override, with_laser
+from gridslam.config import Configuration, apply_laser, build, override
 from gridslam.config import preset as preset_of
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
@@ -94,7 +94,7 @@ def map_log(
     """
     _check(seed, threads, particles if laser is None else laser, configuration)
     config = configuration or preset_of(preset, particles)
-    config = config if laser is None else with_laser(config, laser)
+    config = config if laser is None else apply_laser(config, laser)
     config = config if loop_closure else override(config, "loop_closure=false")
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
@@ -137,7 +137,7 @@ def _result(
         seed=seed,
         threads=threads,
         source=source.path,
-        digest=digest_of(source.path),
+        digest=compute_digest(source.path),
         repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
         record=record,
         stopwatch=watch,

@@ -40,7 +40,7 @@ class _MapCommand(click.Command):
             (name, f"{what} [{str(value_of(defaults, path)).lower()}]") for name, (path, what) in PARAMETERS.items()
         ]
         with formatter.section("Lasers for --laser"):
-            formatter.write_dl([(name, laser.says) for name, laser in LASERS.items()])
+            formatter.write_dl([(name, laser.description) for name, laser in LASERS.items()])
         with formatter.section("Parameters for --set (m, rad) [default]"):
             formatter.write_dl(rows)
         formatter.write_paragraph()

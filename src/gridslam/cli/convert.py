@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from gridslam.api.conversion import Conversion, convert_log, format_of_name
+from gridslam.api.conversion import Conversion, convert_log, infer_format
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.errors import ArgumentError
 from gridslam.io.log import LogOptions, open_log
@@ -24,7 +24,7 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
     """Convert a log and report the data that the target format cannot represent."""
     _check(log, out, to)
     source = open_log(log, options)
-    with opened(out.parent) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
+    with open_output(out.parent) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
 
         def on_progress() -> None:
             stop_if_interrupted()
@@ -50,7 +50,7 @@ def _check(log: Path, out: Path, to: str | None) -> None:
     if out.exists() and log.exists() and out.samefile(log):
         raise click.ClickException(f"{out}: expected a name other than the input log")
     try:
-        format_of_name(out, to)
+        infer_format(out, to)
     except ArgumentError as error:
         raise click.ClickException(f"{error}; or set the format with --to") from None
 

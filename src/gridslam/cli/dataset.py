@@ -9,7 +9,7 @@ import click
 
 from gridslam.cli.output import print_json
 from gridslam.errors import ArgumentError
-from gridslam.io.datasets import DATASETS, dataset_named, fetch_dataset
+from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
 
 __all__ = ["DATASETS_SCHEMA", "get_dataset", "list_datasets"]
 
@@ -29,7 +29,7 @@ def list_datasets(as_json: bool) -> None:
 def get_dataset(name: str, out: Path, url: str | None, as_json: bool) -> None:
     """Download a dataset, and print its credit."""
     try:
-        dataset = dataset_named(name)
+        dataset = find_dataset(name)
     except ArgumentError as error:
         raise click.ClickException(str(error).replace("name", "NAME", 1)) from None
     if out.exists() and not out.is_dir():

@@ -11,8 +11,8 @@ import numpy as np
 from gridslam.cli import STARTED_S
 from gridslam.cli.evaluate import against_truth, tell
 from gridslam.cli.live import live_page, wait_for_viewer
-from gridslam.cli.map import map_shown, summary
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.map import map_with_progress, summary
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
@@ -39,7 +39,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
     slowed, configuration = None if live is None else replace(live, speed=_SPEED), Configuration()
     range_max_m = configuration.range_max_m
     with rerun_recording(rerun, "demo", range_max_m) as recording, live_page(slowed, "demo", range_max_m) as page:
-        with opened(out) as folder:
+        with open_output(out) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_LOG), simulated.measurements)
             write_tum(folder.file(_TRUTH), simulated.truth)
@@ -47,7 +47,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
             wait_for_viewer(page)
             watch.resume()
             log = CarmenLog(folder.file(_LOG))
-            result = map_shown(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
+            result = map_with_progress(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
             result = replace(result, source=out / _LOG)
             document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
         errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))

@@ -7,16 +7,16 @@ from pathlib import Path
 import click
 
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
 from gridslam.doctor.report import document, markdown, picture_name, text
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
 
-__all__ = ["SPOILED", "checked", "doctor_log"]
+__all__ = ["EXIT_FOUND_ERRORS", "checked", "doctor_log"]
 
-SPOILED = 3
+EXIT_FOUND_ERRORS = 3
 """Exit status if a fault makes the map unusable."""
 
 
@@ -26,14 +26,14 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     if out is None:
         diagnosis = _shown(source, not as_json)
     else:
-        with opened(out) as folder:
+        with open_output(out) as folder:
             diagnosis = _shown(source, not as_json)
             _write(diagnosis, folder)
     if as_json:
         print_json(document(diagnosis))
     else:
         click.echo("\n".join([*text(diagnosis), *([f"report: {out / 'report.md'}"] if out else [])]))
-    return SPOILED if diagnosis.worst is Severity.SPOILS else 0
+    return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
 
 
 def checked(log: Log, options: LogOptions) -> CheckedLog:
@@ -47,7 +47,9 @@ def checked(log: Log, options: LogOptions) -> CheckedLog:
         for finding in found:
             if finding.code not in told:
                 told.add(finding.code)  # the log may be read twice
-                click.echo(f"gridslam: {log.path}: {finding.code}: {finding.says} {finding.remedy}".rstrip(), err=True)
+                click.echo(
+                    f"gridslam: {log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip(), err=True
+                )
 
     return CheckedLog(log, tell)
 
@@ -71,5 +73,5 @@ def _write(diagnosis: Diagnosis, folder: OutputFolder) -> None:
     for number, finding in enumerate(diagnosis.findings, 1):
         name = picture_name(number, finding)
         if name is not None and finding.figure is not None:
-            says = [finding.says, *([finding.remedy] if finding.remedy else [])]
-            draw_chart(finding.figure, caption=says).save(folder.file(name), optimize=True)
+            lines = [finding.message, *([finding.remedy] if finding.remedy else [])]
+            draw_chart(finding.figure, caption=lines).save(folder.file(name), optimize=True)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.cli import STARTED_S
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.graph_descent import squared_mahalanobis
 from gridslam.slam.graph_robust import GraduatedNonConvexity
@@ -44,7 +44,7 @@ def graph_to_folder(
     watch.lap("start")
     source = read_g2o(file, skip_unknown=skip_unknown)
     watch.lap("read")
-    with opened(out) as folder:
+    with open_output(out) as folder:
         _import_algebra()
         watch.lap("start")
         solution = solver.solve(source.graph)
@@ -80,7 +80,7 @@ def _document(
         "version": __version__,
         "input": {
             "path": str(file),
-            "sha256": sha256_of(file),
+            "sha256": compute_sha256(file),
             "vertices": len(graph.poses),
             "edges": len(graph.edges),
             "loop_closures": int((~graph.trusted).sum()),

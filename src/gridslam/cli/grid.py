@@ -12,11 +12,11 @@ from gridslam.api.grid import GridModel, map_with_poses
 from gridslam.api.grid_result import GridResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.errors import ArgumentError
 from gridslam.io.log import LogOptions, open_log
-from gridslam.mapping.known_poses import Unplaced
+from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["grid_to_folder"]
@@ -40,7 +40,7 @@ def grid_to_folder(
     """Map a log with known poses, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_log(log, options)
-    with opened(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
+    with open_output(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
 
         def on_progress() -> None:
             stop_if_interrupted()
@@ -81,15 +81,15 @@ def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[st
 def _warnings(result: GridResult) -> Iterator[str]:
     """Yield the warnings about unmapped scans and the log."""
     log = result.log
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
     yield from log.remarks
     if log.truncated:
         yield f"the log is truncated after {log.scan_count} scans"
     first, last = (stamp * 1e-9 for stamp in (result.given.stamps_ns.min(), result.given.stamps_ns.max()))
     reasons = {
-        Unplaced.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
-        Unplaced.GAP: f"the neighbouring poses are more than {result.max_gap_s:g} s apart (--max-gap)",
+        NoPoseReason.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
+        NoPoseReason.GAP: f"the neighbouring poses are more than {result.max_gap_s:g} s apart (--max-gap)",
     }
     for reason, why in reasons.items():
         if count := result.unplaced[reason]:

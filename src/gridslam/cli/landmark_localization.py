@@ -11,7 +11,7 @@ from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.options import named
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
@@ -34,7 +34,7 @@ def localize_to_folder(
         raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with opened(out) as folder:
+    with open_output(out) as folder:
         with named(pose="--initial-pose"):
             result = localize_by_landmarks(
                 source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
@@ -51,9 +51,8 @@ def _summary(document: dict[str, Any], out: Path) -> list[str]:
     told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} observations",
-        f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, "
-        f"{document['not_believed']} outliers",
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} observations",
+        f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, {document['outliers']} outliers",
     ]
     if errors is not None:
         aligned = ", aligned" if errors["aligned"] else ""

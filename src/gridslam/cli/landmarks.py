@@ -11,7 +11,7 @@ from gridslam.api.landmark_result import LandmarkResult
 from gridslam.api.landmarks import LandmarkMethod, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -27,7 +27,7 @@ def landmarks_to_folder(
         raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with opened(out) as folder:
+    with open_output(out) as folder:
         try:
             result = map_landmarks(
                 source, method, particles=particles, seed=seed, unknown=unknown, on_progress=stop_if_interrupted,
@@ -35,7 +35,7 @@ def landmarks_to_folder(
             )  # fmt: skip
         except ArgumentError as error:
             raise click.ClickException(f"--{error}") from None
-        if not source.statistics.sightings:
+        if not source.statistics.observations:
             raise InputError(log, "expected landmark observations, got none")
         document = result.write(folder)
     if as_json:
@@ -51,10 +51,10 @@ def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> lis
     time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} observations"
+        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} observations"
         + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
-        f"{document['strange_sightings']} outliers",
+        f"{document['outliers']} outliers",
     ]
     if errors["trajectory"] is not None:
         lines.append(f"position RMSE {errors['trajectory']['trans_rmse_m']:.3f} m against the truth, aligned")

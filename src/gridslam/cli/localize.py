@@ -13,20 +13,20 @@ import numpy as np
 
 from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl
 from gridslam.api.localization import localize
-from gridslam.api.localization_parameters import override_parts
+from gridslam.api.localization_parameters import override_configuration
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import live_page, watched
 from gridslam.cli.options import named
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.map_server import read_map
 from gridslam.live.options import LiveOptions
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray
@@ -60,13 +60,13 @@ def localize_to_folder(
     read = _parameters(preset, assignments, particles)
     pose = read.pose if initial_pose is None else np.array(initial_pose)
     source = checked(open_log(log, options), options)
-    name, range_max_m, known = source.path.name, read.parts.range_max_m, None
+    name, range_max_m, known = source.path.name, read.configuration.range_max_m, None
     if live is not None or rerun is not None:
         known = read_map(map_path, strict_thresholds=strict_thresholds)
     with ExitStack() as onlookers:
         recording = onlookers.enter_context(rerun_recording(rerun, name, range_max_m, known))
         page = onlookers.enter_context(live_page(live, name, range_max_m, known))
-        with nullcontext() if out is None else opened(out) as folder:
+        with nullcontext() if out is None else open_output(out) as folder:
             result = _shown(
                 source, map_path, pose, read, seed, threads, strict_thresholds, repair, not as_json, watch, page,
                 recording,
@@ -105,19 +105,19 @@ def _shown(
 
         with named(pose="--initial-pose"):
             return localize(
-                source, map_path, pose=pose, covariance=read.covariance, seed=seed, parts=read.parts, threads=threads,
-                strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers], stopwatch=watch,
-                gate=lambda source: watched(source, page, recording, watch),
+                source, map_path, pose=pose, covariance=read.covariance, seed=seed, configuration=read.configuration,
+                threads=threads, strict_thresholds=strict_thresholds, repair=repair, observers=[observe, *onlookers],
+                stopwatch=watch, gate=lambda source: watched(source, page, recording, watch),
             )  # fmt: skip
 
 
 def _parameters(preset: str, assignments: Sequence[str], particles: int | None) -> AmclParameters:
     """Build the parameters from the preset and assignments; --particles takes precedence."""
-    parts = MonteCarloParts() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).parts
+    configuration = MonteCarloConfiguration() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).configuration
     most = [] if particles is None else [f"kld.particles_max={particles}"]
-    if particles is not None and particles < parts.kld.particles_min:
+    if particles is not None and particles < configuration.kld.particles_min:
         most.append(f"kld.particles_min={particles}")
-    return override_parts(parts, [*assignments, *most])
+    return override_configuration(configuration, [*assignments, *most])
 
 
 def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:
@@ -129,7 +129,7 @@ def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | N
     )
     yield (
         f"localized in {seconds:.1f} s: {scans['used']} updates of {filter_['particles_mean']:.0f} particles "
-        f"on average, {filter_['agreement_mean']:.0%} of the beams agree with the map"
+        f"on average, {filter_['inlier_ratio_mean']:.0%} of the beams agree with the map"
     )
     yield from _found(result)
     x, y, theta = result.reports[-1].pose.tolist()
@@ -141,16 +141,16 @@ def _summary(document: dict[str, Any], result: LocalizationResult, out: Path | N
 
 def _found(result: LocalizationResult) -> Iterator[str]:
     """Format the intervals in which the robot was localized or lost."""
-    begin, stretches = int(result.stamps_ns[0]), result.stretches()
-    for k, stretch in enumerate(stretches[:_TOLD]):
-        after = 1e-9 * (int(result.stamps_ns[stretch.first]) - begin)
-        if stretch.lost:
+    begin, intervals = int(result.stamps_ns[0]), result.intervals()
+    for k, interval in enumerate(intervals[:_TOLD]):
+        after = 1e-9 * (int(result.stamps_ns[interval.first]) - begin)
+        if interval.lost:
             start = "not localized at the start: poses up to the first fix are guesses"
             yield f"lost from {after:.1f} s on" if k else start
         elif k or result.pose is None:
-            yield f"found after {stretch.driven_m:.1f} m ({after:.1f} s)"
-    if len(stretches) > _TOLD:
-        yield f"... {len(stretches)} intervals in total, listed in run.json"
+            yield f"found after {interval.driven_m:.1f} m ({after:.1f} s)"
+    if len(intervals) > _TOLD:
+        yield f"... {len(intervals)} intervals in total, listed in run.json"
 
 
 _TOLD = 8
@@ -158,7 +158,7 @@ _TOLD = 8
 
 def _warnings(result: LocalizationResult, ignored: Sequence[str]) -> Iterator[str]:
     """Yield the warnings about log, map and ignored parameters."""
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{result.source}: {fault}: corrected (disable with --repair none; details: gridslam doctor)"
     yield from (f"{result.map_path}: {remark} (--strict-thresholds reads literally)" for remark in result.remarks)
     if ignored:

@@ -13,10 +13,10 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import checked
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.live import live_page, show_result, watched
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import progress
 from gridslam.cli.rerun import rerun_recording
-from gridslam.config import Configuration, load, override, preset, with_laser
+from gridslam.config import Configuration, apply_laser, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Observer, Stopwatch
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gridslam.live.page import LivePage
     from gridslam.viz.rerun_recording import RerunRecording
 
-__all__ = ["map_shown", "map_to_folder", "summary"]
+__all__ = ["map_to_folder", "map_with_progress", "summary"]
 
 _MANY = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is printed; jitter causes up to 0.05."""
@@ -56,8 +56,10 @@ def map_to_folder(
     source = checked(open_log(log, options), options)
     name, range_max_m = source.path.name, configuration.range_max_m
     with rerun_recording(rerun, name, range_max_m) as recording, live_page(live, name, range_max_m) as page:
-        with opened(out) as folder:
-            result = map_shown(source, configuration, seed, threads, not as_json, watch, repair, page, recording)
+        with open_output(out) as folder:
+            result = map_with_progress(
+                source, configuration, seed, threads, not as_json, watch, repair, page, recording
+            )
             document = result.write(folder)
         for warning in _warnings(result):
             click.echo(f"gridslam: {log}: {warning}", err=True)
@@ -67,7 +69,7 @@ def map_to_folder(
             click.echo("\n".join(summary(document, result, out)))
 
 
-def map_shown(
+def map_with_progress(
     source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
     repair: Literal["needed", "all", "none"] = "none", page: LivePage | None = None,
     recording: RerunRecording | None = None,
@@ -123,7 +125,7 @@ def _configuration(
 ) -> Configuration:  # fmt: skip
     """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
     config = preset(name, particles)
-    config = config if laser is None else with_laser(config, laser)
+    config = config if laser is None else apply_laser(config, laser)
     if path is not None:
         config = load(path, config)
     if particles is not None:
@@ -149,7 +151,7 @@ def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
 def _warnings(result: MapResult) -> Iterator[str]:
     """Yield the warnings about the log and the map."""
     log = result.log
-    for fault in result.repair.says():
+    for fault in result.repair.describe():
         yield f"{fault}: corrected before mapping (disable with --repair none; details: gridslam doctor)"
     yield from log.remarks
     if log.truncated:

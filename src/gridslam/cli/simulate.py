@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
@@ -52,7 +52,7 @@ def simulate_to_log(
         raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
-    with opened(out.parent) as folder:
+    with open_output(out.parent) as folder:
         try:
             crowd = PeopleConfig(count=people)
             log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)

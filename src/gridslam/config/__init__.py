@@ -1,10 +1,19 @@
 """The configuration of a run: presets, TOML in and out, single parameters by name, and the filter built from it."""
 
 from gridslam.config.configuration import PARAMETERS, Configuration, build, dumps, load, loads, override
-from gridslam.config.lasers import LASERS, with_laser
+from gridslam.config.lasers import LASERS, apply_laser
 from gridslam.config.presets import PRESETS, preset
 
 __all__ = [
-    "LASERS", "PARAMETERS", "PRESETS", "Configuration", "build", "dumps", "load", "loads", "override", "preset",
-    "with_laser",
+    "LASERS",
+    "PARAMETERS",
+    "PRESETS",
+    "Configuration",
+    "apply_laser",
+    "build",
+    "dumps",
+    "load",
+    "loads",
+    "override",
+    "preset",
 ]  # fmt: skip

@@ -10,14 +10,14 @@ from typing import Final, Literal, final
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.config.tables import Table, changed, meant, names, to_table
+from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyAgreement, EndPoint
+from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast, Never
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.scan.thinning import Thinning
 from gridslam.slam.global_scan_refinement import GlobalScanRefinement
@@ -97,11 +97,11 @@ class Configuration:
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
     tracker: Tracker | OdometryTracker = Tracker()
     motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
-    sensor: CauchyAgreement | EndPoint | LikelihoodField | BeamRangeFinder = CauchyAgreement()
+    sensor: CauchyEndPoint | GMappingEndPoint | LikelihoodField | BeamRangeFinder = CauchyEndPoint()
     proposal: ScanMatchedProposal | MotionModelProposal | ImprovedProposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
-    when_to_update: MovedAtLeast = MovedAtLeast()
-    when_to_resample: EffectiveSampleSizeBelow | Always | Never = EffectiveSampleSizeBelow()
+    when_to_update: MotionThreshold = MotionThreshold()
+    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample | NeverResample = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
     loop_closure: bool = True
@@ -150,7 +150,7 @@ def loads(text: str, base: Configuration | None = None) -> Configuration:
         changes = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"expected TOML: {error}") from None
-    return changed(base or Configuration(), changes)
+    return replace_parameters(base or Configuration(), changes)
 
 
 def load(path: str | Path, base: Configuration | None = None) -> Configuration:
@@ -180,14 +180,14 @@ def override(config: Configuration, *assignments: str) -> Configuration:
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
         *above, last = PARAMETERS.get(name, (name,))[0].split(".")
         if [*above, last][0] not in to_table(config):
-            raise ConfigurationError(f"{name}: no such parameter{meant(name, [*PARAMETERS, *names(config)])}")
+            raise ConfigurationError(f"{name}: no such parameter{suggest_names(name, [*PARAMETERS, *names(config)])}")
         table = changes
         for key in above:
             table = table.setdefault(key, {})
             if not isinstance(table, dict):
                 raise ConfigurationError(f"{name}: {key} was given as {table!r} before")
         table[last] = _value(text)
-    return changed(config, changes)
+    return replace_parameters(config, changes)
 
 
 def _value(text: str) -> object:

@@ -7,11 +7,11 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from gridslam.config.configuration import Configuration
-from gridslam.config.tables import Table, changed, meant
+from gridslam.config.tables import Table, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.matching.gauss_newton import GaussNewton
 
-__all__ = ["LASERS", "Laser", "with_laser"]
+__all__ = ["LASERS", "Laser", "apply_laser"]
 
 _FINE_CELL_M = 0.03
 _FINE_CAUCHY_M = 0.05
@@ -22,7 +22,7 @@ class Laser(NamedTuple):
 
     Attributes
     ----------
-    says : str
+    description : str
         Which one it is, and its data sheet's figures.
     range_min_m, range_max_m : float
         Ranges outside are ignored, whatever the log declares: nearer ones hit the robot, and farther ones are noise, or
@@ -33,7 +33,7 @@ class Laser(NamedTuple):
         cost; with the noise of cheaper lasers it did not fall.
     """
 
-    says: str
+    description: str
     range_min_m: float
     range_max_m: float
     fine: bool = False
@@ -72,7 +72,7 @@ LASERS: Final[Mapping[str, Laser]] = MappingProxyType({
 """Lasers of which the maker's figures are known."""
 
 
-def with_laser(config: Configuration, name: str) -> Configuration:
+def apply_laser(config: Configuration, name: str) -> Configuration:
     """Lay a laser's limits, and cells as fine as it deserves, over a configuration.
 
     Where scans are not matched by Gauss-Newton, as in the preset `gmapping`, only the limits.
@@ -83,14 +83,14 @@ def with_laser(config: Configuration, name: str) -> Configuration:
         There is no such laser.
     """
     if name not in LASERS:
-        raise ConfigurationError(f"laser: expected {', '.join(LASERS)}, got {name!r}{meant(name, LASERS)}")
+        raise ConfigurationError(f"laser: expected {', '.join(LASERS)}, got {name!r}{suggest_names(name, LASERS)}")
     laser = LASERS[name]
     changes: Table = {"range_min_m": laser.range_min_m, "range_max_m": laser.range_max_m}
     matching = [part for part in ("tracker", "proposal") if isinstance(_matcher(config, part), GaussNewton)]
     if laser.fine and len(matching) == 2:
         changes["mapper"] = {"resolution_m": _FINE_CELL_M}
         changes |= {part: {"matcher": {"cauchy_m": _FINE_CAUCHY_M}} for part in matching}
-    return changed(config, changes)
+    return replace_parameters(config, changes)
 
 
 def _matcher(config: Configuration, part: str) -> object:

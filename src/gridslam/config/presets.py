@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from gridslam.config.configuration import Configuration
-from gridslam.config.tables import changed, meant
+from gridslam.config.tables import replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.models.endpoint import EndPoint
+from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
-from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.slam.odometry_tracker import OdometryTracker
 from gridslam.slam.proposals import ScanMatchedProposal
 
@@ -25,7 +25,7 @@ def _fast() -> Configuration:
 
 def _accurate() -> Configuration:
     """More particles and key scans: where loops are long and time does not matter."""
-    return Configuration(particles=100, when_to_update=MovedAtLeast(0.4, 0.25))
+    return Configuration(particles=100, when_to_update=MotionThreshold(0.4, 0.25))
 
 
 def _gmapping() -> Configuration:
@@ -39,9 +39,9 @@ def _gmapping() -> Configuration:
         range_max_m=80.0,
         tracker=OdometryTracker(),
         motion=GMappingMotion(),
-        sensor=EndPoint(),
+        sensor=GMappingEndPoint(),
         proposal=ScanMatchedProposal(matcher=HillClimbing()),
-        when_to_update=MovedAtLeast(1.0, 0.5),
+        when_to_update=MotionThreshold(1.0, 0.5),
         when_to_resample=EffectiveSampleSizeBelow(0.5),
         loop_closure=False,
     )
@@ -66,8 +66,12 @@ def preset(name: str, particles: int | None = None) -> Configuration:
         There is no such preset, or the number is out of range.
     """
     if name not in PRESETS:
-        raise ConfigurationError(f"preset: expected {', '.join(PRESETS)}, got {name!r}{meant(name, PRESETS)}")
+        raise ConfigurationError(f"preset: expected {', '.join(PRESETS)}, got {name!r}{suggest_names(name, PRESETS)}")
     config = PRESETS[name]()
     if particles is not None:
-        config = changed(config, {"particles": particles})
-    return changed(config, {"sensor": {"gain": 3.0 * config.particles}}) if name == "gmapping" else config
+        config = replace_parameters(config, {"particles": particles})
+    return (
+        replace_parameters(config, {"sensor": {"likelihood_gain": 3.0 * config.particles}})
+        if name == "gmapping"
+        else config
+    )

@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 
 from gridslam.errors import ConfigurationError
 
-__all__ = ["Table", "changed", "meant", "names", "to_table", "value_of"]
+__all__ = ["Table", "names", "replace_parameters", "suggest_names", "to_table", "value_of"]
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")
@@ -55,7 +55,7 @@ def names(part: object, where: str = "") -> Iterator[str]:
             yield where + name
 
 
-def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
+def replace_parameters(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
     """Return the part with other parameters, checked.
 
     Parameters
@@ -76,7 +76,7 @@ def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
     values = {name: getattr(part, name) for name in fields}
     for name, value in changes.items():
         if name not in fields:
-            close = meant(name, names(part, where), where)
+            close = suggest_names(name, names(part, where), where)
             raise ConfigurationError(f"{where}{name}: {_name(type(part))} has no such parameter{close}")
         field = fields[name]
         if _kinds(field):
@@ -90,7 +90,7 @@ def changed(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
         raise _refused(error, fields, where) from None
 
 
-def meant(name: str, known: Iterable[str], where: str = "") -> str:
+def suggest_names(name: str, known: Iterable[str], where: str = "") -> str:
     """Ask after names that look like this one; empty where none does."""
     candidates = list(known)
     close = [known for known in candidates if known.rpartition(".")[2] == name]
@@ -122,10 +122,12 @@ def _changed_part(field: FieldInfo, part: object, changes: object, where: str) -
     if len(kinds) > 1 and "kind" in changes:
         kind = changes["kind"]
         if kind not in kinds:
-            raise ConfigurationError(f"{where}.kind: expected {_either(kinds)}, got {kind!r}{meant(str(kind), kinds)}")
+            raise ConfigurationError(
+                f"{where}.kind: expected {_either(kinds)}, got {kind!r}{suggest_names(str(kind), kinds)}"
+            )
         part = part if type(part) is kinds[kind] else kinds[kind]()
         changes = {name: value for name, value in changes.items() if name != "kind"}
-    return changed(part, changes, where + ".")
+    return replace_parameters(part, changes, where + ".")
 
 
 def _check_type(field: FieldInfo, value: object, where: str) -> None:

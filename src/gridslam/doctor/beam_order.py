@@ -39,7 +39,7 @@ class BeamTimes:
     period_s: float = math.nan
     _last_ns: int | None = None
 
-    def note(self, scan: LaserScan) -> None:
+    def update(self, scan: LaserScan) -> None:
         """Take the stamp of the next scan."""
         last, self._last_ns = self._last_ns, scan.stamp_ns
         seconds = 0.0 if last is None else (scan.stamp_ns - last) * 1e-9
@@ -59,16 +59,16 @@ class BeamTimes:
         found = np.asarray(beams * (self.sweep_s(scan) / len(scan)) if times is None else times[beams])
         return None if math.isnan(found[0]) else found - found.mean()
 
-    def wanted(self, turned_rad: float) -> bool:
+    def is_informative(self, turned_rad: float) -> bool:
         """Whether a scan in which the robot turns so much is to be tried."""
         return abs(turned_rad) > _SMEAR_RAD and self.order.count < _ENOUGH
 
-    def straightening(self, times_s: FloatArray | None) -> FloatArray | None:
+    def deskew_times(self, times_s: FloatArray | None) -> FloatArray | None:
         """The times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
 
         Scans deskewed in the wrong order would build a map that they fit best.
         """
-        swept = self.order.swept
+        swept = self.order.sweep_factor
         return None if times_s is None or not swept else math.copysign(1.0, swept) * times_s
 
 
@@ -94,7 +94,7 @@ class BeamOrder:
         self._squares += float(gains[0] - gains[1]) ** 2
 
     @property
-    def swept(self) -> float:
+    def sweep_factor(self) -> float:
         """Time that a scan takes, of the time presumed: positive in order, negative backward, 0 if not for certain."""
         forward, backward = self._sums.tolist()
         loss, contrast = -(forward + backward), forward - backward

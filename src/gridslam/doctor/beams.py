@@ -15,7 +15,7 @@ from gridslam.doctor.finding import Figure, Finding, Series, Severity
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["BeamExaminer", "Sweep", "field_of_view_rad", "is_clockwise"]
+__all__ = ["BeamExaminer", "BeamStatistics", "field_of_view_rad", "is_clockwise"]
 
 _MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
 _LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
@@ -39,7 +39,7 @@ def is_clockwise(bearings: FloatArray) -> bool:
 
 @final
 @dataclass(slots=True)
-class Sweep:
+class BeamStatistics:
     """The beams of one laser, over all its scans."""
 
     scans: int = 0
@@ -50,7 +50,7 @@ class Sweep:
     not_numbers: int = 0
     zeros: int = 0
     scattered: int = 0
-    blind_scans: int = 0
+    scans_without_hits: int = 0
     geometry: ScanGeometry | None = None
     _lost: dict[int, IntArray] = field(default_factory=dict)
     _invalid_trace: Trace = field(default_factory=Trace)
@@ -66,7 +66,7 @@ class Sweep:
         self.beams += count
         self.invalid += invalid
         self.no_return += count - invalid - hits
-        self.blind_scans += hits < _FEW_HITS
+        self.scans_without_hits += hits < _FEW_HITS
         self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
         self._count_trace.add(float(self.scans), float(count))
         self.scans += 1
@@ -86,7 +86,7 @@ class Sweep:
             known += lost
 
     @property
-    def usual(self) -> int:
+    def usual_count(self) -> int:
         """The number of beams that most scans have."""
         return self.counts.most_common(1)[0][0] if self.counts else 0
 
@@ -100,10 +100,10 @@ class Sweep:
         """Whether bearings fall from the first beam to the last."""
         return self.geometry is not None and is_clockwise(self.geometry.bearings)
 
-    def blocked(self) -> int:
+    def count_blocked_beams(self) -> int:
         """How many beams of the usual scan never measure anything."""
-        lost = self._lost.get(self.usual)
-        return 0 if lost is None else int(np.count_nonzero(lost >= _ALWAYS * self.counts[self.usual]))
+        lost = self._lost.get(self.usual_count)
+        return 0 if lost is None else int(np.count_nonzero(lost >= _ALWAYS * self.counts[self.usual_count]))
 
     def invalid_figure(self) -> Figure:
         """Ratio of invalid beams over the log."""
@@ -122,14 +122,14 @@ class BeamExaminer:
 
     def __init__(self) -> None:
         """Begin with no laser seen."""
-        self.sweeps: dict[str, Sweep] = {}
+        self.sweeps: dict[str, BeamStatistics] = {}
 
     def take(self, measurement: Measurement) -> None:
         """Look at the beams of the next scan."""
         scan = measurement.scan
         sweep = self.sweeps.get(scan.sensor)
         if sweep is None:
-            sweep = self.sweeps[scan.sensor] = Sweep()
+            sweep = self.sweeps[scan.sensor] = BeamStatistics()
         sweep.take(scan)
 
     def findings(self) -> Iterator[Finding]:
@@ -139,16 +139,16 @@ class BeamExaminer:
                 yield _varies(sensor, sweep)
             if sweep.invalid:
                 yield _invalid(sensor, sweep)
-            if sweep.blind_scans > _OFTEN * sweep.scans:
+            if sweep.scans_without_hits > _OFTEN * sweep.scans:
                 yield _few_hits(sensor, sweep)
 
 
-def _varies(sensor: str, sweep: Sweep) -> Finding:
+def _varies(sensor: str, sweep: BeamStatistics) -> Finding:
     least, most = min(sweep.counts), max(sweep.counts)
     return Finding(
-        "beam_count_varies", Severity.DOUBTFUL,
-        f"The number of beams varies from {least} to {most}; {sweep.counts[sweep.usual]} of {sweep.scans} scans have "
-        f"{sweep.usual}.",
+        "beam_count_varies", Severity.WARNING,
+        f"The number of beams varies from {least} to {most}; {sweep.counts[sweep.usual_count]} of {sweep.scans} scans "
+        f"have {sweep.usual_count}.",
         most - least, "beams",
         "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
         "for each scan, since a fixed increment with a varying number of beams bends the walls.",
@@ -156,30 +156,30 @@ def _varies(sensor: str, sweep: Sweep) -> Finding:
     )  # fmt: skip
 
 
-def _invalid(sensor: str, sweep: Sweep) -> Finding:
+def _invalid(sensor: str, sweep: BeamStatistics) -> Finding:
     share, scattered = sweep.invalid / sweep.beams, sweep.scattered / sweep.beams
     many = scattered > _MANY_LOST
     kinds = [("not a number", sweep.not_numbers), ("zero", sweep.zeros),
              ("negative or too near", sweep.invalid - sweep.not_numbers - sweep.zeros)]  # fmt: skip
     told = ", ".join(f"{percent(count / sweep.beams)} {kind}" for kind, count in kinds if count)
-    says = f"{percent(share)} of the beams are invalid ({told})"
+    message = f"{percent(share)} of the beams are invalid ({told})"
     if many:
-        says += f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
+        message += f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
     elif share > _MANY_LOST:
-        says += "; they lie side by side, as where nothing is in reach or the robot hides the view"
-    if blocked := sweep.blocked():
-        says += f"; {blocked} of {sweep.usual} beams never measure anything"
+        message += "; they lie side by side, as where nothing is in reach or the robot hides the view"
+    if blocked := sweep.count_blocked_beams():
+        message += f"; {blocked} of {sweep.usual_count} beams never measure anything"
     remedy = "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
     return Finding(
-        "invalid_beams", Severity.DOUBTFUL if many else Severity.INFO, says + ".", share, "share",
+        "invalid_beams", Severity.WARNING if many else Severity.INFO, message + ".", share, "share",
         remedy if many else "", sensor, sweep.invalid_figure() if many else None,
     )  # fmt: skip
 
 
-def _few_hits(sensor: str, sweep: Sweep) -> Finding:
-    share = sweep.blind_scans / sweep.scans
+def _few_hits(sensor: str, sweep: BeamStatistics) -> Finding:
+    share = sweep.scans_without_hits / sweep.scans
     return Finding(
-        "few_hits", Severity.SPOILS if share > 0.5 else Severity.DOUBTFUL,
+        "few_hits", Severity.ERROR if share > 0.5 else Severity.WARNING,
         f"{percent(share)} of the scans have fewer than {_FEW_HITS} beams that hit anything "
         f"({percent(sweep.no_return / max(sweep.beams, 1))} of all beams return nothing, "
         f"{percent(sweep.invalid / max(sweep.beams, 1))} are invalid): they cannot be matched.",

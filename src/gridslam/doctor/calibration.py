@@ -21,15 +21,15 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, Estimate, estimate_of
-from gridslam.doctor.intervals import Intervals, intervals, shifted
+from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, ParameterEstimate, estimate_parameter
+from gridslam.doctor.intervals import Intervals, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.doctor.robust_fit import robust_fit
-from gridslam.doctor.turns import fitted_turns
+from gridslam.doctor.turns import fit_turns
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["Estimate", "MotionCalibration", "calibrate"]
+__all__ = ["MotionCalibration", "ParameterEstimate", "calibrate"]
 
 _WAYS = (0.5, 0.6, 2.0)
 _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
@@ -47,15 +47,15 @@ class MotionCalibration:
     agreement : float
         Correlation of the turns of laser and odometry in [-1, 1], negative for a reflected laser; NaN where there are
         too few turns.
-    scale, turn_scale : Estimate
+    scale, turn_scale : ParameterEstimate
         Measured metres per true metre, measured radians per true radian.
-    drift_rad_per_m : Estimate, rad/m
+    drift_rad_per_m : ParameterEstimate, rad/m
         What odometry turns too much to the left for each metre driven forward.
-    yaw_rad : Estimate, rad
+    yaw_rad : ParameterEstimate, rad
         How far the laser is turned to the left beyond what the log declares, in [-pi, pi).
-    skew_s : Estimate, s
+    skew_s : ParameterEstimate, s
         How late scans are stamped on the odometry's clock.
-    x_m, y_m : Estimate, m
+    x_m, y_m : ParameterEstimate, m
         The laser's place in the base frame.
     laser_m, laser_rad, odometry_m, odometry_rad : float
         Way and turns of both, over the intervals that could be compared.
@@ -71,13 +71,13 @@ class MotionCalibration:
 
     reflected: bool
     agreement: float
-    scale: Estimate
-    turn_scale: Estimate
-    drift_rad_per_m: Estimate
-    yaw_rad: Estimate
-    skew_s: Estimate
-    x_m: Estimate
-    y_m: Estimate
+    scale: ParameterEstimate
+    turn_scale: ParameterEstimate
+    drift_rad_per_m: ParameterEstimate
+    yaw_rad: ParameterEstimate
+    skew_s: ParameterEstimate
+    x_m: ParameterEstimate
+    y_m: ParameterEstimate
     laser_m: float
     laser_rad: float
     odometry_m: float
@@ -90,9 +90,9 @@ class MotionCalibration:
 
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; estimates that the log does not determine are marked."""
-    turns = fitted_turns(motion)
+    turns = fit_turns(motion)
     reflected = bool(turns.agreement < 0)
-    odometry = shifted(motion, turns.skew.value if turns.skew.determined else 0.0)
+    odometry = interpolate_odometry(motion, turns.skew.value if turns.skew.determined else 0.0)
     ways = intervals(motion, odometry, _WAYS)
     sign = -1.0 if reflected else 1.0
     laser = ways.laser * [1.0, sign, sign]
@@ -104,7 +104,7 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     turn_told = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
     residuals[:, 2] = wrap(ways.odometry[:, 2] - turn_told)
     told_drift = turns.drift
-    drift = Estimate(scale.value * told_drift.value, scale.value * told_drift.sigma, told_drift.determined)
+    drift = ParameterEstimate(scale.value * told_drift.value, scale.value * told_drift.sigma, told_drift.determined)
     noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
     return MotionCalibration(
         reflected, turns.agreement, scale, turns.turn_scale, drift, yaw, turns.skew, x, y,
@@ -126,11 +126,11 @@ def _spread(sizes: FloatArray, of_unit: float) -> float:
 
 def _ways(
     response: FloatArray, laser: FloatArray, covariances: FloatArray, sign: float, declared_yaw: float
-) -> tuple[Estimate, Estimate, Estimate, Estimate, FloatArray]:
+) -> tuple[ParameterEstimate, ParameterEstimate, ParameterEstimate, ParameterEstimate, FloatArray]:
     """Scale, yaw offset and place of the laser, and the ways (N, 2) that they predict."""
     if len(laser) < FEWEST:
-        nothing = Estimate(0.0)
-        return Estimate(1.0), nothing, nothing, nothing, response.copy()
+        nothing = ParameterEstimate(0.0)
+        return ParameterEstimate(1.0), nothing, nothing, nothing, response.copy()
     design, mirror = _design(laser), np.array([1.0, sign])
     spread = covariances[:, :2, :2] * mirror[:, None] * mirror
     moved = np.hypot(response[:, 0], response[:, 1]) + np.abs(laser[:, 2])
@@ -148,10 +148,10 @@ def _ways(
     sigma = [math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across)]
     sigma[0] = math.hypot(sigma[0], _SCALE_FLOOR)
     offset = float(wrap(angle - declared_yaw))
-    x, y = (estimate_of(fit, k, DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
-    x, y = (Estimate(e.value / scale, e.sigma / scale, e.determined) for e in (x, y))
-    factor = Estimate(scale, sigma[0], sigma[0] < DETERMINED["scale"])
-    yaw = Estimate(offset, sigma[1], sigma[1] < DETERMINED["yaw"])
+    x, y = (estimate_parameter(fit, k, DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
+    x, y = (ParameterEstimate(e.value / scale, e.sigma / scale, e.determined) for e in (x, y))
+    factor = ParameterEstimate(scale, sigma[0], sigma[0] < DETERMINED["scale"])
+    yaw = ParameterEstimate(offset, sigma[1], sigma[1] < DETERMINED["yaw"])
     return factor, yaw, x, y, design @ fit.parameters
 
 

@@ -6,7 +6,7 @@ import math
 
 from gridslam.doctor.finding import Finding, Severity
 
-__all__ = ["expected_cost"]
+__all__ = ["estimate_cost"]
 
 _START_S, _SCAN_S, _KEY_SCAN_S, _PARTICLE_S = 1.3, 3e-4, 1.5e-3, 1.8e-4
 """CPU time to begin and to write, of a scan read and tracked, of a key scan by itself and for each particle.
@@ -20,7 +20,7 @@ _PARTICLES = 30
 _MUCH_BYTES = 2e9  # more than a small computer on a robot may have to spare
 
 
-def expected_cost(scans: int, key_scans: int) -> Finding:
+def estimate_cost(scans: int, key_scans: int) -> Finding:
     """Predict the time and memory of `gridslam map` with 30 particles from the number of scans and of key scans."""
     seconds = _START_S + scans * _SCAN_S + key_scans * (_KEY_SCAN_S + _PARTICLES * _PARTICLE_S)
     memory = _START_BYTES + key_scans * _KEY_SCAN_BYTES

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from typing import final
 
 from gridslam.doctor.beams import BeamExaminer
-from gridslam.doctor.cost import expected_cost
+from gridslam.doctor.cost import estimate_cost
 from gridslam.doctor.diagnosis import Diagnosis, LaserFacts
 from gridslam.doctor.examiner import Examiner
 from gridslam.doctor.finding import Finding, Severity
@@ -16,7 +16,7 @@ from gridslam.doctor.range_limits import RangeExaminer
 from gridslam.doctor.reader import reader_findings
 from gridslam.doctor.stamps import StampExaminer
 from gridslam.errors import InputError
-from gridslam.io.log import Log, LogOptions, LogSource, opened_log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
@@ -26,7 +26,7 @@ __all__ = ["Doctor", "diagnose"]
 class Doctor:
     """Processes the measurements of a log in order, and reports the findings at any time.
 
-    The memory does not grow with the log; with matching (see `LaserWitness`) by 100 bytes for each scan that is
+    The memory does not grow with the log; with matching (see `LaserMotionEstimator`) by 100 bytes for each scan that is
     matched, which are ever fewer.
 
     Parameters
@@ -66,7 +66,7 @@ class Doctor:
     def cost(self) -> Finding:
         """Estimate the cost of mapping these scans; without odometry as if each updated the particles."""
         odometry = self._odometry
-        return expected_cost(odometry.scans, odometry.key_scans + odometry.without)
+        return estimate_cost(odometry.scans, odometry.key_scans + odometry.without)
 
     def diagnosis(self, log: Log, findings: Iterable[Finding]) -> Diagnosis:
         """Put findings and facts together."""
@@ -102,7 +102,7 @@ def diagnose(
         The log has no scan that can be read. One that cannot be read to its end is diagnosed as far as it goes, and
         that is a finding.
     """
-    source, doctor, broken, scans = opened_log(log, options), Doctor(), None, 0
+    source, doctor, broken, scans = open_if_path(log, options), Doctor(), None, 0
     try:
         for measurement in source:
             doctor.take(measurement)
@@ -118,6 +118,6 @@ def diagnose(
 
 def _unreadable(error: InputError, scans: int) -> Finding:
     return Finding(
-        "unreadable", Severity.SPOILS, f"The log cannot be read to its end: {error}", scans, "scans",
+        "unreadable", Severity.ERROR, f"The log cannot be read to its end: {error}", scans, "scans",
         "Record it again or repair it; a log that is cut off is mapped as far as it goes with --keep-truncated.",
     )  # fmt: skip

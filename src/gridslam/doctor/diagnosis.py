@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-from gridslam.doctor.beams import Sweep
+from gridslam.doctor.beams import BeamStatistics
 from gridslam.doctor.finding import Finding, Severity
 from gridslam.doctor.lasers import Mounted
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.stamps import Clock
+from gridslam.doctor.stamps import StampStatistics
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.types import FloatArray
 
@@ -59,11 +59,11 @@ class LaserFacts:
     upside_down: bool
 
     @classmethod
-    def of(cls, clock: Clock, sweep: Sweep, limits: RangeCounts, mounted: Mounted) -> LaserFacts:
+    def of(cls, clock: StampStatistics, sweep: BeamStatistics, limits: RangeCounts, mounted: Mounted) -> LaserFacts:
         """Gather what the examiners saw of one laser."""
         beams, rate_hz = max(sweep.beams, 1), clock.rate_hz
         return cls(
-            sweep.scans, rate_hz if math.isfinite(rate_hz) else None, sweep.usual, sweep.field_of_view_rad,
+            sweep.scans, rate_hz if math.isfinite(rate_hz) else None, sweep.usual_count, sweep.field_of_view_rad,
             sweep.clockwise, limits.range_min_m, limits.range_max_m, sweep.invalid / beams, sweep.no_return / beams,
             mounted.pose, mounted.tilt_rad, mounted.upside_down,
         )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from gridslam.doctor.robust_fit import Fit
 
-__all__ = ["DETERMINED", "FEWEST", "LEAST_SPREAD", "VARIANCES", "Estimate", "estimate_of"]
+__all__ = ["DETERMINED", "FEWEST", "LEAST_SPREAD", "VARIANCES", "ParameterEstimate", "estimate_parameter"]
 
 _UNKNOWN = math.inf
 FEWEST = 8  # intervals
@@ -17,7 +17,7 @@ DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "
 """Greatest standard deviations of what counts as determined: a third or less of what harms a map."""
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """A value, its standard deviation (infinite if the log does not determine it) and whether that is small enough."""
 
     value: float
@@ -29,7 +29,7 @@ class Estimate(NamedTuple):
         return self.determined and abs(self.value - from_value) > max(by, sigmas * self.sigma)
 
 
-def estimate_of(fit: Fit, index: int, limit: float, floor: float = 0.0) -> Estimate:
+def estimate_parameter(fit: Fit, index: int, limit: float, floor: float = 0.0) -> ParameterEstimate:
     """One parameter of a fit, determined where its deviation is below the limit."""
     sigma = math.hypot(math.sqrt(max(fit.covariance[index, index], 0.0)), floor)
-    return Estimate(float(fit.parameters[index]), sigma, sigma < limit)
+    return ParameterEstimate(float(fit.parameters[index]), sigma, sigma < limit)

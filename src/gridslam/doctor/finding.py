@@ -17,8 +17,8 @@ class Severity(Enum):
     """How much a finding matters to the map."""
 
     INFO = "info"
-    DOUBTFUL = "doubtful"
-    SPOILS = "spoils"
+    WARNING = "warning"
+    ERROR = "error"
 
     @property
     def rank(self) -> int:
@@ -26,7 +26,7 @@ class Severity(Enum):
         return _RANKS[self]
 
 
-_RANKS = {Severity.INFO: 0, Severity.DOUBTFUL: 1, Severity.SPOILS: 2}
+_RANKS = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
 
 @final
@@ -86,7 +86,7 @@ class Finding:
         Stable name, see docs/doctor.md.
     severity : Severity
         Only what is doubtful or worse is a fault.
-    says : str
+    message : str
         One plain sentence, with numbers.
     size : float or None
         How large it is, in `unit`; finite.
@@ -102,7 +102,7 @@ class Finding:
 
     code: str
     severity: Severity
-    says: str
+    message: str
     size: float | None = None
     unit: str = ""
     remedy: str = ""

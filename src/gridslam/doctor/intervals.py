@@ -13,7 +13,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Intervals", "cumulative_headings", "intervals", "shifted", "turn_rates"]
+__all__ = ["Intervals", "cumulative_headings", "interpolate_odometry", "intervals", "turn_rates"]
 
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
@@ -112,7 +112,7 @@ def turn_rates(motion: LaserMotion) -> FloatArray:
     return rates
 
 
-def shifted(motion: LaserMotion, seconds: float) -> FloatArray:
+def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:
     """Odometry (K, 3) at times that lie `seconds` before the poses', by cubic interpolation; NaN beyond its ends.
 
     Headings are not wrapped. Stamps that go backward hold still.

@@ -13,10 +13,10 @@ import numpy as np
 from gridslam.doctor.beam_order import BeamTimes
 from gridslam.doctor.laser_odometry import LaserOdometry
 from gridslam.io.measurement import Measurement
-from gridslam.matching.gauss_newton import LEAST_INFORMATION
+from gridslam.matching.gauss_newton import MIN_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["LaserMotion", "LaserWitness", "laser_motion"]
+__all__ = ["LaserMotion", "LaserMotionEstimator", "laser_motion"]
 
 _MOST_BEAMS = 360
 _RANGES_M = (0.05, 30.0)
@@ -79,7 +79,7 @@ class LaserMotion:
 
 @final
 @dataclass(slots=True)
-class LaserWitness:
+class LaserMotionEstimator:
     """Processes the scans of one laser; `motion` is available at any time.
 
     The cost is bounded: beams are thinned to 360 and scans to 20 Hz, and of a log of more than 20000 such scans the
@@ -118,7 +118,7 @@ class LaserWitness:
         """Take the next scan and its odometry."""
         odometry, scan = measurement
         self._scans += 1
-        self.times.note(scan)
+        self.times.update(scan)
         if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
             return
         stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
@@ -131,22 +131,26 @@ class LaserWitness:
             return
         middle_s = 0.0 if scan.beam_times_s is None else float(scan.beam_times_s[beams].mean())
         stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
-        information, share = self._found(stamp_ns, ends, scan, beams)
+        information, share = self._match_scan(stamp_ns, ends, scan, beams)
         self._passed_over = False
         told = (math.nan,) * 3 if odometry is None else odometry.pose
         self._rows.extend((*self._odometry.pose, share, self._odometry.track, *told, *information.ravel()))
         self._stamps.extend((stamp_ns, scan.stamp_ns if odometry is None else odometry.stamp_ns))
         self._last_ns = scan.stamp_ns
 
-    def _found(self, stamp_ns: int, ends: FloatArray, scan: LaserScan, beams: IntArray) -> tuple[FloatArray, float]:
+    def _match_scan(
+        self, stamp_ns: int, ends: FloatArray, scan: LaserScan, beams: IntArray
+    ) -> tuple[FloatArray, float]:
         """Match ends (K, 2), and try in which order their beams were measured."""
         if self._passed_over:
             self._odometry.begin(stamp_ns, ends)
             return np.zeros((3, 3)), 0.0
         times_s = self.times.of(scan, beams)
-        information, share = self._odometry.step(stamp_ns, ends, self.times.straightening(times_s))
-        if share and times_s is not None and self.times.wanted(self._odometry.turn_rate * float(np.ptp(times_s))):
-            self.times.order.add(self._odometry.orders(ends, times_s))
+        information, share = self._odometry.step(stamp_ns, ends, self.times.deskew_times(times_s))
+        if share and times_s is not None:
+            turned_rad = self._odometry.turn_rate * float(np.ptp(times_s))
+            if self.times.is_informative(turned_rad):
+                self.times.order.add(self._odometry.score_orders(ends, times_s))
         return information, share
 
     def _ends(self, scan: LaserScan) -> tuple[FloatArray, IntArray]:
@@ -190,12 +194,12 @@ def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None)
     LaserMotion
         Empty where there is no scan of that laser.
     """
-    witness = LaserWitness()
+    estimator = LaserMotionEstimator()
     for measurement in measurements:
         sensor = measurement.scan.sensor if sensor is None else sensor
         if measurement.scan.sensor == sensor:
-            witness.add(measurement)
-    return witness.motion
+            estimator.add(measurement)
+    return estimator.motion
 
 
 def _mounting(geometry: ScanGeometry) -> FloatArray:
@@ -217,7 +221,7 @@ def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArr
     place = local[:, :2, :2] - local[:, :2, 2, None] * by_turn[:, None]
     strength, directions = np.linalg.eigh(place)
     agreeing = shares * min(beams, _MOST_BEAMS)
-    held = strength < LEAST_INFORMATION * agreeing[:, None]
+    held = strength < MIN_INFORMATION * agreeing[:, None]
     weak = np.where(held, _BEAM_SIGMA_M**2 - strength, 0.0)
     regular = local.copy()
     regular[:, :2, :2] += np.einsum("kij,kj,klj->kil", directions, weak, directions)

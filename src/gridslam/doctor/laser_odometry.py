@@ -15,7 +15,7 @@ from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
-from gridslam.types import EndPoints, FloatArray, Match
+from gridslam.types import FloatArray, Match, StoredScan
 
 __all__ = ["LaserOdometry"]
 
@@ -70,7 +70,7 @@ class LaserOdometry:
         self.pose = self._twist = np.zeros(3)
         self._stamp_ns, self._active, self._scans = stamp_ns, 0, [0, 0]
         self.track += 1
-        self._draw(ends)
+        self._insert(ends)
 
     def step(self, stamp_ns: int, ends: FloatArray, times_s: FloatArray | None = None) -> tuple[FloatArray, float]:
         """Match a scan; return the information (3, 3) of the match (see `Match`) and the share of agreeing beams.
@@ -80,15 +80,15 @@ class LaserOdometry:
         the track was lost and this scan begins another.
         """
         if self._due is not None:
-            self._draw(self._due)
+            self._insert(self._due)
             self._due = None
         if times_s is not None:
-            ends = ends + self._moved(ends, times_s)
+            ends = ends + self._deskew(ends, times_s)
         seconds = self._passed(stamp_ns)
         predicted = compose(self.pose, exp(self._twist * seconds))
         match = self._match(_ROUGH, predicted[None], ends)
         if match.score[0] < _GOOD_SHARE * len(ends):
-            match = self._searched(predicted, match, ends)
+            match = self._search(predicted, match, ends)
         share = float(match.score[0]) / len(ends)
         if share < _LOST_SHARE:
             self.begin(stamp_ns, ends)
@@ -103,12 +103,12 @@ class LaserOdometry:
             self._due = ends
         return match.information[0], share
 
-    def orders(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
+    def score_orders(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
         """Shares (3,) of a scan's ends (K, 2) that agree with the map where the last `step` found it.
 
         If they were measured at once, at `times_s` (K,), and at the reverse of these.
         """
-        moved = self._moved(ends, times_s)
+        moved = self._deskew(ends, times_s)
         scores = [float(self._match(_FINE, self.pose[None], ends + by * moved).score[0]) for by in (0, 1, -1)]
         return np.array(scores) / len(ends)
 
@@ -117,7 +117,7 @@ class LaserOdometry:
         """How fast the laser turns, rad/s."""
         return float(self._twist[2])
 
-    def _moved(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
+    def _deskew(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
         """What the motion adds to ends (K, 2) that are measured at `times_s` (K,)."""
         vx, vy, omega = self._twist.tolist()
         return times_s[:, None] * np.stack([vx - omega * ends[:, 1], vy + omega * ends[:, 0]], axis=1)
@@ -135,9 +135,9 @@ class LaserOdometry:
     def _match(self, matcher: GaussNewton, guesses: FloatArray, ends: FloatArray) -> Match:
         rows = np.full(len(guesses), self._active, np.int32)
         priors = np.broadcast_to(_NO_PRIOR, (len(guesses), 3, 3)).copy()
-        return matcher(self._maps, rows, guesses, priors, EndPoints(ends, _ORIGIN))
+        return matcher(self._maps, rows, guesses, priors, StoredScan(ends, _ORIGIN))
 
-    def _searched(self, predicted: FloatArray, first: Match, ends: FloatArray) -> Match:
+    def _search(self, predicted: FloatArray, first: Match, ends: FloatArray) -> Match:
         """The best of matches from turned guesses, where the laser was and where it would be, and of the first."""
         turned = np.zeros((len(_TURNS_RAD), 3))
         turned[:, 2] = _TURNS_RAD
@@ -148,13 +148,13 @@ class LaserOdometry:
             return first
         return Match(found.poses[best][None], found.information[best][None], found.score[best][None])
 
-    def _draw(self, ends: FloatArray) -> None:
+    def _insert(self, ends: FloatArray) -> None:
         """Draw the scan into the local maps; the younger replaces the older once it holds enough."""
         self._inserted = self.pose
         rows = _ROWS[self._active] if self._scans[self._active] < _MAP_SCANS else _BOTH
         for row in rows.tolist():
             self._scans[row] += 1
-        self._maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), EndPoints(ends, _ORIGIN))
+        self._maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), StoredScan(ends, _ORIGIN))
         if self._scans[1 - self._active] >= _MAP_SCANS:
             self._maps.clear(self._active)
             self._scans[self._active], self._active = 0, 1 - self._active

@@ -102,25 +102,25 @@ class LaserExaminer:
         away = [(pose - poses[0])[:2] for pose in poses[1:]]
         turned = [abs(float(wrap(pose[2] - poses[0][2]))) for pose in poses[1:]]
         same = any(np.hypot(*d) < _SAME_M and t < _SAME_RAD for d, t in zip(away, turned, strict=True))
-        told = "; ".join(f"{sensor} at {_told(laser)}" for sensor, laser in self.lasers.items())
-        says = f"There are {len(poses)} lasers, whose scans are taken in turn: {told}."
+        told = "; ".join(f"{sensor} at {_describe(laser)}" for sensor, laser in self.lasers.items())
+        message = f"There are {len(poses)} lasers, whose scans are taken in turn: {told}."
         if not same:
-            return Finding("several_lasers", Severity.INFO, says, len(poses), "lasers")
+            return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
         return Finding(
-            "several_lasers", Severity.DOUBTFUL, f"{says} Two cannot be in one place: a mounting is missing.",
+            "several_lasers", Severity.WARNING, f"{message} Two cannot be in one place: a mounting is missing.",
             len(poses), "lasers", "State the mounting of each laser (a static transform to the base), or choose one "
             "laser with --scan.",
         )  # fmt: skip
 
 
-def _told(laser: Mounted) -> str:
+def _describe(laser: Mounted) -> str:
     x, y, yaw = laser.pose.tolist()
     return f"x {x:.2f} m, y {y:.2f} m, yaw {math.degrees(yaw):.0f} degrees"
 
 
 def _tilting(sensor: str, amplitude_rad: float) -> Finding:
     return Finding(
-        "tilting_laser", Severity.SPOILS,
+        "tilting_laser", Severity.ERROR,
         f"The laser tilts by {math.degrees(amplitude_rad):.1f} degrees to either side while it scans: this is a log of "
         "a 3D sensor, not of a level one.",
         amplitude_rad, "rad", "Hold the laser level and record again, or choose another laser with --scan.", sensor,
@@ -129,7 +129,7 @@ def _tilting(sensor: str, amplitude_rad: float) -> Finding:
 
 def _tilted(sensor: str, laser: Mounted) -> Finding:
     return Finding(
-        "tilting_laser", Severity.DOUBTFUL,
+        "tilting_laser", Severity.WARNING,
         f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, and its beams meet the floor "
         f"from {laser.floor_m():.1f} m on: the floor is mapped as a wall.",
         laser.tilt_rad, "rad", f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.", sensor,

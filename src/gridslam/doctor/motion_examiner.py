@@ -12,7 +12,7 @@ import numpy as np
 from gridslam.doctor.calibration import MotionCalibration, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.intervals import turn_rates
-from gridslam.doctor.laser_motion import LaserMotion, LaserWitness
+from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.doctor.motion_findings import motion_findings
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, ScanGeometry
@@ -30,18 +30,18 @@ _HALF, _HALF_SIGMAS = 0.25, 4.0  # of half the sweep, and deviations: how near t
 class _Laser:
     """One laser: its motion, and the duration of a scan, reported or assumed."""
 
-    witness: LaserWitness = field(default_factory=LaserWitness)
+    estimator: LaserMotionEstimator = field(default_factory=LaserMotionEstimator)
     geometry: ScanGeometry | None = None
-    told: bool = False
+    has_beam_times: bool = False
     sweep_s: float = math.nan
 
     def take(self, measurement: Measurement) -> None:
         scan = measurement.scan
-        self.witness.add(measurement)
+        self.estimator.add(measurement)
         if len(scan) and (scan.geometry is not self.geometry or math.isnan(self.sweep_s)):
             self.geometry, times = scan.geometry, scan.beam_times_s
-            self.told = times is not None
-            self.sweep_s = self.witness.times.sweep_s(scan) if times is None else float(np.ptp(times))
+            self.has_beam_times = times is not None
+            self.sweep_s = self.estimator.times.sweep_s(scan) if times is None else float(np.ptp(times))
 
 
 @final
@@ -62,7 +62,7 @@ class MotionExaminer:
 
     def findings(self) -> Iterator[Finding]:
         """Yield the findings of each laser; findings on the wheels once, if all lasers agree."""
-        told = [findings for laser in self._lasers.values() if (findings := _told(laser)) is not None]
+        told = [findings for laser in self._lasers.values() if (findings := _findings_of(laser)) is not None]
         known: set[str] = set()
         for finding in (finding for findings in told for finding in findings):
             if finding.code in _OF_WHEELS:
@@ -72,9 +72,9 @@ class MotionExaminer:
             yield finding
 
 
-def _told(laser: _Laser) -> list[Finding] | None:
+def _findings_of(laser: _Laser) -> list[Finding] | None:
     """Findings of one laser; None if its motion is not reliable."""
-    motion = laser.witness.motion
+    motion = laser.estimator.motion
     if laser.geometry is None or len(motion) < 2:
         return None
     calibration = calibrate(motion)
@@ -89,26 +89,28 @@ def _told(laser: _Laser) -> list[Finding] | None:
 def _half_of_the_sweep(calibration: MotionCalibration, laser: _Laser) -> bool:
     """Whether scans look late or early because they are stamped by their last beam, or by their first."""
     skew, half_s = calibration.skew_s, 0.5 * laser.sweep_s
-    return not laser.told and abs(abs(skew.value) - half_s) < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
+    return not laser.has_beam_times and abs(abs(skew.value) - half_s) < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
 
 
 def _skewed(motion: LaserMotion, laser: _Laser) -> Finding | None:
     """Find scans that are skewed by turning, and whether the log allows deskewing."""
     rates = np.abs(turn_rates(motion))
     fast = float(np.quantile(rates, _FASTEST))
-    size, swept = fast * laser.sweep_s, laser.witness.times.order.swept
-    if not size >= _SMEAR_RAD or not (laser.told or swept):
+    size, sweep_factor = fast * laser.sweep_s, laser.estimator.times.order.sweep_factor
+    if not size >= _SMEAR_RAD or not (laser.has_beam_times or sweep_factor):
         return None
-    about = "" if laser.told else "about "
-    says = f"A scan takes {about}{1e3 * laser.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
-    says += f"({fast:.1f} rad/s)"
-    if laser.told:
-        says += "; each beam has its time, and the scans are deskewed"
-        wrong = ", but by their reverse, which fits better: the driver reports them in reverse order" * (swept < 0)
-        return Finding("skewed_while_turning", Severity.INFO, f"{says}{wrong}.", size, "rad", "", motion.sensor)
+    about = "" if laser.has_beam_times else "about "
+    message = f"A scan takes {about}{1e3 * laser.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
+    message += f"({fast:.1f} rad/s)"
+    if laser.has_beam_times:
+        message += "; each beam has its time, and the scans are deskewed"
+        wrong = ", but by their reverse, which fits better: the driver reports them in reverse order" * (
+            sweep_factor < 0
+        )
+        return Finding("skewed_while_turning", Severity.INFO, f"{message}{wrong}.", size, "rad", "", motion.sensor)
     return Finding(
-        "skewed_while_turning", Severity.DOUBTFUL,
-        f"{says}, and the log has no beam times: walls are bent.", size, "rad",
+        "skewed_while_turning", Severity.WARNING,
+        f"{message}, and the log has no beam times: walls are bent.", size, "rad",
         "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more slowly.",
         motion.sensor, _figure(motion, rates, laser.sweep_s),
     )  # fmt: skip

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gridslam.doctor.calibration import Estimate, MotionCalibration, calibrate
+from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.intervals import turn_rates
 from gridslam.doctor.laser_motion import LaserMotion
@@ -57,7 +57,7 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     if not abs(found.agreement) < _UNRELATED or min(found.laser_rad, found.odometry_rad) < _TURNED_RAD:
         return None
     return Finding(
-        "odometry_unrelated", Severity.SPOILS,
+        "odometry_unrelated", Severity.ERROR,
         f"Odometry turned by {found.odometry_rad:.1f} rad, the laser by {found.laser_rad:.1f} rad, but not at the same "
         f"times (correlation {found.agreement:+.2f}): it belongs to another robot or another time.",
         found.agreement, "1", "Choose the odometry's topic, or map with --no-odometry.", motion.sensor,
@@ -73,7 +73,7 @@ def _reflected(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
         if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
     )  # fmt: skip
     return Finding(
-        "reflected_laser", Severity.SPOILS,
+        "reflected_laser", Severity.ERROR,
         f"The laser sees the robot turn the other way than odometry does (correlation {found.agreement:+.2f} over "
         f"{found.laser_rad:.0f} rad): {cause}; the map would be a mirror image.",
         found.agreement, "1",
@@ -88,7 +88,7 @@ def _yaw(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
         return None
     degrees, declared = math.degrees(yaw.value), math.degrees(found.mounting[2])
     return Finding(
-        "yaw_offset", Severity.SPOILS if abs(yaw.value) > _YAW_SPOILS else Severity.DOUBTFUL,
+        "yaw_offset", Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
         f"The laser is rotated by {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees to the "
         f"{_side(degrees)} relative to the declared mounting ({declared:.1f} degrees).",
         yaw.value, "rad", f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.", motion.sensor,
@@ -103,7 +103,7 @@ def _skew(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     wrong_rad = abs(skew.value) * float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
     harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
     return Finding(
-        "clock_skew", Severity.DOUBTFUL if harms else Severity.INFO,
+        "clock_skew", Severity.WARNING if harms else Severity.INFO,
         f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured turns "
         f"agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
         f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs by "
@@ -114,14 +114,14 @@ def _skew(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     )  # fmt: skip
 
 
-def _graded(estimate: Estimate, usual: float, told: float, doubtful: float) -> Severity | None:
+def _grade(estimate: ParameterEstimate, usual: float, told: float, doubtful: float) -> Severity | None:
     if estimate.differs(usual, doubtful):
-        return Severity.DOUBTFUL
+        return Severity.WARNING
     return Severity.INFO if estimate.differs(usual, told) else None
 
 
 def _scale(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _graded(found.scale, 1.0, _SCALE_TOLD, _SCALE)
+    severity = _grade(found.scale, 1.0, _SCALE_TOLD, _SCALE)
     if severity is None:
         return None
     percent, sigma = 100 * (found.scale.value - 1), 100 * found.scale.sigma
@@ -135,7 +135,7 @@ def _scale(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
 
 
 def _rotation_bias(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _graded(found.turn_scale, 1.0, _TURN_SCALE_TOLD, _TURN_SCALE)
+    severity = _grade(found.turn_scale, 1.0, _TURN_SCALE_TOLD, _TURN_SCALE)
     if severity is None:
         return None
     percent, sigma = 100 * (found.turn_scale.value - 1), 100 * found.turn_scale.sigma
@@ -149,7 +149,7 @@ def _rotation_bias(motion: LaserMotion, found: MotionCalibration) -> Finding | N
 
 
 def _drift(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _graded(found.drift_rad_per_m, 0.0, _DRIFT_TOLD, _DRIFT)
+    severity = _grade(found.drift_rad_per_m, 0.0, _DRIFT_TOLD, _DRIFT)
     if severity is None:
         return None
     degrees, sigma = math.degrees(found.drift_rad_per_m.value), math.degrees(found.drift_rad_per_m.sigma)
@@ -173,7 +173,7 @@ def _slip(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     largest = slips[int((sizes / _SLIP_M + turns / _SLIP_RAD).argmax())]
     seconds = (largest.stamp_ns - int(motion.stamps_ns[0])) * 1e-9
     return Finding(
-        "wheel_slip", Severity.DOUBTFUL if matters else Severity.INFO,
+        "wheel_slip", Severity.WARNING if matters else Severity.INFO,
         f"The wheels slipped {_times(len(slips))}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
         f"{seconds:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in {largest.duration_s:.1f} s.",
         *_size(sizes, turns), "Drive more gently there; scan matching compensates where walls constrain the motion.",

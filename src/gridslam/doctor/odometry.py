@@ -150,20 +150,22 @@ class OdometryExaminer:
 
     def _no_odometry(self) -> Finding:
         share = self.without / self.scans
-        says = "There is no odometry: motion is estimated from scans alone, which underestimates long bare corridors."
+        message = (
+            "There is no odometry: motion is estimated from scans alone, which underestimates long bare corridors."
+        )
         remedy = "Record odometry too; until then drive slowly, and map with --no-odometry."
         if share < 1:
-            says = f"{self.without} of {self.scans} scans ({percent(share)}) have no odometry."
+            message = f"{self.without} of {self.scans} scans ({percent(share)}) have no odometry."
             remedy = "See to it that odometry is recorded from before the first scan until after the last."
-        severity = Severity.DOUBTFUL if share > 0.02 else Severity.INFO
-        return Finding("no_odometry", severity, says, share, "share", remedy if share > 0.02 else "")
+        severity = Severity.WARNING if share > 0.02 else Severity.INFO
+        return Finding("no_odometry", severity, message, share, "share", remedy if share > 0.02 else "")
 
     def _odometry_jumps(self) -> Finding:
         at_s, metres, radians = max(self._jumps, key=lambda jump: jump[1] / _LEAP_M + jump[2] / _LEAP_RAD)
         often = "once" if len(self._jumps) == 1 else f"{len(self._jumps)} times, most"
         size = (metres, "m") if metres > _LEAP_M else (radians, "rad")
         return Finding(
-            "odometry_jumps", Severity.DOUBTFUL,
+            "odometry_jumps", Severity.WARNING,
             f"Odometry jumps {often} by {metres:.4g} m and {radians:.2f} rad after {at_s:.1f} s: no robot moves this "
             "fast from one scan to the next. The odometry was reset, or a reading is wrong.",
             *size, "Look for what restarts or corrects the odometry; in a jump the motion is estimated from scans.",
@@ -172,7 +174,7 @@ class OdometryExaminer:
     def _odometry_frozen(self) -> Finding:
         share = self._frozen_s / self._watched_s
         return Finding(
-            "odometry_frozen", Severity.SPOILS if share > _FROZEN_SHARE else Severity.DOUBTFUL,
+            "odometry_frozen", Severity.ERROR if share > _FROZEN_SHARE else Severity.WARNING,
             f"For {self._frozen_s:.0f} of {self._watched_s:.0f} s odometry stood still while the scans changed: it is "
             "frozen.",
             self._frozen_s, "s", "Look for what stops odometry on the robot; map with --no-odometry until then.",
@@ -182,12 +184,14 @@ class OdometryExaminer:
         share = self._still_s / self._watched_s
         never = self.metres < _NEVER_MOVED_M and self.radians < _NEVER_MOVED_RAD and not self._frozen
         if never and share > _MOSTLY_STILL:
-            says = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
+            message = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
             remedy = "Record while the robot drives."
-            yield Finding("standing_still", Severity.DOUBTFUL, says, self._still_s, "s", remedy)
+            yield Finding("standing_still", Severity.WARNING, message, self._still_s, "s", remedy)
         elif self._still_s > _STILL_WORTH_S:
-            says = f"The robot stands still for {self._still_s:.0f} s, {percent(share)} of the time, which is harmless."
-            yield Finding("standing_still", Severity.INFO, says, self._still_s, "s")
+            message = (
+                f"The robot stands still for {self._still_s:.0f} s, {percent(share)} of the time, which is harmless."
+            )
+            yield Finding("standing_still", Severity.INFO, message, self._still_s, "s")
 
     def _fast_turning(self) -> Iterator[Finding]:
         for sensor, count in self._too_far.items():
@@ -196,7 +200,7 @@ class OdometryExaminer:
             limit = self._limit(sensor)
             turns = Series("turn since the scan before", *self._turns.arrays())
             yield Finding(
-                "fast_turning", Severity.DOUBTFUL,
+                "fast_turning", Severity.WARNING,
                 f"The robot turns by up to {self.fastest_rad:.2f} rad from one scan to the next, and by more than "
                 f"{limit:.2f} rad before {count} of {self.scans} scans: too little is seen in both.",
                 self.fastest_rad, "rad", "Turn more slowly, or let the laser scan faster.", sensor,

@@ -8,7 +8,7 @@ from typing import final
 
 from gridslam.doctor.diagnose import Doctor
 from gridslam.doctor.finding import Finding
-from gridslam.io.log import Log, LogSource, opened_log
+from gridslam.io.log import Log, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
@@ -28,14 +28,14 @@ class CheckedLog:
     ----------
     log : Log
         What is read.
-    tell : callable
+    on_findings : callable
         Gets the findings, if there are any that are more than information, once in each iteration: as soon as the
         first minute is over, or the log.
     """
 
-    def __init__(self, log: Log, tell: Callable[[tuple[Finding, ...]], None]) -> None:
+    def __init__(self, log: Log, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
         """Nothing is read before the iteration."""
-        self._log, self._tell = log, tell
+        self._log, self._tell = log, on_findings
 
     @property
     def path(self) -> Path:
@@ -50,7 +50,7 @@ class CheckedLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         measurements = iter(self._log)
-        yield from _looked_at(measurements, self._tell)
+        yield from _check_first_minute(measurements, self._tell)
         yield from measurements
 
 
@@ -60,13 +60,13 @@ def quick_check(log: LogSource) -> tuple[Finding, ...]:
     No scan is matched, and findings that need the whole log, such as that the robot never moves, are left out.
     """
     found: list[Finding] = []
-    for _ in _looked_at(iter(opened_log(log)), found.extend):
+    for _ in _check_first_minute(iter(open_if_path(log)), found.extend):
         pass
     return tuple(found)
 
 
-def _looked_at(
-    measurements: Iterator[Measurement], tell: Callable[[tuple[Finding, ...]], None]
+def _check_first_minute(
+    measurements: Iterator[Measurement], on_findings: Callable[[tuple[Finding, ...]], None]
 ) -> Iterator[Measurement]:
     """The measurements of the first minute; its findings are reported before the last of them is yielded."""
     doctor, first_ns = Doctor(matching=False), None
@@ -75,14 +75,14 @@ def _looked_at(
         first_ns = stamp_ns if first_ns is None else first_ns
         doctor.take(measurement)
         if count >= _SCANS or stamp_ns - first_ns > _SECONDS * 1e9:
-            _tell_faults(doctor, tell)
+            _report_faults(doctor, on_findings)
             yield measurement
             return
         yield measurement
-    _tell_faults(doctor, tell)
+    _report_faults(doctor, on_findings)
 
 
-def _tell_faults(doctor: Doctor, tell: Callable[[tuple[Finding, ...]], None]) -> None:
+def _report_faults(doctor: Doctor, on_findings: Callable[[tuple[Finding, ...]], None]) -> None:
     found = tuple(f for f in doctor.findings() if f.is_fault and f.code not in _ONLY_WHOLE)
     if found:
-        tell(found)
+        on_findings(found)

@@ -33,7 +33,7 @@ _MARGIN_M = 0.05  # below a pile: its readings jitter
 _SPREAD_M = 0.5  # codes for "no return" stand close together, ranges do not
 
 
-class _Pile(NamedTuple):
+class _RangePeak(NamedTuple):
     """Where readings pile up: the value, how many, and their share of the hits."""
 
     value_m: float
@@ -78,7 +78,7 @@ class RangeCounts:
             self._beyond += np.bincount(_bins(np.concatenate(self._waiting_beyond)), minlength=_BINS + 1)
         self._waiting, self._waiting_beyond, self._pending = [], [], 0
 
-    def pile(self) -> _Pile | None:
+    def find_peak(self) -> _RangePeak | None:
         """The value near the far end at which hits pile up as walls never do, if there is one."""
         by_bin = self._hits.sum(axis=1)
         total = int(by_bin.sum())
@@ -91,18 +91,18 @@ class RangeCounts:
             steep = count > _STEEP * 3 * (float(about.max()) if len(about) else 0.0)
             seen = np.count_nonzero(self._hits[max(place - 1, 0) : place + 2].sum(axis=0))
             if steep and seen >= _WIDE * _SECTORS:
-                return _Pile(float(place) * _BIN_M, count, count / total)
+                return _RangePeak(float(place) * _BIN_M, count, count / total)
         return None
 
     def false_hits_m(self) -> float | None:
         """Range from which on hits are beams without return, if there are so many that the map becomes unusable."""
         self.count()
-        pile = self.pile()
-        if pile is None or pile.value_m >= _USED_M or pile.share <= _SPOILING:
+        peak = self.find_peak()
+        if peak is None or peak.value_m >= _USED_M or peak.share <= _SPOILING:
             return None
-        return pile.value_m - _MARGIN_M
+        return peak.value_m - _MARGIN_M
 
-    def beyond(self) -> tuple[float, float]:
+    def share_beyond_limit(self) -> tuple[float, float]:
         """Share of all readings that are ranges beyond the stated maximum, and the farthest of them, m."""
         ranges = self._beyond.copy()
         ranges[ranges.argmax()] = 0  # the code for "no return", which is no range
@@ -148,34 +148,34 @@ class RangeExaminer:
         """Report where the true limits differ from the declared ones."""
         for sensor, counts in self.ranges.items():
             counts.count()
-            if (pile := counts.pile()) is not None:
-                yield _piled(sensor, counts, pile)
-            share, farthest_m = counts.beyond()
+            if (peak := counts.find_peak()) is not None:
+                yield _range_peak(sensor, counts, peak)
+            share, farthest_m = counts.share_beyond_limit()
             if share > _BEYOND_SHARE:
                 yield _too_small(sensor, counts, share, farthest_m)
 
 
-def _piled(sensor: str, counts: RangeCounts, pile: _Pile) -> Finding:
+def _range_peak(sensor: str, counts: RangeCounts, peak: _RangePeak) -> Finding:
     stated = f"{counts.range_max_m:g} m" if math.isfinite(counts.range_max_m) else "unlimited"
-    says = (
-        f"{pile.readings} readings ({percent(pile.share)} of the hits) are {pile.value_m:.2f} m and next to none is "
+    message = (
+        f"{peak.readings} readings ({percent(peak.share)} of the hits) are {peak.value_m:.2f} m and next to none is "
         f"farther, while the range limit is {stated}: beams that hit nothing are reported as walls"
     )
-    if pile.value_m >= _USED_M:
-        says += f"; harmless, for readings from {_USED_M:g} m on are not used"
-        severity, remedy = Severity.INFO, f"Leave range_max_m below {pile.value_m - _MARGIN_M:.2f} m."
+    if peak.value_m >= _USED_M:
+        message += f"; harmless, for readings from {_USED_M:g} m on are not used"
+        severity, remedy = Severity.INFO, f"Leave range_max_m below {peak.value_m - _MARGIN_M:.2f} m."
     else:
-        severity = Severity.SPOILS if pile.share > _SPOILING else Severity.DOUBTFUL
-        remedy = f"Map with --set range_max_m={pile.value_m - _MARGIN_M:.2f}, or let the driver report inf."
-    marks = (Mark(f"{pile.value_m:.2f} m", pile.value_m, "x"),)
-    size = counts.range_max_m / pile.value_m if math.isfinite(counts.range_max_m) else None
-    return Finding("range_limits", severity, says + ".", size, "m/m", remedy, sensor, counts.figure(marks))
+        severity = Severity.ERROR if peak.share > _SPOILING else Severity.WARNING
+        remedy = f"Map with --set range_max_m={peak.value_m - _MARGIN_M:.2f}, or let the driver report inf."
+    marks = (Mark(f"{peak.value_m:.2f} m", peak.value_m, "x"),)
+    size = counts.range_max_m / peak.value_m if math.isfinite(counts.range_max_m) else None
+    return Finding("range_limits", severity, message + ".", size, "m/m", remedy, sensor, counts.figure(marks))
 
 
 def _too_small(sensor: str, counts: RangeCounts, share: float, farthest_m: float) -> Finding:
     much = share > _MUCH_LOST
     return Finding(
-        "range_limits", Severity.DOUBTFUL if much else Severity.INFO,
+        "range_limits", Severity.WARNING if much else Severity.INFO,
         f"{percent(share)} of the readings are ranges beyond the stated limit of {counts.range_max_m:g} m, up to "
         f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
         counts.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,

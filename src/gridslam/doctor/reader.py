@@ -22,7 +22,7 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
         yield _missing(reason + chain, scans, statistics.scan_count)
     if statistics.truncated:
         yield Finding(
-            "unreadable", Severity.DOUBTFUL,
+            "unreadable", Severity.WARNING,
             f"The log is truncated after {statistics.scan_count} scans.",
             statistics.scan_count, "scans", "Record it again, if the end matters.",
         )  # fmt: skip
@@ -44,7 +44,7 @@ def _missing(reason: str, scans: int, of: int) -> Finding:
         "robot's frames with --base-frame and --odom-frame."
     )
     return Finding(
-        "late_transform" if late else "missing_transform", Severity.INFO if few else Severity.DOUBTFUL,
+        "late_transform" if late else "missing_transform", Severity.INFO if few else Severity.WARNING,
         f"{scans} of {of} scans ({percent(share)}) lack a transform; {reason}.", scans, "scans", "" if few else remedy,
     )  # fmt: skip
 

@@ -10,13 +10,13 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.calibration import Estimate, MotionCalibration, calibrate
-from gridslam.doctor.laser_motion import LaserWitness
+from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
+from gridslam.doctor.laser_motion import LaserMotionEstimator
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["Repair", "early_calibration", "full_repair", "needed_repair", "repaired"]
+__all__ = ["Repair", "calibrate_early", "find_full_repair", "find_needed_repair", "repair_measurements"]
 
 _EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
@@ -59,7 +59,7 @@ class Repair:
         """Whether there is anything to take out."""
         return self != Repair()
 
-    def says(self) -> Iterator[str]:
+    def describe(self) -> Iterator[str]:
         """What is taken out, in words."""
         if self.reflected:
             yield "the beam order is reversed (a clockwise or upside-down laser)"
@@ -78,7 +78,7 @@ class Repair:
             yield f"no-return beams are reported as hits from {self.range_max_m:.2f} m on"
 
 
-def needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
+def find_needed_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """What would make any map wrong: a reflected laser, or one that looks 20 degrees and more past where it should.
 
     Matching compensates for all other errors, but these two it cannot detect: it relies on the odometry there. Hits
@@ -92,56 +92,58 @@ def needed_repair(calibration: MotionCalibration, range_max_m: float | None = No
 
 
 def _is_clean(calibration: MotionCalibration) -> bool:
-    """Whether neither fault of `needed_repair` can be there."""
+    """Whether neither fault of `find_needed_repair` can be there."""
     yaw = calibration.yaw_rad
     upright = calibration.agreement > -_SURELY_REFLECTED and calibration.laser_rad > _TURNED_RAD
     return upright and yaw.determined and abs(yaw.value) + _SIGMAS * yaw.sigma < _SPOILING_YAW_RAD
 
 
-def full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
+def find_full_repair(calibration: MotionCalibration, range_max_m: float | None = None) -> Repair:
     """All faults that the calibration determines reliably: those larger than four standard deviations."""
 
-    def sure(estimate: Estimate, usual: float) -> float:
+    def sure(estimate: ParameterEstimate, usual: float) -> float:
         return estimate.value if estimate.differs(usual, 0.0) else usual
 
     return Repair(
-        needed_repair(calibration).reflected, sure(calibration.yaw_rad, 0.0), sure(calibration.skew_s, 0.0),
+        find_needed_repair(calibration).reflected, sure(calibration.yaw_rad, 0.0), sure(calibration.skew_s, 0.0),
         sure(calibration.scale, 1.0), sure(calibration.turn_scale, 1.0), sure(calibration.drift_rad_per_m, 0.0),
         range_max_m,
     )  # fmt: skip
 
 
-def early_calibration(measurements: Iterable[Measurement]) -> MotionCalibration:
+def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     """Calibrate with the begin of a log: until 8 m and 6 rad of odometry, or 1000 scans of the first laser.
 
-    That settles the two faults of `needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad where
-    neither is there; a log without odometry settles neither.
+    That settles the two faults of `find_needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad
+    where neither is there; a log without odometry settles neither.
     """
-    witness, sensor, last = LaserWitness(rate_hz=_EARLY_HZ), None, None
+    estimator, sensor, last = LaserMotionEstimator(rate_hz=_EARLY_HZ), None, None
     moved, looks = np.zeros(2), list(_LOOKS)
     for measurement in measurements:
         odometry, scan = measurement
         sensor = scan.sensor if sensor is None else sensor
         if scan.sensor != sensor:
             continue
-        witness.add(measurement)
+        estimator.add(measurement)
         if odometry is not None:
             step = between(odometry.pose if last is None else last, odometry.pose)
             moved += [math.hypot(step[0], step[1]), abs(step[2])]
             last = odometry.pose
-        if last is None and len(witness) >= _NO_ODOMETRY_SCANS:
+        if last is None and len(estimator) >= _NO_ODOMETRY_SCANS:
             break
-        if len(witness) >= _EARLY_SCANS or (moved > [_EARLY_M, _EARLY_RAD]).all():
+        if len(estimator) >= _EARLY_SCANS or (moved > [_EARLY_M, _EARLY_RAD]).all():
             break
         if looks and (moved > looks[0]).all():
             looks.pop(0)
-            found = calibrate(witness.motion)
+            found = calibrate(estimator.motion)
             if _is_clean(found):
                 return found
-    return calibrate(witness.motion)
+    return calibrate(estimator.motion)
 
 
-def repaired(measurements: Iterable[Measurement], repair: Repair, sensor: str | None = None) -> Iterator[Measurement]:
+def repair_measurements(
+    measurements: Iterable[Measurement], repair: Repair, sensor: str | None = None
+) -> Iterator[Measurement]:
     """Take the faults out of a stream: scans and their stamps are kept, their geometry and odometry are corrected.
 
     Parameters
@@ -162,13 +164,15 @@ def repaired(measurements: Iterable[Measurement], repair: Repair, sensor: str | 
     """
     geometries: dict[ScanGeometry, ScanGeometry] = {}
     corrected = _Odometer(repair)
-    for odometry, scan in _unskewed(measurements, repair.skew_s, sensor):
+    for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
-        seen = _limited(_turned(scan, repair, geometries), repair.range_max_m) if scan.sensor == sensor else scan
+        seen = (
+            _limit_ranges(_turn_laser(scan, repair, geometries), repair.range_max_m) if scan.sensor == sensor else scan
+        )
         yield Measurement(None if odometry is None else corrected(odometry), seen)
 
 
-def _turned(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, ScanGeometry]) -> LaserScan:
+def _turn_laser(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, ScanGeometry]) -> LaserScan:
     if not (repair.reflected or repair.yaw_rad):
         return scan
     geometry = geometries.get(scan.geometry)
@@ -181,7 +185,7 @@ def _turned(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, Scan
     return replace(scan, geometry=geometry)
 
 
-def _limited(scan: LaserScan, range_max_m: float | None) -> LaserScan:
+def _limit_ranges(scan: LaserScan, range_max_m: float | None) -> LaserScan:
     if range_max_m is None:
         return scan
     false = (scan.status == BeamStatus.HIT) & (scan.ranges >= range_max_m)
@@ -211,7 +215,7 @@ class _Odometer:
         return Odometry(odometry.stamp_ns, self._pose, odometry.covariance)
 
 
-def _unskewed(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
+def _remove_skew(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
     """Give each scan of the laser the odometry of `skew_s` before its stamp."""
     skew_ns = round(skew_s * 1e9)
     if skew_ns == 0:

@@ -9,9 +9,9 @@ from typing import Literal, final
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
+from gridslam.doctor.repair import Repair, calibrate_early, find_full_repair, find_needed_repair, repair_measurements
 from gridslam.errors import ArgumentError
-from gridslam.io.log import Log, LogOptions, LogSource, opened_log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
@@ -28,8 +28,8 @@ class RepairedLog:
         What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
         own.
     kind : "needed" or "all"
-        Only faults that make any map unusable, estimated from the begin of the log (see `needed_repair`), or all faults
-        that are certain, estimated from the whole log (see `full_repair`).
+        Only faults that make any map unusable, estimated from the begin of the log (see `find_needed_repair`), or all
+        faults that are certain, estimated from the whole log (see `find_full_repair`).
     tell : callable
         Gets the repair, if there is any, before the first measurement.
 
@@ -59,18 +59,18 @@ class RepairedLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         if self.repair is None:
-            self.repair = self._found_out()
+            self.repair = self._find_repair()
             if self.repair:
                 self._tell(self.repair)
-        return repaired(self._log, self.repair) if self.repair else iter(self._log)
+        return repair_measurements(self._log, self.repair) if self.repair else iter(self._log)
 
-    def _found_out(self) -> Repair:
+    def _find_repair(self) -> Repair:
         counts = RangeCounts()
         if self._kind == "all":
             full = calibrate(laser_motion(_counted(self._log, counts)))
-            return full_repair(full, counts.false_hits_m())
-        early = early_calibration(_counted(self._log, counts))
-        return needed_repair(early, counts.false_hits_m())
+            return find_full_repair(full, counts.false_hits_m())
+        early = calibrate_early(_counted(self._log, counts))
+        return find_needed_repair(early, counts.false_hits_m())
 
 
 def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
@@ -84,11 +84,11 @@ def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
 
 
 def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
-    """Open a log as `opened_log` does, with the corrections of `RepairedLog`, or none.
+    """Open a log as `open_if_path` does, with the corrections of `RepairedLog`, or none.
 
     Raises ArgumentError for another `kind`, too.
     """
     if kind not in ("needed", "all", "none"):
         raise ArgumentError("repair", "needed, all or none", kind)
-    read = opened_log(log, options)
+    read = open_if_path(log, options)
     return read if kind == "none" else RepairedLog(read, kind)

@@ -13,11 +13,11 @@ from gridslam.doctor.finding import Finding, Severity
 
 __all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
 
-SCHEMA = "gridslam.doctor/1"
+SCHEMA = "gridslam.doctor/2"
 
 _HEADS = {
-    Severity.SPOILS: "Faults that make the map unusable",
-    Severity.DOUBTFUL: "Warnings",
+    Severity.ERROR: "Faults that make the map unusable",
+    Severity.WARNING: "Warnings",
     Severity.INFO: "For information",
 }
 
@@ -65,7 +65,7 @@ def _finding(number: int, finding: Finding) -> dict[str, Any]:
         "severity": finding.severity.value,
         "size": size if size is not None and math.isfinite(size) else None,
         "unit": finding.unit,
-        "says": finding.says,
+        "message": finding.message,
         "remedy": finding.remedy,
         "sensor": finding.sensor,
         "picture": picture_name(number, finding),
@@ -85,14 +85,14 @@ def text(diagnosis: Diagnosis) -> list[str]:
         if found:
             lines += ["", f"{head}:"]
         for finding in found:
-            lines.append(f"  {_title(finding)}: {finding.says}")
+            lines.append(f"  {_title(finding)}: {finding.message}")
             lines += [f"    -> {finding.remedy}"] if finding.remedy else []
     return [*lines, "", verdict(diagnosis)]
 
 
 def verdict(diagnosis: Diagnosis) -> str:
     """Summarize the diagnosis in one sentence."""
-    spoiling = sum(finding.severity is Severity.SPOILS for finding in diagnosis.findings)
+    spoiling = sum(finding.severity is Severity.ERROR for finding in diagnosis.findings)
     doubtful = len(diagnosis.faults) - spoiling
     if spoiling:
         more = f"; {_count(doubtful, 'warning')}" if doubtful else ""
@@ -142,7 +142,7 @@ def markdown(diagnosis: Diagnosis) -> list[str]:
         found = [(k, f) for k, f in enumerate(diagnosis.findings, 1) if f.severity is severity]
         lines += ["", f"## {head}"] if found else []
         for number, finding in found:
-            lines += ["", f"### {_title(finding)}", "", finding.says]
+            lines += ["", f"### {_title(finding)}", "", finding.message]
             lines += ["", f"Remedy: {finding.remedy}"] if finding.remedy else []
             name = picture_name(number, finding)
             lines += ["", f"![{finding.code}]({name})"] if name else []

@@ -13,7 +13,7 @@ from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Clock", "StampExaminer"]
+__all__ = ["StampExaminer", "StampStatistics"]
 
 _MANY_PERIODS = 5.0  # a pause this many times as long as 9 of 10 others is none that the laser makes by itself
 _BLIND_M, _BLIND_RAD = 1.0, 0.5
@@ -37,7 +37,7 @@ class _Pause(NamedTuple):
 
 @final
 @dataclass(slots=True)
-class Clock:
+class StampStatistics:
     """The stamps of one laser."""
 
     scans: int = 0
@@ -113,14 +113,14 @@ class StampExaminer:
 
     def __init__(self) -> None:
         """Begin with no laser seen."""
-        self.clocks: dict[str, Clock] = {}
+        self.clocks: dict[str, StampStatistics] = {}
 
     def take(self, measurement: Measurement) -> None:
         """Look at the stamp of the next scan."""
         odometry, scan = measurement
         clock = self.clocks.get(scan.sensor)
         if clock is None:
-            clock = self.clocks[scan.sensor] = Clock()
+            clock = self.clocks[scan.sensor] = StampStatistics()
         clock.take(scan.stamp_ns, None if odometry is None else tuple(odometry.pose.tolist()))
 
     def findings(self) -> Iterator[Finding]:
@@ -133,22 +133,22 @@ class StampExaminer:
                 yield _repeated(sensor, clock)
 
 
-def _gaps(sensor: str, clock: Clock) -> Iterator[Finding]:
+def _gaps(sensor: str, clock: StampStatistics) -> Iterator[Finding]:
     limit, gaps = clock.gaps()
     if not gaps:
         return
     blind = [gap for gap in gaps if _is_blind(gap)]
     worst = max(blind, key=lambda gap: gap.seconds) if blind else gaps[0]
     count = f"{len(gaps)} gaps" if len(gaps) < _KEPT else f"{_KEPT} gaps or more"
-    says = f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {gaps[0].seconds:.2f} s"
+    message = f"{'1 gap' if len(gaps) == 1 else count} in the scans; the longest lasts {gaps[0].seconds:.2f} s"
     if math.isnan(worst.metres):
-        says += ", without odometry of the motion in it"
+        message += ", without odometry of the motion in it"
     else:
         when = "in it" if worst is gaps[0] else f"in one of {worst.seconds:.2f} s at {worst.began_s:.1f} s"
         turned = math.degrees(worst.radians)
-        says += f", and {when} the robot moved {worst.metres:.2f} m and turned {turned:.0f} degrees"
+        message += f", and {when} the robot moved {worst.metres:.2f} m and turned {turned:.0f} degrees"
     yield Finding(
-        "gaps", Severity.DOUBTFUL if blind else Severity.INFO, says + ".", gaps[0].seconds, "s",
+        "gaps", Severity.WARNING if blind else Severity.INFO, message + ".", gaps[0].seconds, "s",
         f"Look for what stopped the recording at {worst.began_s:.1f} s (a full disk, a busy processor, a cable); map "
         "the parts by themselves, with --start and --duration, if the map breaks there." if blind else "",
         sensor, clock.pauses_figure(limit) if blind else None,
@@ -162,31 +162,31 @@ def _is_blind(gap: _Pause) -> bool:
     return gap.metres > _BLIND_M or gap.radians > _BLIND_RAD
 
 
-def _backward(sensor: str, clock: Clock) -> Finding:
+def _backward(sensor: str, clock: StampStatistics) -> Finding:
     share = clock.backward / clock.scans
     severity = Severity.INFO
-    says = f"{clock.backward} of {clock.scans} scans are stamped before the one ahead"
-    says += f", by up to {clock.farthest_back_s:.3g} s"
+    message = f"{clock.backward} of {clock.scans} scans are stamped before the one ahead"
+    message += f", by up to {clock.farthest_back_s:.3g} s"
     remedy = ""
     if clock.deepest_s > _RESTART_S:
-        severity = Severity.SPOILS
-        says += ": the clock was set back, or several recordings were joined"
+        severity = Severity.ERROR
+        message += ": the clock was set back, or several recordings were joined"
         remedy = "Map each recording by itself, with --start and --duration."
     elif clock.deepest_s > _DEEP_S or share > _DISORDER:
-        severity = Severity.DOUBTFUL
-        says += ": the order of the log is questionable"
+        severity = Severity.WARNING
+        message += ": the order of the log is questionable"
         remedy = "Stamp scans when they are measured, with one clock, and record them in that order."
     else:
-        says += "; it is jitter, and scans are taken in the order of the file"
+        message += "; it is jitter, and scans are taken in the order of the file"
     figure = clock.behind_figure() if severity is not Severity.INFO else None
-    return Finding("backward_stamps", severity, says + ".", clock.farthest_back_s, "s", remedy, sensor, figure)
+    return Finding("backward_stamps", severity, message + ".", clock.farthest_back_s, "s", remedy, sensor, figure)
 
 
-def _repeated(sensor: str, clock: Clock) -> Finding:
+def _repeated(sensor: str, clock: StampStatistics) -> Finding:
     share = clock.repeated / clock.scans
     many = share > _REPEATED
     return Finding(
-        "duplicate_stamps", Severity.DOUBTFUL if many else Severity.INFO,
+        "duplicate_stamps", Severity.WARNING if many else Severity.INFO,
         f"{clock.repeated} of {clock.scans} scans ({percent(share)}) have the stamp of the scan before.",
         share, "share",
         "Stamp each scan by itself, with sufficient resolution; drop scans that are sent twice." if many else "",

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, Estimate, estimate_of
-from gridslam.doctor.intervals import cumulative_headings, intervals, shifted
+from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, ParameterEstimate, estimate_parameter
+from gridslam.doctor.intervals import cumulative_headings, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.doctor.robust_fit import Fit, robust_fit
 from gridslam.types import FloatArray
 
-__all__ = ["Turns", "fitted_turns"]
+__all__ = ["Turns", "fit_turns"]
 
 _BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
 _TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
@@ -30,9 +30,9 @@ class Turns(NamedTuple):
     """Estimates from turns alone; the drift is per metre of odometry."""
 
     agreement: float
-    turn_scale: Estimate
-    drift: Estimate
-    skew: Estimate
+    turn_scale: ParameterEstimate
+    drift: ParameterEstimate
+    skew: ParameterEstimate
 
 
 class _Lagged(NamedTuple):
@@ -44,9 +44,9 @@ class _Lagged(NamedTuple):
     fit: Fit
 
 
-def fitted_turns(motion: LaserMotion) -> Turns:
+def fit_turns(motion: LaserMotion) -> Turns:
     """Fit turns; the skew is first the lag at which they agree best, then that at which its linear term vanishes."""
-    nothing = Turns(math.nan, Estimate(1.0), Estimate(0.0), Estimate(0.0))
+    nothing = Turns(math.nan, ParameterEstimate(1.0), ParameterEstimate(0.0), ParameterEstimate(0.0))
     if len(motion) < FEWEST:
         return nothing
     jittering = float((np.diff(motion.stamps_ns) < 0).mean()) > _BACKWARD
@@ -56,19 +56,19 @@ def fitted_turns(motion: LaserMotion) -> Turns:
     sign = math.copysign(1.0, agreement)
     headings = cumulative_headings(motion.poses) * sign
     rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
-    brief = _lagged(motion, headings, rates, lag, _BRIEF)
+    brief = _fit_lags(motion, headings, rates, lag, _BRIEF)
     if brief is None:
         return nothing
-    long = _lagged(motion, headings, rates, brief.lag, _TURNS)
-    found = brief if long is None else _joined(brief, long)
+    long = _fit_lags(motion, headings, rates, brief.lag, _TURNS)
+    found = brief if long is None else _merge_lags(brief, long)
     sigma = math.inf if jittering else found.sigma
-    skew = Estimate(found.lag, sigma, sigma < DETERMINED["skew"] and abs(found.step) < 0.01)
-    fit = _fit_turns(motion, headings, rates, found.lag, _TURNS) or found.fit
-    drift = estimate_of(fit, 1, DETERMINED["drift"])
-    return Turns(agreement, estimate_of(fit, 0, DETERMINED["turn_scale"]), drift, skew)
+    skew = ParameterEstimate(found.lag, sigma, sigma < DETERMINED["skew"] and abs(found.step) < 0.01)
+    fit = _fit_turns_at(motion, headings, rates, found.lag, _TURNS) or found.fit
+    drift = estimate_parameter(fit, 1, DETERMINED["drift"])
+    return Turns(agreement, estimate_parameter(fit, 0, DETERMINED["turn_scale"]), drift, skew)
 
 
-def _joined(brief: _Lagged, long: _Lagged) -> _Lagged:
+def _merge_lags(brief: _Lagged, long: _Lagged) -> _Lagged:
     """Both, or where they contradict each other the long one; as they share their data, they err alike."""
     if abs(long.lag - brief.lag) > _CONTRADICT * math.hypot(long.sigma, brief.sigma):
         return long
@@ -77,28 +77,28 @@ def _joined(brief: _Lagged, long: _Lagged) -> _Lagged:
     return _Lagged(mean[0], mean[1], brief.step, brief.fit)
 
 
-def _lagged(
+def _fit_lags(
     motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
 ) -> _Lagged | None:
     """Fit turns at the lag at which their linear term vanishes, in three steps; None where there are too few."""
-    step, fit = 0.0, _fit_turns(motion, headings, rates, lag, reach)
+    step, fit = 0.0, _fit_turns_at(motion, headings, rates, lag, reach)
     for _ in range(3):
         if fit is None:
             return None
         step = float(np.clip(fit.parameters[2] / max(abs(fit.parameters[0]), 0.2), -0.1, 0.1))
         lag += step
-        fit = _fit_turns(motion, headings, rates, lag, reach)
-    return None if fit is None else _Lagged(lag, estimate_of(fit, 2, math.inf).sigma, step, fit)
+        fit = _fit_turns_at(motion, headings, rates, lag, reach)
+    return None if fit is None else _Lagged(lag, estimate_parameter(fit, 2, math.inf).sigma, step, fit)
 
 
 def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
     """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
     best, agreement = 0.0, math.nan
-    parts = intervals(motion, shifted(motion, 0.0), _BRIEF)
+    parts = intervals(motion, interpolate_odometry(motion, 0.0), _BRIEF)
     if len(parts) < FEWEST or np.abs(parts.laser[:, 2]).sum() < 1.0:
         return best, agreement
     for lag in sorted(lags_s.tolist(), key=abs):
-        headings = shifted(motion, lag)[:, 2]
+        headings = interpolate_odometry(motion, lag)[:, 2]
         told = headings[parts.ends] - headings[parts.begins]
         known = np.isfinite(told)
         mine, told = parts.laser[known, 2], told[known]
@@ -121,11 +121,11 @@ def _rates(motion: LaserMotion) -> FloatArray:
     return rates
 
 
-def _fit_turns(
+def _fit_turns_at(
     motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
 ) -> Fit | None:
     """Turn scale, drift and what remains of the skew; None where there are too few intervals."""
-    odometry = shifted(motion, lag)
+    odometry = interpolate_odometry(motion, lag)
     parts = intervals(motion, odometry, reach)
     change = rates[parts.ends] - rates[parts.begins]
     parts, change = parts[np.isfinite(change)], change[np.isfinite(change)]

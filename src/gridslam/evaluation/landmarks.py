@@ -12,7 +12,7 @@ from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["LandmarkErrors", "landmark_errors", "pair_by_name", "pair_by_place"]
+__all__ = ["LandmarkErrors", "landmark_errors", "pair_by_name", "pair_by_position"]
 
 
 @final
@@ -45,7 +45,7 @@ def pair_by_name(names: IntArray, true_names: IntArray) -> tuple[IntArray, IntAr
     return ours, theirs
 
 
-def pair_by_place(
+def pair_by_position(
     positions: FloatArray, truth: FloatArray, true_from_map: FloatArray, reach_m: float = 0.5
 ) -> tuple[IntArray, IntArray]:
     """Pair landmarks without comparable names by distance: the nearest first, each once.

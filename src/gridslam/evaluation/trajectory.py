@@ -14,7 +14,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
-    "PoseErrors", "absolute_errors", "align", "associate", "covered", "interpolate",
+    "PoseErrors", "absolute_errors", "align", "associate", "clip_to_truth", "interpolate",
     "relative_errors_by_distance", "relative_errors_by_step",
 ]  # fmt: skip
 
@@ -98,7 +98,7 @@ def interpolate(
     return between_them, np.minimum(np.abs(stamps[high] - times), np.abs(times - stamps[low])) <= tolerance_ns
 
 
-def covered(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory] | None:
+def clip_to_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory] | None:
     """Poses of the estimate within the truth's span, and the truth at their stamps; None where there is none.
 
     The truth has at least one pose, and ascending stamps.
@@ -139,7 +139,7 @@ def associate(
     return paired, order[nearest[paired]]
 
 
-def _paired_poses(estimate: Trajectory, reference: Trajectory, tolerance_ns: int) -> tuple[FloatArray, FloatArray]:
+def _pair_poses(estimate: Trajectory, reference: Trajectory, tolerance_ns: int) -> tuple[FloatArray, FloatArray]:
     of_estimate, of_reference = associate(estimate, reference, tolerance_ns=tolerance_ns)
     if len(of_estimate) == 0:
         raise ArgumentError("estimate", f"a stamp within {tolerance_ns} ns of one of the reference", "none")
@@ -191,7 +191,7 @@ def absolute_errors(
 
     Source: J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
     """
-    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
     if aligned:
         ours = compose(align(ours[:, :2], truth[:, :2]), ours)
     return PoseErrors.of(between(truth, ours))
@@ -208,7 +208,7 @@ def relative_errors_by_step(
     """
     if step < 1:
         raise ArgumentError("step", "at least 1", step)
-    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
     if len(ours) <= step:
         raise ArgumentError("step", f"less than the {len(ours)} associated poses", step)
     first = np.arange(len(ours) - step)
@@ -226,7 +226,7 @@ def relative_errors_by_distance(
     """
     if not distance_m > 0:
         raise ArgumentError("distance_m", "a length above 0 m", distance_m)
-    ours, truth = _paired_poses(estimate, reference, tolerance_ns)
+    ours, truth = _pair_poses(estimate, reference, tolerance_ns)
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     second = np.searchsorted(path, path + distance_m)
     first = np.flatnonzero(second < len(path))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["circular_mean", "shares", "wrap"]
+__all__ = ["circular_mean", "normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
@@ -82,14 +82,14 @@ def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> FloatA
     theta = np.asarray(angles, dtype=np.float64)
     if theta.ndim == 0 or theta.shape[-1] == 0:
         raise ArgumentError("angles", "shape (..., N) with N >= 1", theta.shape)
-    share = shares(np.ones(theta.shape[-1]) if weights is None else weights)
+    share = normalize_weights(np.ones(theta.shape[-1]) if weights is None else weights)
     if share.shape[-1] != theta.shape[-1]:
         raise ArgumentError("weights", f"one for each of {theta.shape[-1]} angles", share.shape[-1])
     direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
     return np.asarray(wrap(direction))
 
 
-def shares(weights: ArrayLike) -> FloatArray:
+def normalize_weights(weights: ArrayLike) -> FloatArray:
     """Divide weights (..., N) by their sum over the last axis.
 
     They are divided by the greatest first, so that the sum neither overflows nor drowns in subnormal numbers. Raises

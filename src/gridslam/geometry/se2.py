@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import circular_mean, shares, wrap
+from gridslam.geometry.angles import circular_mean, normalize_weights, wrap
 
 __all__ = [
     "adjoint", "between", "between_jacobians", "compose", "compose_jacobians", "exp", "inverse", "inverse_jacobian",
@@ -223,7 +223,7 @@ def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
         If the shapes do not fit, a weight is negative or not finite, or all are 0.
     """
     given = _as_poses(poses, "poses")
-    share = shares(weights)
+    share = normalize_weights(weights)
     if given.ndim < 2 or given.shape[-2] != share.shape[-1]:
         raise ArgumentError("weights", f"one for each pose of shape {given.shape}", f"shape {share.shape}")
     position = (share[..., None] * given[..., :2]).sum(axis=-2)
@@ -240,7 +240,7 @@ def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     given = _as_poses(poses, "poses")
     residual = given - weighted_mean(given, weights)[..., None, :]
     residual[..., 2] = wrap(residual[..., 2])
-    return np.asarray(np.swapaxes(residual, -1, -2) @ (shares(weights)[..., None] * residual))
+    return np.asarray(np.swapaxes(residual, -1, -2) @ (normalize_weights(weights)[..., None] * residual))
 
 
 def _as_poses(values: ArrayLike, name: str, width: int = 3) -> FloatArray:

@@ -11,7 +11,7 @@ from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.types import IntArray
 
-__all__ = ["TileArena", "renumbered"]
+__all__ = ["TileArena", "renumber"]
 
 Int32Array = NDArray[np.int32]
 
@@ -65,7 +65,8 @@ class TileArena:
             raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
         arena = cls()
         arena.pages, arena.log_odds, arena.field = pages.copy(), log_odds.copy(), field.copy()
-        arena.page_refs, arena.tile_refs = _uses("roots", roots, len(pages)), _uses("pages", pages, len(log_odds))
+        arena.page_refs = _count_uses("roots", roots, len(pages))
+        arena.tile_refs = _count_uses("pages", pages, len(log_odds))
         arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
         return arena
 
@@ -81,30 +82,30 @@ class TileArena:
         return sum(array.nbytes for array in held)
 
     @property
-    def spare(self) -> tuple[Int32Array, Int32Array]:
-        """Free page and tile ids; they are taken from the end by `take`."""
+    def free_ids(self) -> tuple[Int32Array, Int32Array]:
+        """Free page and tile ids; they are taken from the end by `allocate`."""
         return self._free_pages, self._free_tiles
 
     def grow(self) -> None:
         """Make more pages or tiles, or both, where none is free: a sixteenth of what there is."""
         if not len(self._free_pages):
-            self._free_pages, new = self._more(self.page_refs)
+            self._free_pages, new = self._extend_ids(self.page_refs)
             self.pages.resize((new, PAGE, PAGE), refcheck=False)
             self.page_refs.resize(new, refcheck=False)
         if not len(self._free_tiles):
-            self._free_tiles, new = self._more(self.tile_refs)
+            self._free_tiles, new = self._extend_ids(self.tile_refs)
             # resize extends large arrays in place: no second copy of the maps is ever held
             self.log_odds.resize((new, TILE, TILE), refcheck=False)
             self.field.resize((new, TILE, TILE), refcheck=False)
             self.tile_refs.resize(new, refcheck=False)
 
     @staticmethod
-    def _more(refs: Int32Array) -> tuple[Int32Array, int]:
+    def _extend_ids(refs: Int32Array) -> tuple[Int32Array, int]:
         """Ids to be added to those that `refs` counts, and how many there are then."""
         size = len(refs) + max(len(refs) // 16, 64)
         return np.arange(size - 1, len(refs) - 1, -1, dtype=np.int32), size
 
-    def take(self, pages: int, tiles: int) -> None:
+    def allocate(self, pages: int, tiles: int) -> None:
         """Mark the last `pages` and `tiles` spare ids as used."""
         self._free_pages = self._free_pages[: len(self._free_pages) - pages]
         self._free_tiles = self._free_tiles[: len(self._free_tiles) - tiles]
@@ -152,7 +153,7 @@ class TileArena:
         self.tile_refs, self._free_tiles = self.tile_refs[used], np.zeros(0, np.int32)
 
 
-def renumbered(ids: Int32Array) -> tuple[Int32Array, IntArray]:
+def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:
     """The table `ids` with its ids counted from 1 in order of appearance, 0 kept; and the old id of each new one."""
     old, first, index = np.unique(np.append(np.int32(0), ids), return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -167,7 +168,7 @@ def _check(name: str, array: NDArray[Any], dtype: type, block: tuple[int, ...]) 
         raise ArgumentError(name, expected, f"{array.dtype} of shape {array.shape}")
 
 
-def _uses(name: str, ids: Int32Array, size: int) -> Int32Array:
+def _count_uses(name: str, ids: Int32Array, size: int) -> Int32Array:
     """How often each id below `size` occurs in `ids`, 0 for the empty one; every other one must."""
     if ids.size and (ids.min() < 0 or ids.max() >= size):
         raise ArgumentError(name, f"ids from 0 to {size - 1}", f"{ids.min()} to {ids.max()}")

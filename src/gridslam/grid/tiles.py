@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.grid.arena import Int32Array, TileArena, renumbered
+from gridslam.grid.arena import Int32Array, TileArena, renumber
 from gridslam.grid.evidence import Evidence
 from gridslam.grid.frame import cells_of
 from gridslam.grid.tiled_grid import TiledGrid, cut
@@ -133,12 +133,12 @@ class TileMaps:
             return
         self._cover(poses, beams)
         resolution, threads = self.resolution_m, self.threads
-        self._own(backend.touch_rays(rows, poses, beams.ends, beams.origin, resolution, threads))
+        self._make_writable(backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, resolution, threads))
         changed = backend.update_log_odds(
             *self._view, rows, poses, beams.ends, beams.origin, resolution, *self.evidence.steps, threads
         )
         if len(changed):
-            self._own(backend.touch_cells(changed, int(self.reach_cells)))
+            self._make_writable(backend.tiles_near_cells(changed, int(self.reach_cells)))
             backend.update_field(*self._view, changed, self._cone, threads)
 
     def match(
@@ -174,7 +174,7 @@ class TileMaps:
         )
         return found
 
-    def known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
+    def is_known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
         """Whether the cells of points (B, 2) of the world were observed, in one map."""
         y, x = np.ascontiguousarray(cells_of(points, self.resolution_m).T)
         page_y, page_x = (y >> _PAGE_BITS) - self._first[0], (x >> _PAGE_BITS) - self._first[1]
@@ -230,8 +230,8 @@ class TileMaps:
             (K, 16, 16) int32: tile ids; "log_odds" (T, 32, 32) int16; "field" (T, 32, 32) uint8. Ids count from 1 in
             order of appearance; page 0 and tile 0 are the empty ones.
         """
-        roots, pages = renumbered(self._roots)
-        tables, tiles = renumbered(self._arena.pages[pages])
+        roots, pages = renumber(self._roots)
+        tables, tiles = renumber(self._arena.pages[pages])
         return {
             "roots": roots,
             "first": np.array(self._first, np.int64),
@@ -269,14 +269,16 @@ class TileMaps:
         maps._arena, maps._roots, maps._first = arena, arrays["roots"].copy(), (int(first[0]), int(first[1]))
         return maps
 
-    def _own(self, touched: Int32Array) -> None:
+    def _make_writable(self, tiles_to_write: Int32Array) -> None:
         arena = self._arena
         while True:
-            pages, tiles, done = backend.own(*self._view, arena.page_refs, arena.tile_refs, *arena.spare, touched)
-            arena.take(pages, tiles)
-            if done == len(touched):
+            pages, tiles, done = backend.make_tiles_writable(
+                *self._view, arena.page_refs, arena.tile_refs, *arena.free_ids, tiles_to_write
+            )
+            arena.allocate(pages, tiles)
+            if done == len(tiles_to_write):
                 return
-            touched = touched[done:]
+            tiles_to_write = tiles_to_write[done:]
             arena.grow()
 
     def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:

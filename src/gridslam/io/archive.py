@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import InputError
-from gridslam.io.output import written_aside
+from gridslam.io.output import write_atomically
 from gridslam.io.text_source import open_for_reading
 
 __all__ = ["read_arrays", "write_arrays"]
@@ -39,5 +39,5 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
 
     Raises OutputError where it cannot be written.
     """
-    with written_aside(path) as aside, aside.open("wb") as file:
+    with write_atomically(path) as aside, aside.open("wb") as file:
         np.savez_compressed(file, **arrays)

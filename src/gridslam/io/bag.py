@@ -71,14 +71,14 @@ class BagLog:
         statistics = self.statistics = self._new_statistics()
         yield from BagReading(self._source, self._seen, self.choice, statistics).measurements()
         statistics.bytes_read = self._source.bytes_read
-        statistics.truncated = self._source.cut_off
+        statistics.truncated = self._source.is_truncated
         if not statistics.scan_count:
             raise InputError(self.path, f"there are no scans on {', '.join(self.choice.scans)}")
 
     def _new_statistics(self) -> LogStatistics:
         source, choice = self._source, self.choice
         statistics = LogStatistics(total_bytes=source.total_bytes, topics=dict(source.topics))
-        statistics.truncated = source.cut_off
+        statistics.truncated = source.is_truncated
         if choice.odometry_frame:
             statistics.odometry_source = choice.odometry or f"{choice.odometry_frame} to {choice.base_frame} on /tf"
         statistics.remarks.update(_remarks(self._seen, choice))

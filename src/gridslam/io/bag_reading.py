@@ -9,9 +9,9 @@ from typing import NamedTuple, final
 from gridslam.errors import ArgumentError
 from gridslam.io.bag_choice import Choice
 from gridslam.io.bag_rig import Rig
-from gridslam.io.bag_scans import ScanMaker
+from gridslam.io.bag_scans import BagScanBuilder
 from gridslam.io.bag_source import BagSource
-from gridslam.io.bag_survey import Survey, unreadable
+from gridslam.io.bag_survey import Survey, make_input_error
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.ros_messages import (
@@ -54,7 +54,7 @@ class BagReading:
     def __init__(self, source: BagSource, seen: Survey, choice: Choice, statistics: LogStatistics) -> None:
         self._source, self._seen, self._choice, self._statistics = source, seen, choice, statistics
         self._rig = Rig(choice, seen)
-        self._maker = ScanMaker()
+        self._maker = BagScanBuilder()
         self._waiting: deque[_Waiting] = deque()
         self._latest_ns = dict.fromkeys(choice.scans, -1)
 
@@ -70,7 +70,7 @@ class BagReading:
                 while news and waiting and (measurement := self._next(time_ns)) is not None:
                     yield measurement
             except MessageError as error:
-                raise unreadable(source, name, time_ns, error) from None
+                raise make_input_error(source, name, time_ns, error) from None
         while waiting:
             measurement = self._measurement(waiting.popleft(), last=True)
             if measurement is not None:

@@ -13,7 +13,7 @@ from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
 from gridslam.io.bag_choice import Choice
-from gridslam.io.bag_survey import Step, Survey, moved
+from gridslam.io.bag_survey import Step, Survey, differs
 from gridslam.io.log_statistics import Mounting
 from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.odometry_covariance import PoseCovariances
@@ -61,7 +61,7 @@ class MountedLaser:
         now = self._composed()
         if not _is_near(now):
             raise ArgumentError("pose", f"a laser within {FARTHEST_LASER_M:g} m of its base", list(now[:3]))
-        if moved(self._last, now):
+        if differs(self._last, now):
             self._last = now
             self.base_from_laser = rigid.to_matrix(now)
 
@@ -73,7 +73,7 @@ class MountedLaser:
     @property
     def has_moved(self) -> bool:
         """Whether the mounting is another than at first."""
-        return self._last is not self._first and moved(self._first, self._last)
+        return self._last is not self._first and differs(self._first, self._last)
 
     @property
     def mounting(self) -> Mounting:
@@ -162,7 +162,7 @@ class Rig:
             return False
         self._told[link] = transform.pose
         now = rigid.from_quaternion(transform.pose[:3], transform.pose[3:])
-        if link in self._odometry_links and moved(self._poses[link], now):
+        if link in self._odometry_links and differs(self._poses[link], now):
             self._moving.add(link)
             self._add(link, transform.stamp_ns, now, static=False)
         self._follow(link, now)

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import IO, NamedTuple, final
 
 from gridslam.errors import InputError
-from gridslam.io.bag_source import Chunk, DamageError, Message, in_order, refuse_cut_off
+from gridslam.io.bag_source import Chunk, DamageError, Message, merge_chunks, raise_truncated
 from gridslam.io.log_statistics import Topic
-from gridslam.io.ros1_records import Op, Record, chunk_data, fields_of, messages_in, number_of, read_record
+from gridslam.io.ros1_records import Op, Ros1Record, chunk_data, fields_of, messages_in, number_of, read_record
 from gridslam.io.text_source import open_for_reading
 
 __all__ = ["Ros1Bag"]
@@ -53,7 +53,7 @@ class Ros1Bag:
         """Read the index, or build it."""
         self.path = path
         self.is_ros1 = True
-        self.cut_off = False
+        self.is_truncated = False
         self.bytes_read = 0
         self._keep_truncated = keep_truncated
         self._connections: dict[int, _Connection] = {}
@@ -76,7 +76,7 @@ class Ros1Bag:
         chunks = [chunk for chunk in self._chunks if not chunk.connections.isdisjoint(numbers)]
         self.bytes_read = 0
         with open_for_reading(self.path) as file:
-            yield from in_order((chunk.start_ns, self._wanted(file, chunk, wanted)) for chunk in chunks)
+            yield from merge_chunks((chunk.start_ns, self._wanted(file, chunk, wanted)) for chunk in chunks)
         self.bytes_read = self.total_bytes
 
     def _wanted(self, file: IO[bytes], chunk: Chunk, topics: dict[bytes, str]) -> list[Message]:
@@ -96,9 +96,9 @@ class Ros1Bag:
 
     def _cut(self, problem: str) -> None:
         """Record that a part is missing, or raise if that is not accepted."""
-        self.cut_off = True
+        self.is_truncated = True
         if not self._keep_truncated:
-            raise refuse_cut_off(self.path, problem)
+            raise raise_truncated(self.path, problem)
 
     def _open(self, file: IO[bytes]) -> None:
         file.seek(0)
@@ -162,7 +162,7 @@ class Ros1Bag:
                 return f"the file is damaged or cut off at byte {position} ({damage})"
         return "" if position == self.total_bytes else "the file is cut off at its end"
 
-    def _walk_chunk(self, file: IO[bytes], record: Record, position: int) -> None:
+    def _walk_chunk(self, file: IO[bytes], record: Ros1Record, position: int) -> None:
         data, whole = self._chunk(file, record)
         times: list[int] = []
         numbers: Counter[int] = Counter()
@@ -177,22 +177,22 @@ class Ros1Bag:
         if not whole:
             raise DamageError("the file ends within a chunk")
 
-    def _chunk(self, file: IO[bytes], record: Record) -> tuple[bytes, bool]:
+    def _chunk(self, file: IO[bytes], record: Ros1Record) -> tuple[bytes, bool]:
         """Decompressed data of a chunk, and whether they are all there."""
         raw, size = self._data(file, record, cut=True), record.u32(b"size")
         data = chunk_data(record.field(b"compression"), raw, size)
         return data, len(raw) == record.end - record.begin and len(data) == size
 
-    def _data(self, file: IO[bytes], record: Record, *, cut: bool = False) -> bytes:
+    def _data(self, file: IO[bytes], record: Ros1Record, *, cut: bool = False) -> bytes:
         file.seek(record.begin)
         data = file.read(min(record.end, self.total_bytes) - record.begin)
         if len(data) != record.end - record.begin and not cut:
             raise DamageError("a record is cut off")
         return data
 
-    def _connect(self, record: Record, data: bytes) -> None:
+    def _connect(self, record: Ros1Record, data: bytes) -> None:
         """Add a connection."""
-        described = Record(fields_of(data), 0, 0)
+        described = Ros1Record(fields_of(data), 0, 0)
         topic = "/".join(part for part in record.text(b"topic").split("/") if part)
         self._connections[record.u32(b"conn")] = _Connection(f"/{topic}", described.text(b"type"))
 

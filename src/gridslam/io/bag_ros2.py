@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 from gridslam.errors import InputError
 from gridslam.io import zstd
 from gridslam.io.bag_salvage import SalvagedMcap, SalvagedSqlite, SalvagedStorage
-from gridslam.io.bag_source import DamageError, Message, refuse_cut_off
+from gridslam.io.bag_source import DamageError, Message, raise_truncated
 from gridslam.io.log_statistics import Topic
 from gridslam.io.text_source import open_for_reading
 
@@ -60,9 +60,9 @@ class Ros2Bag:
         return self._bytes_before + within
 
     @property
-    def cut_off(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether a part is missing."""
-        return any(storage.cut_off for storage in self._storages)
+        return any(storage.is_truncated for storage in self._storages)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics in the order of recording."""
@@ -98,7 +98,7 @@ class _Storage:
     """One file, opened for as long as this object lives: to reopen it, rosbags would count all its messages."""
 
     def __init__(self, path: Path, keep_truncated: bool) -> None:
-        self.cut_off = False
+        self.is_truncated = False
         self._path = path
         self._keep_truncated = keep_truncated
         self._salvaged: SalvagedStorage | None = None
@@ -140,7 +140,7 @@ class _Storage:
         if found.problem:
             self._cut(f"the file is damaged or cut off ({found.problem})")
         elif not is_mcap:
-            self._cut(f"the file is damaged or no bag ({_said(error)})")
+            self._cut(f"the file is damaged or no bag ({_describe_error(error)})")
         self._salvaged, self.is_ros1 = found, found.is_ros1
         self.topics, self.start_ns, self.end_ns = found.topics, found.start_ns, found.end_ns
 
@@ -161,7 +161,7 @@ class _Storage:
                     raise DamageError("a message without a time or without data")
                 yield time_ns, connection.topic, zstd.decompress(data) if zstd.is_compressed(data) else data
         except Exception as error:  # as in __init__
-            self._cut(f"the file is damaged ({_said(error)})")
+            self._cut(f"the file is damaged ({_describe_error(error)})")
 
     def bytes_at(self, time_ns: int) -> int:
         """How much of the file is read once the message of this time is."""
@@ -184,11 +184,11 @@ class _Storage:
 
     def _cut(self, problem: str) -> None:
         """Record that a part is missing, or raise if that is not accepted."""
-        self.cut_off = True
+        self.is_truncated = True
         if not self._keep_truncated:
-            raise refuse_cut_off(self._path, problem)
+            raise raise_truncated(self._path, problem)
 
 
-def _said(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     known = isinstance(error, DamageError) or type(error).__name__ == "ReaderError"
     return str(error) if known else f"rosbags fails with {type(error).__name__}: {error}".removesuffix(": ")

@@ -16,7 +16,7 @@ from typing import IO, Any, NamedTuple, Protocol, final
 from urllib.parse import quote
 
 from gridslam.io import zstd
-from gridslam.io.bag_source import DamageError, Message, in_order
+from gridslam.io.bag_source import DamageError, Message, merge_chunks
 from gridslam.io.log_statistics import Topic
 from gridslam.io.ros1_records import chunk_data
 
@@ -92,7 +92,7 @@ class SalvagedMcap:
             for number, channel in self._channels.items()
             if channel.topic in topics and channel.type == self.topics[channel.topic].type
         }
-        yield from in_order(
+        yield from merge_chunks(
             (start_ns, [(time_ns, wanted[number], data) for time_ns, number, data in messages if number in wanted])
             for start_ns, messages in self._batches()
         )

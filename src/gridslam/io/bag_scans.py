@@ -8,7 +8,7 @@ from typing import final
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.types import FloatArray, LaserScan, ScanGeometry
 
-__all__ = ["ScanMaker"]
+__all__ = ["BagScanBuilder"]
 _KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
 
 
@@ -16,7 +16,7 @@ _Key = tuple[float, float, int, int]
 
 
 @final
-class ScanMaker:
+class BagScanBuilder:
     """Makes scans whose geometries are shared as far as their angles and mountings are the same."""
 
     def __init__(self) -> None:

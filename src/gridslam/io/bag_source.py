@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, final
 from gridslam.errors import InputError
 from gridslam.io.log_statistics import Topic
 
-__all__ = ["BagSource", "Chunk", "DamageError", "Message", "in_order", "refuse_cut_off"]
+__all__ = ["BagSource", "Chunk", "DamageError", "Message", "merge_chunks", "raise_truncated"]
 
 Message = tuple[int, str, bytes]
 """Time of its recording in ns, topic, serialized bytes."""
@@ -37,7 +37,7 @@ class BagSource(Protocol):
         Whether messages are serialized as in ROS 1; else as in ROS 2.
     total_bytes, bytes_read : int
         Size, and how much of it the latest reading has taken in.
-    cut_off : bool
+    is_truncated : bool
         Whether a part is missing, at the end or behind a damage; known at the latest once all has been read.
     """
 
@@ -51,7 +51,7 @@ class BagSource(Protocol):
         """How much of the bag the latest reading has taken in."""
 
     @property
-    def cut_off(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether a part is missing."""
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -66,7 +66,7 @@ class Chunk(NamedTuple):
     connections: frozenset[int]
 
 
-def in_order(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Message]:
+def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Message]:
     """Merge chunks, given as start time and messages by ascending start time, into one stream ordered by time.
 
     Holds no more messages than overlap in time; those of one time stay in the order in which they came.
@@ -81,7 +81,7 @@ def in_order(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Messag
     yield from waiting
 
 
-def refuse_cut_off(path: Path, problem: str) -> InputError:
+def raise_truncated(path: Path, problem: str) -> InputError:
     """Raise that a bag is damaged or cut off, and how to read it up to there."""
     one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file among them
     return InputError(path, f"{one_line}; --keep-truncated reads what is there")

@@ -25,7 +25,7 @@ from gridslam.io.ros_messages import (
     wire_of_ros1,
 )
 
-__all__ = ["LinkSeen", "Step", "Survey", "TopicSeen", "moved", "survey", "unreadable"]
+__all__ = ["LinkInfo", "Step", "Survey", "TopicInfo", "differs", "make_input_error", "survey"]
 
 _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 10 Hz and more often, static ones at once
 _SAMPLES = 200
@@ -41,7 +41,7 @@ class Step(NamedTuple):
 
 @final
 @dataclass(slots=True)
-class TopicSeen:
+class TopicInfo:
     """A topic of scans or odometry: frames of its first messages, and whether they are stamped."""
 
     frame: str
@@ -53,7 +53,7 @@ class TopicSeen:
 
 @final
 @dataclass(slots=True)
-class LinkSeen:
+class LinkInfo:
     """A link of the tree of frames.
 
     Attributes
@@ -85,9 +85,9 @@ class LinkSeen:
 class Survey:
     """What was seen: topics of scans and of odometry by name, links by parent and child, readings that are no pose."""
 
-    scans: dict[str, TopicSeen] = field(default_factory=dict)
-    odometry: dict[str, TopicSeen] = field(default_factory=dict)
-    links: dict[tuple[str, str], LinkSeen] = field(default_factory=dict)
+    scans: dict[str, TopicInfo] = field(default_factory=dict)
+    odometry: dict[str, TopicInfo] = field(default_factory=dict)
+    links: dict[tuple[str, str], LinkInfo] = field(default_factory=dict)
     unusable: Counter[str] = field(default_factory=Counter)
     _parents: dict[str, str] = field(default_factory=dict)
 
@@ -119,11 +119,11 @@ class Survey:
             return
         link = self.links.get((transform.parent, transform.child))
         if link is None:
-            link = LinkSeen(topic, pose, transform.stamp_ns, static)
+            link = LinkInfo(topic, pose, transform.stamp_ns, static)
             self.links[transform.parent, transform.child] = link
             self._parents.setdefault(transform.child, transform.parent)
         elif pose != link.pose:
-            link.moves = link.moves or moved(link.pose, pose)
+            link.moves = link.moves or differs(link.pose, pose)
         if not static and len(link.samples) < _SAMPLES:
             link.samples.append((transform.stamp_ns, pose))
 
@@ -136,13 +136,13 @@ class Survey:
             return None
 
 
-def moved(a: Rigid, b: Rigid) -> bool:
+def differs(a: Rigid, b: Rigid) -> bool:
     """Whether two poses differ by more than 5 mm or 0.01 rad."""
     x, y, z, i, j, k, _ = rigid.compose(rigid.inverse(a), b)
     return x * x + y * y + z * z > _MOVED_M**2 or 4 * (i * i + j * j + k * k) > _MOVED_RAD**2
 
 
-def unreadable(source: BagSource, topic: str, time_ns: int, error: MessageError) -> InputError:
+def make_input_error(source: BagSource, topic: str, time_ns: int, error: MessageError) -> InputError:
     """Name the message that cannot be decoded."""
     type_ = source.topics[topic].type
     return InputError(source.path, f"a message of {topic} recorded at {time_ns / 1e9:.3f} s is no {type_}: {error}")
@@ -156,7 +156,7 @@ def survey(source: BagSource) -> Survey:
     kinds = {name: kind_of(topic.type) for name, topic in source.topics.items() if topic.messages}
     found = Survey()
     _look(source, {name: kind for name, kind in kinds.items() if kind}, found, first=True)
-    unseen = {name: kind for name, kind in kinds.items() if kind in ("scan", "odometry") and not _seen(found, name)}
+    unseen = {name: kind for name, kind in kinds.items() if kind in ("scan", "odometry") and not _topic_of(found, name)}
     if not _connected(found):
         unseen |= {name: kind for name, kind in kinds.items() if kind == "transforms"}
     if unseen:
@@ -164,7 +164,7 @@ def survey(source: BagSource) -> Survey:
     return found
 
 
-def _seen(found: Survey, name: str) -> bool:
+def _topic_of(found: Survey, name: str) -> bool:
     return name in found.scans or name in found.odometry
 
 
@@ -174,7 +174,7 @@ def _connected(found: Survey) -> bool:
 
 
 def _complete(found: Survey, kinds: Mapping[str, str]) -> bool:
-    return _connected(found) and all(_seen(found, name) or kind == "transforms" for name, kind in kinds.items())
+    return _connected(found) and all(_topic_of(found, name) or kind == "transforms" for name, kind in kinds.items())
 
 
 def _look(source: BagSource, kinds: Mapping[str, str], found: Survey, first: bool) -> None:
@@ -189,7 +189,7 @@ def _look(source: BagSource, kinds: Mapping[str, str], found: Survey, first: boo
         try:
             new = _note(found, name, kinds[name], data, wire_of(data))
         except MessageError as error:
-            raise unreadable(source, name, time_ns, error) from None
+            raise make_input_error(source, name, time_ns, error) from None
         if not first and new and _complete(found, kinds):
             return
 
@@ -207,7 +207,7 @@ def _note(found: Survey, name: str, kind: str, data: bytes, wire: Wire) -> bool:
     new = name not in topics
     if new:
         child = message.child_frame if isinstance(message, OdometryMessage) else ""
-        topics[name] = TopicSeen(message.frame, child, message.stamp_ns)
+        topics[name] = TopicInfo(message.frame, child, message.stamp_ns)
     topic = topics[name]
     topic.stamped = topic.stamped or message.stamp_ns != 0
     if isinstance(message, OdometryMessage) and len(topic.samples) < _SAMPLES:

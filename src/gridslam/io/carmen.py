@@ -66,20 +66,20 @@ class CarmenLog:
         for lines in source:
             statistics.bytes_read = source.bytes_read
             if source.unterminated:
-                yield from self._last_line(parser, lines[0], source.cut_off)
+                yield from self._last_line(parser, lines[0], source.is_truncated)
             else:
                 yield from parser.parse(lines)
         statistics.bytes_read = source.bytes_read
-        if source.cut_off:
+        if source.is_truncated:
             self._end_early("the compressed file is cut off")
         if statistics.scan_count == 0:
             others = ", ".join(sorted(statistics.unused_tags)[:5]) or "none"
             problem = f"expected laser scans ({', '.join(SCAN_TAGS)}), got no scan (other tags: {others})"
             raise InputError(self.path, problem)
 
-    def _last_line(self, parser: CarmenParser, line: str, cut_off: bool) -> Iterator[Measurement]:
+    def _last_line(self, parser: CarmenParser, line: str, is_truncated: bool) -> Iterator[Measurement]:
         """Parse the last line, which no line end follows: it may be whole, or the file was cut off within it."""
-        if cut_off:
+        if is_truncated:
             return
         tag = line.partition(" ")[0]
         cut_tag = any(known.startswith(tag) and known != tag for known in (*SCAN_TAGS, "ODOM", "PARAM"))

@@ -16,13 +16,13 @@ from gridslam.io.carmen_lasers import SICK_NO_RETURN_M
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["carmen_form"]
+__all__ = ["to_carmen_form"]
 
 _SENSORS = "front", "rear"
 _MOST_GEOMETRIES = 256
 
 
-def carmen_form(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
+def to_carmen_form(measurements: Iterable[Measurement], lost: Counter[str]) -> Iterator[Measurement]:
     """Change measurements so that `write_carmen` can write them; what is lost is counted, in scans, by its name.
 
     A laser that is level but upside down, clockwise or not symmetric about its axis becomes one that is upright,

@@ -13,7 +13,7 @@ from gridslam.geometry import se2
 from gridslam.io.carmen_lasers import LASER_PARAMETERS, SICK_NO_RETURN_M
 from gridslam.io.carmen_lines import format_stamp_ns
 from gridslam.io.measurement import Measurement
-from gridslam.io.output import opened_for_writing, written_aside
+from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
 __all__ = ["write_carmen"]
@@ -55,7 +55,7 @@ def write_carmen(path: str | Path, measurements: Iterable[Measurement]) -> None:
         Where the file cannot be written.
     """
     stated: dict[str, list[str]] = {}
-    with written_aside(path) as aside, opened_for_writing(aside, Path(path).suffix) as file:
+    with write_atomically(path) as aside, open_for_writing(aside, Path(path).suffix) as file:
         file.write(_HEADER.encode())
         lines: _Lines | None = None
         for measurement in measurements:

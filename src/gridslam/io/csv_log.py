@@ -108,8 +108,8 @@ class CsvLog:
                     statistics.count(measurement)
                     yield measurement
         statistics.bytes_read = source.bytes_read
-        if source.cut_off or source.unterminated:
-            self._end_early("the compressed file" if source.cut_off else "the last line has no line end: it")
+        if source.is_truncated or source.unterminated:
+            self._end_early("the compressed file" if source.is_truncated else "the last line has no line end: it")
         if statistics.scan_count == 0:
             raise InputError(self.path, "expected a row for each scan, got none")
 

@@ -11,7 +11,7 @@ from gridslam.errors import ArgumentError
 from gridslam.io.carmen_lines import format_stamp_ns
 from gridslam.io.csv_columns import COLUMNS, angles_of_rotation
 from gridslam.io.measurement import Measurement
-from gridslam.io.output import opened_for_writing, written_aside
+from gridslam.io.output import open_for_writing, write_atomically
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["write_csv_log"]
@@ -40,7 +40,7 @@ def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None
     OutputError
         Where the file cannot be written.
     """
-    with written_aside(path) as aside, opened_for_writing(aside, Path(path).suffix) as file:
+    with write_atomically(path) as aside, open_for_writing(aside, Path(path).suffix) as file:
         file.write(f"{','.join(COLUMNS)}\n".encode())
         geometries: dict[int, tuple[ScanGeometry, str]] = {}
         for odometry, scan in measurements:

@@ -10,9 +10,9 @@ from typing import final
 
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 
-__all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "dataset_named", "fetch_dataset"]
+__all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "fetch_dataset", "find_dataset"]
 
 PUBLIC = "https://raw.githubusercontent.com/MOLAorg/mola_test_datasets/HEAD/datasets/radish"
 """Where the files lie, each by its own name."""
@@ -71,7 +71,7 @@ DATASETS = (
 )  # fmt: skip
 
 
-def dataset_named(name: str) -> Dataset:
+def find_dataset(name: str) -> Dataset:
     """The dataset of this name; raises ArgumentError, with the names that there are."""
     names = [dataset.name for dataset in DATASETS]
     if name not in names:
@@ -107,9 +107,9 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     OutputError
         The folder cannot be written.
     """
-    dataset, target = dataset_named(name), Path(folder)
+    dataset, target = find_dataset(name), Path(folder)
     file = target / dataset.file
-    if file.is_file() and file.stat().st_size == dataset.size and sha256_of(file) == dataset.sha256:
+    if file.is_file() and file.stat().st_size == dataset.size and compute_sha256(file) == dataset.sha256:
         return file
     source = f"{(url or os.environ.get(MIRROR) or PUBLIC).rstrip('/')}/{dataset.file}"
     with OutputFolder(target) as out:

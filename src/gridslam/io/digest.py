@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 
-__all__ = ["digest_of"]
+__all__ = ["compute_digest"]
 
 
-def digest_of(path: str | Path) -> str:
+def compute_digest(path: str | Path) -> str:
     """SHA-256, in hexadecimal, of a file's bytes, or of what a folder holds.
 
     Of a folder it is the SHA-256 of lines `<SHA-256 of the file>  <path in the folder>`, as `sha256sum` writes them,
@@ -19,7 +19,7 @@ def digest_of(path: str | Path) -> str:
     """
     where = Path(path)
     if not where.is_dir():
-        return sha256_of(where)
+        return compute_sha256(where)
     files = {file.relative_to(where).as_posix(): file for file in where.rglob("*") if file.is_file()}
-    lines = (f"{sha256_of(files[name])}  {name}\n" for name in sorted(files) if files[name].stat().st_size)
+    lines = (f"{compute_sha256(files[name])}  {name}\n" for name in sorted(files) if files[name].stat().st_size)
     return hashlib.sha256("".join(lines).encode()).hexdigest()

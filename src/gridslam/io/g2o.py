@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
-from gridslam.io.g2o_lines import EDGE, FIX, VERTEX, Rows, read_rows
-from gridslam.io.output import written_aside
+from gridslam.io.g2o_lines import EDGE, FIX, VERTEX, TaggedRows, read_rows
+from gridslam.io.output import write_atomically
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
@@ -121,7 +121,7 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, 
     edges = np.concatenate([graph.measurements, graph.information[:, _UPPER[0], _UPPER[1]]], axis=1)
     lines = _lines(VERTEX, names[written, None], graph.poses[written])
     lines.insert(int(np.flatnonzero(written == 0)[0]) + 1, f"{FIX} {names[0]}\n")  # after its vertex
-    with written_aside(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
+    with write_atomically(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
         file.writelines(lines)
         file.writelines(_lines(EDGE, names[graph.edges], edges))
 
@@ -131,7 +131,7 @@ def _lines(tag: str, ids: IntArray, values: FloatArray) -> list[str]:
     return [f"{tag} {' '.join(map(repr, [*names, *numbers]))}\n" for names, numbers in rows]
 
 
-def _vertex_rows(path: str | Path, vertices: Rows) -> dict[int, int]:
+def _vertex_rows(path: str | Path, vertices: TaggedRows) -> dict[int, int]:
     """Which vertex of the file has an id."""
     rows: dict[int, int] = {}
     for row, name in enumerate(vertices.ids[:, 0].tolist()):
@@ -144,7 +144,7 @@ def _vertex_rows(path: str | Path, vertices: Rows) -> dict[int, int]:
     return rows
 
 
-def _fixed_row(path: str | Path, fixes: Rows, rows: dict[int, int]) -> int:
+def _fixed_row(path: str | Path, fixes: TaggedRows, rows: dict[int, int]) -> int:
     """Which vertex of the file is fixed."""
     names = fixes.ids[:, 0].tolist()
     for name, line in zip(names, fixes.lines, strict=True):
@@ -155,7 +155,7 @@ def _fixed_row(path: str | Path, fixes: Rows, rows: dict[int, int]) -> int:
     return rows[names[0]] if names else 0
 
 
-def _edge_rows(path: str | Path, edges: Rows, rows: dict[int, int]) -> IntArray:
+def _edge_rows(path: str | Path, edges: TaggedRows, rows: dict[int, int]) -> IntArray:
     """Which vertices of the file (M, 2) the edges join."""
     ends = np.array([rows.get(name, -1) for name in edges.ids.ravel().tolist()], np.int64).reshape(-1, 2)
     if len(missing := np.argwhere(ends < 0)):
@@ -168,7 +168,7 @@ def _edge_rows(path: str | Path, edges: Rows, rows: dict[int, int]) -> IntArray:
     return ends
 
 
-def _information(path: str | Path, edges: Rows) -> FloatArray:
+def _information(path: str | Path, edges: TaggedRows) -> FloatArray:
     """Information matrices (M, 3, 3)."""
     information = edges.values[:, 3:][:, _FULL].reshape(-1, 3, 3)
     least = np.linalg.eigvalsh(information)[:, 0]
@@ -178,7 +178,7 @@ def _information(path: str | Path, edges: Rows) -> FloatArray:
     return information
 
 
-def _check_connected(path: str | Path, pairs: IntArray, order: IntArray, vertices: Rows) -> None:
+def _check_connected(path: str | Path, pairs: IntArray, order: IntArray, vertices: TaggedRows) -> None:
     """Walk from pose 0 along the edges; each pose must be met."""
     neighbours: list[list[int]] = [[] for _ in order]
     for a, b in pairs.tolist():

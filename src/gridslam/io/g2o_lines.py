@@ -15,7 +15,7 @@ from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.text_source import TextSource
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["EDGE", "FIX", "VERTEX", "Rows", "read_rows"]
+__all__ = ["EDGE", "FIX", "VERTEX", "TaggedRows", "read_rows"]
 
 VERTEX, EDGE, FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
 
@@ -25,7 +25,7 @@ _IDS = {VERTEX: 1, EDGE: 2, FIX: 1}
 _MOST = 1e30  # squares of errors, times this, are still numbers
 
 
-class Rows(NamedTuple):
+class TaggedRows(NamedTuple):
     """Lines of one tag: ids (K, 1 or 2) int64, numbers (K, V) float64, line numbers (K,)."""
 
     ids: IntArray
@@ -33,7 +33,7 @@ class Rows(NamedTuple):
     lines: list[int]
 
 
-class _Found(NamedTuple):
+class _RowBuffer(NamedTuple):
     """The same, one value after another: a list for each row would cost more than its numbers."""
 
     ids: list[int]
@@ -41,9 +41,9 @@ class _Found(NamedTuple):
     lines: list[int]
 
 
-def read_rows(path: str | Path, skip_unknown: bool) -> tuple[dict[str, Rows], dict[str, int]]:
+def read_rows(path: str | Path, skip_unknown: bool) -> tuple[dict[str, TaggedRows], dict[str, int]]:
     """Read the lines of each known tag, and count those of each unknown one; raises InputError as `read_g2o`."""
-    found = {tag: _Found([], [], []) for tag in _FIELDS}
+    found = {tag: _RowBuffer([], [], []) for tag in _FIELDS}
     skipped = Counter[str]()
     for number, line in _numbered(path):
         words = line.split()
@@ -66,11 +66,11 @@ def _numbered(path: str | Path) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, from 1; a file whose compressed end is missing is refused."""
     source, number = TextSource(path), 0
     for block in source:
-        if source.cut_off:  # what is left is the beginning of a line
+        if source.is_truncated:  # what is left is the beginning of a line
             break
         yield from enumerate(block, number + 1)
         number += len(block)
-    if source.cut_off:
+    if source.is_truncated:
         raise InputError(path, "expected a whole file, got one whose compressed end is missing", number)
 
 
@@ -88,7 +88,7 @@ def _parsed(path: str | Path, tag: str, words: list[str], line: str, number: int
     raise InputError(path, f"expected '{tag} {_FIELDS[tag]}', got {textwrap.shorten(line, 100)!r}", number)
 
 
-def _table(path: str | Path, tag: str, found: _Found) -> Rows:
+def _table(path: str | Path, tag: str, found: _RowBuffer) -> TaggedRows:
     ids = np.array(found.ids, np.int64).reshape(-1, _IDS[tag])
     values = np.array(found.values, np.float64).reshape(len(ids), _WIDTHS[tag] - _IDS[tag])
     possible = (np.abs(values[:, :3]) <= FARTHEST_M).all(axis=1) & (np.abs(values[:, 3:]) <= _MOST).all(axis=1)
@@ -96,4 +96,4 @@ def _table(path: str | Path, tag: str, found: _Found) -> Rows:
         got = " ".join(f"{value:g}" for value in values[bad[0]])
         most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == EDGE)
         raise InputError(path, f"expected {most} for {tag} {_FIELDS[tag]}, got {got}", found.lines[bad[0]])
-    return Rows(ids, values, found.lines)
+    return TaggedRows(ids, values, found.lines)

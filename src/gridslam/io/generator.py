@@ -8,13 +8,13 @@ import numpy as np
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["generator_of", "generator_text"]
+__all__ = ["dump_generator", "load_generator"]
 
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 
 
-def generator_text(rng: np.random.Generator) -> str:
+def dump_generator(rng: np.random.Generator) -> str:
     """State of a generator as JSON; raises ArgumentError where it is not plain integers."""
     state = rng.bit_generator.state
     if state["bit_generator"] not in _GENERATORS:
@@ -22,7 +22,7 @@ def generator_text(rng: np.random.Generator) -> str:
     return json.dumps(state)
 
 
-def generator_of(text: str) -> np.random.Generator:
+def load_generator(text: str) -> np.random.Generator:
     """Generator that goes on where that of the text was; raises ArgumentError where the text is none."""
     try:
         state = json.loads(text)

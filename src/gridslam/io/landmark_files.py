@@ -13,7 +13,7 @@ from gridslam.slam.landmark_report import LandmarkMap
 
 __all__ = ["LANDMARKS_HEADER", "read_landmarks", "write_landmarks"]
 
-LANDMARKS_HEADER = "landmark,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,sightings"
+LANDMARKS_HEADER = "landmark,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2,observations"
 """First line: the columns with their units."""
 
 
@@ -21,7 +21,7 @@ def write_landmarks(path: str | Path, landmarks: LandmarkMap) -> None:
     """Write landmarks in their order; positions have nine decimals, covariances nine significant digits."""
     with Path(path).open("w", encoding="ascii", newline="\n") as file:
         file.write(LANDMARKS_HEADER + "\n")
-        parts = (landmarks.names, landmarks.positions, landmarks.covariances, landmarks.sightings)
+        parts = (landmarks.names, landmarks.positions, landmarks.covariances, landmarks.observations)
         for name, (x, y), ((xx, xy), (_, yy)), seen in zip(*(part.tolist() for part in parts), strict=True):
             file.write(f"{name},{x:.9f},{y:.9f},{xx:.9g},{xy:.9g},{yy:.9g},{seen}\n")
 
@@ -49,5 +49,5 @@ def read_landmarks(path: str | Path) -> LandmarkMap:
         if len(rows[-1]) != 5 or not all(map(math.isfinite, rows[-1])):
             raise InputError(path, f"expected seven finite numbers ({LANDMARKS_HEADER}), got {line!r:.200}", number)
     values = np.array(rows).reshape(-1, 5)
-    names, sightings = np.array(counts, np.int64).reshape(-1, 2).T
-    return LandmarkMap(names, values[:, :2], values[:, [2, 3, 3, 4]].reshape(-1, 2, 2), sightings)
+    names, observations = np.array(counts, np.int64).reshape(-1, 2).T
+    return LandmarkMap(names, values[:, :2], values[:, [2, 3, 3, 4]].reshape(-1, 2, 2), observations)

@@ -9,11 +9,11 @@ from typing import Protocol, final, runtime_checkable
 
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text_source import head_of
-from gridslam.models.sightings import LandmarkStep, SightingKind
+from gridslam.io.text_source import read_head
+from gridslam.models.landmark_observations import LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
-__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "opened_landmark_log"]
+__all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "open_landmark_log_if_path"]
 
 _HEAD_BYTES = 4096
 _KNOWN = "an odometry file of UTIAS MRCLAM (.._Odometry.dat) or lines ODOMETRY and LANDMARK (Victoria Park)"
@@ -30,7 +30,7 @@ class LandmarkLogStatistics:
         Readings of the odometry.
     steps : int
         Steps given.
-    sightings : int
+    observations : int
         Number of landmark observations.
     robots : int
         Observations of other robots, which are no landmarks; left out.
@@ -42,7 +42,7 @@ class LandmarkLogStatistics:
 
     odometry: int = 0
     steps: int = 0
-    sightings: int = 0
+    observations: int = 0
     robots: int = 0
     unknown: int = 0
     first_ns: int = 0
@@ -59,7 +59,7 @@ class LandmarkLogStatistics:
             self.first_ns = step.stamp_ns
         self.last_ns = step.stamp_ns
         self.steps += 1
-        self.sightings += len(step.sightings)
+        self.observations += len(step.observations)
         return step
 
 
@@ -88,7 +88,7 @@ class LandmarkLog(Protocol):
     """A log of landmarks; each iteration rereads it incrementally."""
 
     path: Path
-    kind: SightingKind
+    kind: ObservationKind
     stamped: bool
     """Whether its stamps are times; else they only count the steps, a second each."""
     statistics: LandmarkLogStatistics
@@ -112,7 +112,7 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
     where = Path(path)
     if where.is_dir():
         raise InputError(path, f"expected {_KNOWN}, got a folder")
-    lines = head_of(where, _HEAD_BYTES).decode("latin-1").splitlines()
+    lines = read_head(where, _HEAD_BYTES).decode("latin-1").splitlines()
     first = next((line.split()[0] for line in lines if line.split() and not line.startswith("#")), "")
     if MrclamLog.names(where):
         return MrclamLog(where)
@@ -121,7 +121,7 @@ def open_landmark_log(path: str | Path) -> LandmarkLog:
     raise InputError(path, f"expected {_KNOWN}, got a line that begins with {first[:40]!r}")
 
 
-def opened_landmark_log(log: str | Path | LandmarkLog) -> LandmarkLog:
+def open_landmark_log_if_path(log: str | Path | LandmarkLog) -> LandmarkLog:
     """Open the log at a path, and give one that is open as it is; raises ArgumentError for what is neither."""
     if isinstance(log, str | Path):
         return open_landmark_log(log)

@@ -9,16 +9,16 @@ from typing import Any, final
 
 import numpy as np
 
-from gridslam.config.tables import changed, to_table
+from gridslam.config.tables import replace_parameters, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.archive import read_arrays, write_arrays
-from gridslam.io.generator import generator_of, generator_text
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.io.generator import dump_generator, load_generator
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 
 __all__ = ["SavedLocalization", "read_localization", "write_localization"]
 
-_SCHEMA = "gridslam.saved_localization/1"
+_SCHEMA = "gridslam.saved_localization/2"
 
 
 @final
@@ -28,7 +28,7 @@ class SavedLocalization:
 
     Attributes
     ----------
-    parts : MonteCarloParts
+    configuration : MonteCarloConfiguration
         What the filter is put together from.
     state : MonteCarloState
         The filter's state; a file is written from it without consuming it.
@@ -36,7 +36,7 @@ class SavedLocalization:
         Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
     """
 
-    parts: MonteCarloParts
+    configuration: MonteCarloConfiguration
     state: MonteCarloState
     rng: np.random.Generator
 
@@ -55,8 +55,8 @@ def write_localization(path: str | Path, saved: SavedLocalization) -> None:
     """
     arrays: dict[str, Any] = {f"state.{name}": array for name, array in saved.state.to_arrays().items()}
     arrays["schema"] = np.array(_SCHEMA)
-    arrays["parts"] = np.array(json.dumps(to_table(saved.parts)))
-    arrays["generator"] = np.array(generator_text(saved.rng))
+    arrays["configuration"] = np.array(json.dumps(to_table(saved.configuration)))
+    arrays["generator"] = np.array(dump_generator(saved.rng))
     write_arrays(path, arrays)
 
 
@@ -71,7 +71,9 @@ def read_localization(path: str | Path) -> SavedLocalization:
     arrays = read_arrays(path, _SCHEMA, "a saved localization")
     own = {name.removeprefix("state."): array for name, array in arrays.items() if name.startswith("state.")}
     try:
-        parts = changed(MonteCarloParts(), json.loads(str(arrays["parts"])))
-        return SavedLocalization(parts, MonteCarloState.from_arrays(own), generator_of(str(arrays["generator"])))
+        configuration = replace_parameters(MonteCarloConfiguration(), json.loads(str(arrays["configuration"])))
+        return SavedLocalization(
+            configuration, MonteCarloState.from_arrays(own), load_generator(str(arrays["generator"]))
+        )
     except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
         raise InputError(path, f"expected a saved localization: {error}") from None

@@ -12,7 +12,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 
-__all__ = ["Log", "LogOptions", "LogSource", "open_log", "opened_log"]
+__all__ = ["Log", "LogOptions", "LogSource", "open_if_path", "open_log"]
 
 
 @runtime_checkable
@@ -102,10 +102,10 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     InputError
         There is no such file, or it is no log: names what it looks like; or an option does not fit its format.
     """
-    from gridslam.io.log_format import LogFormat, log_format_of
+    from gridslam.io.log_format import LogFormat, detect_log_format
     from gridslam.io.selection import select
 
-    form = log_format_of(path)
+    form = detect_log_format(path)
     if form is LogFormat.BAG:
         from gridslam.io.bag import BagLog  # only bags pay for the import of rosbags
 
@@ -122,7 +122,7 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     return select(CarmenLog(path, keep_truncated=options.keep_truncated), options)
 
 
-def opened_log(log: LogSource, options: LogOptions | None = None) -> Log:
+def open_if_path(log: LogSource, options: LogOptions | None = None) -> Log:
     """Open the log at a path, and give one that is open as it is.
 
     Raises

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from gridslam.errors import InputError
 from gridslam.io.carmen_lines import SCAN_TAGS
-from gridslam.io.text_source import head_of, open_for_reading
+from gridslam.io.text_source import open_for_reading, read_head
 from gridslam.io.trajectory import CSV_HEADER
 
-__all__ = ["LOG_FORMATS", "LogFormat", "log_format_of"]
+__all__ = ["LOG_FORMATS", "LogFormat", "detect_log_format"]
 
 LOG_FORMATS = "a CARMEN log or a CSV of scans (plain, .gz or .bz2), a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap)"
 """What can be read, in words."""
@@ -42,7 +42,7 @@ class LogFormat(Enum):
     CSV = "CSV"
 
 
-def log_format_of(path: str | Path) -> LogFormat:
+def detect_log_format(path: str | Path) -> LogFormat:
     """Detect the format of a log from its content, not from its name.
 
     Raises
@@ -55,7 +55,7 @@ def log_format_of(path: str | Path) -> LogFormat:
         if any(where.glob("*.db3*")) or any(where.glob("*.mcap*")) or (where / "metadata.yaml").exists():
             return LogFormat.BAG
         raise InputError(path, f"expected {LOG_FORMATS}, got a folder without metadata.yaml, .db3 or .mcap")
-    head = head_of(path, _HEAD_BYTES)
+    head = read_head(path, _HEAD_BYTES)
     if head.startswith(_BAG_MAGIC):
         with open_for_reading(path) as file:
             if file.read(len(head)).startswith(_BAG_MAGIC):

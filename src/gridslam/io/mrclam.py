@@ -15,8 +15,8 @@ from gridslam.errors import InputError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
 from gridslam.io.landmark_log import LandmarkLogStatistics, LandmarkTruth
-from gridslam.io.number_rows import NumberRow, numbered_lines, stamped_rows
-from gridslam.models.sightings import NOTHING_SEEN, LandmarkStep, SightingKind, Sightings
+from gridslam.io.number_rows import NumberRow, read_numbered_lines, read_stamped_rows
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = ["MrclamLog"]
@@ -61,7 +61,7 @@ class MrclamLog:
     Source: K. Leung et al., The UTIAS multi-robot cooperative localization and mapping dataset, IJRR 2011.
     """
 
-    kind = SightingKind.DEPTH_BEARING
+    kind = ObservationKind.DEPTH_BEARING
     stamped = True
 
     def __init__(
@@ -88,31 +88,31 @@ class MrclamLog:
         """Yield the steps in the order of time; raises InputError with the line where the log cannot be used."""
         self.statistics = LandmarkLogStatistics()
         command, increment, now, begun = (0.0, 0.0), _STANDING, None, 0
-        events: Iterator[tuple[int, Sightings | tuple[float, float]]]
-        events = heapq.merge(self._commands(), self._seen(), key=lambda event: event[0])
+        events: Iterator[tuple[int, LandmarkObservations | tuple[float, float]]]
+        events = heapq.merge(self._commands(), self._read_observations(), key=lambda event: event[0])
         for stamp, event in events:
             if now is None:
                 now = begun = stamp
-            seen = event if isinstance(event, Sightings) else NOTHING_SEEN
+            seen = event if isinstance(event, LandmarkObservations) else NO_OBSERVATIONS
             ends = seen is event or stamp - begun >= self._longest_ns
             if ends or event != command:  # an arc ends
                 passed = 1e-9 * (stamp - now)
                 increment = compose(increment, exp(np.array([command[0] * passed, 0.0, command[1] * passed])))
                 now = stamp
-            if not isinstance(event, Sightings):
+            if not isinstance(event, LandmarkObservations):
                 command = event
             if ends:
                 yield self.statistics.count(LandmarkStep(stamp, increment, None, seen))
                 increment, begun = _STANDING, stamp
 
     def _commands(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        for row in stamped_rows(self._odometry, _ODOMETRY):
+        for row in read_stamped_rows(self._odometry, _ODOMETRY):
             self.statistics.odometry += 1
             yield row.stamp_ns + self._delay_ns, (row.values[0], row.values[1])
 
-    def _seen(self) -> Iterator[tuple[int, Sightings]]:
+    def _read_observations(self) -> Iterator[tuple[int, LandmarkObservations]]:
         """Landmarks seen, all of one stamp together; stamps at which there is none are left out."""
-        for stamp, rows in groupby(stamped_rows(self._measurement, _MEASUREMENT), key=lambda row: row.stamp_ns):
+        for stamp, rows in groupby(read_stamped_rows(self._measurement, _MEASUREMENT), key=lambda row: row.stamp_ns):
             values, subjects = list[list[float]](), list[int]()
             for row in rows:
                 subject = self._subject(row)
@@ -123,7 +123,7 @@ class MrclamLog:
                 subjects.append(subject)
                 values.append([row.values[1] / self._depth_scale, row.values[2]])
             if subjects:
-                yield stamp, Sightings.of(values, subjects)
+                yield stamp, LandmarkObservations.of(values, subjects)
 
     def _subject(self, row: NumberRow) -> int | None:
         """Return the landmark that a row is of; None where it is of a robot, or misread."""
@@ -152,7 +152,7 @@ class MrclamLog:
         self._landmarks = frozenset(rows[:, 0].astype(int).tolist())
         trajectory = None
         if (path := self._find(f"{self._of_robot}Groundtruth")) is not None:
-            told = list(stamped_rows(path, _TRUTH))
+            told = list(read_stamped_rows(path, _TRUTH))
             poses = np.array([row.values for row in told]).reshape(-1, 3)
             poses[:, 2] = wrap(poses[:, 2])
             trajectory = Trajectory(np.array([row.stamp_ns for row in told], np.int64), poses)
@@ -171,7 +171,7 @@ class MrclamLog:
 def _table(path: Path, columns: str) -> FloatArray:
     """Rows of a small table of numbers (N, columns); raises InputError with the line."""
     width, rows = len(columns.split()), list[list[float]]()
-    for number, line in numbered_lines(path):
+    for number, line in read_numbered_lines(path):
         try:
             rows.append([float(word) for word in line.split()])
         except ValueError:

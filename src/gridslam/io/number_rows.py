@@ -12,7 +12,7 @@ from gridslam.errors import InputError
 from gridslam.io.carmen_lines import LineError, parse_stamp_ns
 from gridslam.io.text_source import TextSource
 
-__all__ = ["NumberRow", "numbered_lines", "stamped_rows"]
+__all__ = ["NumberRow", "read_numbered_lines", "read_stamped_rows"]
 
 
 class NumberRow(NamedTuple):
@@ -23,7 +23,7 @@ class NumberRow(NamedTuple):
     line: int
 
 
-def numbered_lines(path: str | Path) -> Iterator[tuple[int, str]]:
+def read_numbered_lines(path: str | Path) -> Iterator[tuple[int, str]]:
     """Yield the data lines with their numbers; blank ones and those that begin with # do not.
 
     Raises InputError where the file cannot be read, or ends in the middle.
@@ -31,15 +31,15 @@ def numbered_lines(path: str | Path) -> Iterator[tuple[int, str]]:
     source, number = TextSource(path), 0
     for line in chain.from_iterable(source):
         number += 1
-        if source.cut_off:  # what is left of a line
+        if source.is_truncated:  # what is left of a line
             break
         if line.strip() and not line.lstrip().startswith("#"):
             yield number, line
-    if source.cut_off:
+    if source.is_truncated:
         raise InputError(path, "the compressed file ends in the middle", number)
 
 
-def stamped_rows(path: str | Path, columns: str) -> Iterator[NumberRow]:
+def read_stamped_rows(path: str | Path, columns: str) -> Iterator[NumberRow]:
     """Yield rows of white-space separated numbers, the first of which is a stamp in seconds that never goes back.
 
     Raises
@@ -49,7 +49,7 @@ def stamped_rows(path: str | Path, columns: str) -> Iterator[NumberRow]:
         before that of the row above it.
     """
     width, last = len(columns.split()), -(2**63)
-    for number, line in numbered_lines(path):
+    for number, line in read_numbered_lines(path):
         words = line.split()
         if len(words) != width:
             raise InputError(path, f"expected {width} numbers ({columns}), got {len(words)}", number)

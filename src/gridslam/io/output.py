@@ -16,11 +16,11 @@ from typing import IO, Any, cast, final
 
 from gridslam.errors import ArgumentError, OutputError
 
-__all__ = ["OutputFolder", "opened_for_writing", "written_aside"]
+__all__ = ["OutputFolder", "open_for_writing", "write_atomically"]
 
 
 @contextmanager
-def written_aside(path: str | Path) -> Iterator[Path]:
+def write_atomically(path: str | Path) -> Iterator[Path]:
     """Give a path beside `path` to write to; it becomes `path` at the end or, after an exception, is removed."""
     target = Path(path)
     aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
@@ -34,7 +34,7 @@ def written_aside(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def opened_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
+def open_for_writing(path: Path, suffix: str) -> Iterator[IO[bytes]]:
     """Open a file whose bytes are compressed where `suffix` is .gz or .bz2."""
     with path.open("wb") as raw:
         if suffix == ".gz":

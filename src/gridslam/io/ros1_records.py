@@ -13,7 +13,7 @@ from typing import IO, NamedTuple
 
 from gridslam.io.bag_source import DamageError
 
-__all__ = ["Op", "Record", "chunk_data", "messages_in", "number_of", "read_record"]
+__all__ = ["Op", "Ros1Record", "chunk_data", "messages_in", "number_of", "read_record"]
 
 _LARGEST_HEADER = 1 << 24
 _U32, _U64, _PAIR = struct.Struct("<I"), struct.Struct("<Q"), struct.Struct("<II")
@@ -30,7 +30,7 @@ class Op:
     MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 
 
-class Record(NamedTuple):
+class Ros1Record(NamedTuple):
     """A record's header fields, and where its data begin and end."""
 
     fields: dict[bytes, bytes]
@@ -86,7 +86,7 @@ def number_of(packed: bytes) -> int:
     return int(_U32.unpack(packed)[0])
 
 
-def read_record(file: IO[bytes], position: int, op: int = 0) -> Record:
+def read_record(file: IO[bytes], position: int, op: int = 0) -> Ros1Record:
     """Read the header of the record at `position`, which must be of kind `op` if that is given; leaves its data."""
     file.seek(position)
     head = file.read(4)
@@ -97,7 +97,7 @@ def read_record(file: IO[bytes], position: int, op: int = 0) -> Record:
     if len(header) != length + 4:
         raise DamageError("a record is cut off")
     begin = position + 8 + length
-    record = Record(fields_of(header[:-4]), begin, begin + number_of(header[-4:]))
+    record = Ros1Record(fields_of(header[:-4]), begin, begin + number_of(header[-4:]))
     if op and record.op != op:
         raise DamageError(f"expected a record of kind {op}, got {record.op}")
     return record
@@ -121,7 +121,7 @@ def chunk_data(compression: bytes, data: bytes, size: int) -> bytes:
 
 
 def messages_in(
-    data: bytes, connect: Callable[[Record, bytes], None] | None = None
+    data: bytes, connect: Callable[[Ros1Record, bytes], None] | None = None
 ) -> Iterator[tuple[bytes, int, int, int]]:
     """Yield of each message in a chunk's data its connection's number (packed), time in ns, begin and end.
 
@@ -150,14 +150,14 @@ def messages_in(
         raise DamageError("a record is cut off")
 
 
-def _record_in(data: bytes, position: int) -> Record:
+def _record_in(data: bytes, position: int) -> Ros1Record:
     try:
         (length,) = _U32.unpack_from(data, position)
         begin = position + 8 + length
         (size,) = _U32.unpack_from(data, begin - 4)
     except struct.error:
         raise DamageError("a record is cut off") from None
-    return Record(fields_of(data[position + 4 : begin - 4]), begin, begin + size)
+    return Ros1Record(fields_of(data[position + 4 : begin - 4]), begin, begin + size)
 
 
 def _nanoseconds(time: bytes) -> int:

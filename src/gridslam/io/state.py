@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gridslam.config import Configuration, dumps, loads
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.archive import read_arrays, write_arrays
-from gridslam.io.generator import generator_of, generator_text
+from gridslam.io.generator import dump_generator, load_generator
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.state import GridFastSlamState
 
@@ -58,7 +58,7 @@ def write_state(path: str | Path, run: SavedRun) -> None:
     OutputError
         The file cannot be written.
     """
-    generator = generator_text(run.rng)
+    generator = dump_generator(run.rng)
     parts = {
         "state": run.state.to_arrays(),
         "trajectory": run.trajectory.to_arrays(),
@@ -96,7 +96,7 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
         return SavedRun(
             configuration,
             GridFastSlamState.from_arrays(part("state"), configuration.mapper, threads),
-            generator_of(_text(arrays, "generator")),
+            load_generator(_text(arrays, "generator")),
             TrajectoryRecorder.from_arrays(part("trajectory")),
             StatisticsRecorder.from_arrays(part("statistics")),
         )

@@ -15,7 +15,7 @@ from typing import IO, cast, final
 
 from gridslam.errors import InputError
 
-__all__ = ["TextSource", "head_of", "open_for_reading", "read_text", "sha256_of"]
+__all__ = ["TextSource", "compute_sha256", "open_for_reading", "read_head", "read_text"]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
@@ -48,7 +48,7 @@ def read_text(path: str | Path) -> str:
             raise InputError(path, "expected a text file, got binary data") from None
 
 
-def head_of(path: str | Path, size: int) -> bytes:
+def read_head(path: str | Path, size: int) -> bytes:
     """First bytes of a file, decompressed; fewer than `size` where it is shorter, cut off or damaged."""
     head = b""
     with open_for_reading(path) as file, _decompressed(file) as stream:
@@ -60,7 +60,7 @@ def head_of(path: str | Path, size: int) -> bytes:
     return head
 
 
-def sha256_of(path: str | Path) -> str:
+def compute_sha256(path: str | Path) -> str:
     """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal."""
     digest = hashlib.sha256()
     with open_for_reading(path) as file:
@@ -88,7 +88,7 @@ class TextSource:
     ----------
     total_bytes, bytes_read : int
         Size of the file and how much of it has been read, both as on disk.
-    cut_off : bool
+    is_truncated : bool
         True once the compressed stream has ended before its end mark.
     unterminated : bool
         True once the last line has been given and no line end followed it.
@@ -100,7 +100,7 @@ class TextSource:
         with open_for_reading(path) as file:
             self.total_bytes = os.fstat(file.fileno()).st_size
         self.bytes_read = 0
-        self.cut_off = False
+        self.is_truncated = False
         self.unterminated = False
 
     def __iter__(self) -> Iterator[list[str]]:
@@ -133,7 +133,7 @@ class TextSource:
         try:
             return stream.read1(_BLOCK_BYTES)  # type: ignore[attr-defined, no-any-return]
         except EOFError:
-            self.cut_off = True
+            self.is_truncated = True
             return b""
         except (OSError, zlib.error) as error:
             raise InputError(self.path, f"the file is damaged and cannot be read further: {error}") from None

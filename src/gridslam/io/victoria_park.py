@@ -10,8 +10,8 @@ import numpy as np
 
 from gridslam.errors import InputError
 from gridslam.io.landmark_log import LandmarkLogStatistics, LandmarkTruth
-from gridslam.io.number_rows import numbered_lines
-from gridslam.models.sightings import LandmarkStep, SightingKind, Sightings
+from gridslam.io.number_rows import read_numbered_lines
+from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray
 
 __all__ = ["VictoriaParkLog"]
@@ -45,7 +45,7 @@ class VictoriaParkLog:
     """
 
     TAGS = frozenset(_COLUMNS)
-    kind = SightingKind.POSITION
+    kind = ObservationKind.POSITION
     stamped = False
     truth: LandmarkTruth | None = None
 
@@ -65,19 +65,19 @@ class VictoriaParkLog:
             if tag == _LANDMARK:
                 if ids[1] in step.landmarks:
                     raise InputError(self.path, f"landmark {ids[1]} is seen twice from pose {pose}", line)
-                step.see(ids[1], values, covariance)
+                step.add_observation(ids[1], values, covariance)
                 continue
-            yield self.statistics.count(step.done())
+            yield self.statistics.count(step.build())
             self.statistics.odometry += 1
             pose, step = ids[1], _Step(step.stamp_ns + _SECOND_NS, values, covariance)
         if pose is None:
             raise InputError(self.path, f"expected lines {_ODOMETRY} and {_LANDMARK}, got none")
-        yield self.statistics.count(step.done())
+        yield self.statistics.count(step.build())
 
     def _rows(self) -> Iterator[tuple[int, str, list[int], FloatArray, FloatArray]]:
         """Number, tag, two ids, measurement (3,) or (2,) and covariance of each line."""
         sound: set[tuple[str, ...]] = set()  # covariances met before: most files have only one of each size
-        for line, text in numbered_lines(self.path):
+        for line, text in read_numbered_lines(self.path):
             tag, *words = text.split()
             columns = _COLUMNS.get(tag)
             if columns is None:
@@ -108,13 +108,13 @@ class _Step:
         self._increment, self._covariance = increment, covariance
         self._values, self._covariances = list[FloatArray](), list[FloatArray]()
 
-    def see(self, landmark: int, values: FloatArray, covariance: FloatArray) -> None:
+    def add_observation(self, landmark: int, values: FloatArray, covariance: FloatArray) -> None:
         self.landmarks.append(landmark)
         self._values.append(values)
         self._covariances.append(covariance)
 
-    def done(self) -> LandmarkStep:
+    def build(self) -> LandmarkStep:
         count = len(self.landmarks)
         covariances = np.array(self._covariances).reshape(count, 2, 2)
-        sightings = Sightings.of(np.array(self._values).reshape(count, 2), self.landmarks, covariances)
-        return LandmarkStep(self.stamp_ns, self._increment, self._covariance, sightings)
+        observations = LandmarkObservations.of(np.array(self._values).reshape(count, 2), self.landmarks, covariances)
+        return LandmarkStep(self.stamp_ns, self._increment, self._covariance, observations)

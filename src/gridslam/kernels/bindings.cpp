@@ -50,30 +50,31 @@ Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds
 #define GRIDSLAM_MAPS_ARGS \
   nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), nb::arg("field").noconvert()
 
-auto py_touch_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
-  Touched out;
+auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
+  TileList out;
   {
     nb::gil_scoped_release release;
-    touch_rays(rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), origin.data(),
+    tiles_on_rays(rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), origin.data(),
                resolution, threads, out);
   }
   return as_rows(out.data(), out.size(), 3);
 }
 
-auto py_touch_cells(Array<const int32_t, 2> cells, int reach) {
-  Touched out;
-  touch_cells(reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), reach, out);
+auto py_tiles_near_cells(Array<const int32_t, 2> cells, int reach) {
+  TileList out;
+  tiles_near_cells(reinterpret_cast<const Cell*>(cells.data()), static_cast<int>(cells.shape(0)), reach, out);
   return as_rows(out.data(), out.size(), 3);
 }
 
-auto py_own(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,
-            Array<const int32_t, 2> touched) {
+auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,
+                            Array<const int32_t, 2> tiles_to_write) {
   const Maps m = view(roots, first, pages, log_odds, field);
   int64_t used[3];
   {
     nb::gil_scoped_release release;
-    own(m, page_refs.data(), tile_refs.data(), free_pages.data(), static_cast<int64_t>(free_pages.shape(0)), free_tiles.data(),
-        static_cast<int64_t>(free_tiles.shape(0)), touched.data(), static_cast<int64_t>(touched.shape(0)), used);
+    make_tiles_writable(m, page_refs.data(), tile_refs.data(), free_pages.data(), static_cast<int64_t>(free_pages.shape(0)),
+                        free_tiles.data(), static_cast<int64_t>(free_tiles.shape(0)), tiles_to_write.data(),
+                        static_cast<int64_t>(tiles_to_write.shape(0)), used);
   }
   return std::make_tuple(used[0], used[1], used[2]);
 }
@@ -97,9 +98,9 @@ void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const u
                static_cast<int>(cone.shape(0) / 2), threads);
 }
 
-auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution, int max_passes,
+auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution, int max_iterations,
               double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells, double stop_rad, double reach_cells,
-              double min_information, double sparse_cells, int threads) {
+              double min_information, double dense_spacing_cells, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const size_t k = guesses.shape(0);
   auto poses = fresh<double, 2>({k, 3});
@@ -108,8 +109,9 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> p
   {
     nb::gil_scoped_release release;
     match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(), static_cast<int>(ends.shape(0)), resolution,
-          {max_passes, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells, min_information, sparse_cells}, threads,
-          poses.data(), information.data(), score.data());
+          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells, min_information,
+           dense_spacing_cells},
+          threads, poses.data(), information.data(), score.data());
   }
   return std::make_tuple(poses, information, score);
 }
@@ -160,16 +162,16 @@ auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
 }
 
 auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Matrix ends, Vector headings, std::array<int, 4> window,
-                  Vector centre, Matrix information, double distance, int places, int floor, double rival, double apart_cells,
-                  double apart_rad) {
+                  Vector centre, Matrix information, double distance, int count, int min_sum, double min_runner_up_ratio,
+                  double min_distance_cells, double min_distance_rad) {
   const Pyramid<const uint8_t> p{fine.data(), static_cast<int>(fine.shape(0)), static_cast<int>(fine.shape(1)),
                                  static_cast<int>(fine.shape(2)), top.data()};
   const Lattice lattice{window[0], window[1], window[2], window[3], headings.data(), static_cast<int>(headings.shape(0))};
-  std::vector<Place> found;
+  std::vector<ScoredPose> found;
   {
     nb::gil_scoped_release release;
     correlate(p, ends.data(), static_cast<int>(ends.shape(0)), lattice, {centre.data(), information.data(), distance},
-              {places, floor, rival, apart_cells, apart_rad}, found);
+              {count, min_sum, min_runner_up_ratio, min_distance_cells, min_distance_rad}, found);
   }
   return as_rows(found.data(), found.size(), 4);
 }
@@ -179,21 +181,21 @@ auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Mat
 
 NB_MODULE(_compiled, m) {
   using namespace gridslam;
-  m.def("touch_rays", &py_touch_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
-  m.def("touch_cells", &py_touch_cells, "cells"_a, "reach"_a);
-  m.def("own", &py_own, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(), nb::arg("tile_refs").noconvert(), "free_pages"_a,
-        "free_tiles"_a, "touched"_a);
+  m.def("tiles_on_rays", &py_tiles_on_rays, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "threads"_a);
+  m.def("tiles_near_cells", &py_tiles_near_cells, "cells"_a, "reach"_a);
+  m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
+        nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
   m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "hit"_a,
         "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
   m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "threads"_a);
-  m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a, "max_passes"_a,
-        "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a, "sparse_cells"_a,
-        "threads"_a);
+  m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a, "max_iterations"_a,
+        "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a,
+        "dense_spacing_cells"_a, "threads"_a);
   m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
   m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
         "threads"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
   m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a, "distance"_a,
-        "places"_a, "floor"_a, "rival"_a, "apart_cells"_a, "apart_rad"_a);
+        "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);
 }

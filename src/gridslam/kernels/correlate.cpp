@@ -160,25 +160,25 @@ class Form {
 
 class Search {
  public:
-  Search(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const Wanted& wanted)
-      : p_(p), lattice_(lattice), gate_(gate), wanted_(wanted), least_(wanted.floor) {
+  Search(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits)
+      : p_(p), lattice_(lattice), gate_(gate), limits_(limits), least_(limits.min_sum) {
     turned_.reserve(lattice.turns);
     for (int a = 0; a < lattice.turns; ++a) turned_.emplace_back(ends, b, lattice.headings[a], p.side());
   }
 
-  void run(std::vector<Place>& found) {
+  void run(std::vector<ScoredPose>& found) {
     bound_all();
-    while (!queue_.empty() && static_cast<int>(found.size()) < wanted_.places) {
+    while (!queue_.empty() && static_cast<int>(found.size()) < limits_.count) {
       std::pop_heap(queue_.begin(), queue_.end());
       const Node node = queue_.back();
       queue_.pop_back();
       if (node.bound < least_) return;
-      if (at_a_known_place(node, found)) continue;
+      if (is_near_found_pose(node, found)) continue;
       if (node.level > 0) {
         branch(node);
       } else {
         found.push_back({node.bound, node.heading, node.y, node.x});
-        least_ = std::max<double>(least_, wanted_.rival * found.front().sum);
+        least_ = std::max<double>(least_, limits_.min_runner_up_ratio * found.front().sum);
       }
     }
   }
@@ -220,13 +220,14 @@ class Search {
   bool may_pass(const Node& node) const { return Form(gate_, node, lattice_.headings[node.heading]).may_pass(node.x); }
 
   // Whether all poses of the node are at one of the places found.
-  bool at_a_known_place(const Node& node, const std::vector<Place>& found) const {
+  bool is_near_found_pose(const Node& node, const std::vector<ScoredPose>& found) const {
     const int more = (1 << node.level) - 1;
-    for (const Place& place : found) {
+    for (const ScoredPose& place : found) {
       const double turn = std::remainder(lattice_.headings[node.heading] - lattice_.headings[place.heading], 2 * M_PI);
       const double x = std::max(std::abs(node.x - place.x), std::abs(node.x + more - place.x));
       const double y = std::max(std::abs(node.y - place.y), std::abs(node.y + more - place.y));
-      if (std::abs(turn) <= wanted_.apart_rad && x * x + y * y <= wanted_.apart_cells * wanted_.apart_cells) return true;
+      const double squared = limits_.min_distance_cells * limits_.min_distance_cells;
+      if (std::abs(turn) <= limits_.min_distance_rad && x * x + y * y <= squared) return true;
     }
     return false;
   }
@@ -234,7 +235,7 @@ class Search {
   const Pyramid<const uint8_t>& p_;
   const Lattice& lattice_;
   const Gate& gate_;
-  const Wanted& wanted_;
+  const SearchLimits& limits_;
   double least_;
   std::vector<Turned> turned_;
   std::vector<Node> queue_;
@@ -242,9 +243,9 @@ class Search {
 
 }  // namespace
 
-void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const Wanted& wanted,
-               std::vector<Place>& found) {
-  Search(p, ends, b, lattice, gate, wanted).run(found);
+void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits,
+               std::vector<ScoredPose>& found) {
+  Search(p, ends, b, lattice, gate, limits).run(found);
 }
 
 }  // namespace gridslam

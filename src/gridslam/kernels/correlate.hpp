@@ -41,16 +41,17 @@ struct Gate {
   double distance;
 };
 
-struct Wanted {
-  int places, floor;                          // how many, and the least sum of any
-  double rival, apart_cells, apart_rad;       // each after the first: least part of its sum, and how far from all before
+struct SearchLimits {
+  int count, min_sum;  // how many poses, and the least sum of any
+  // Each after the first: least part of the first's sum, and how far from all before.
+  double min_runner_up_ratio, min_distance_cells, min_distance_rad;
 };
 
-struct Place {
+struct ScoredPose {
   int32_t sum, heading, y, x;
 };
 
-void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const Wanted& wanted,
-               std::vector<Place>& found);
+void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits,
+               std::vector<ScoredPose>& found);
 
 }  // namespace gridslam

@@ -128,13 +128,13 @@ struct Cell {
   int32_t row, y, x, occupied;
 };
 
-using Touched = std::vector<std::array<int32_t, 3>>;
+using TileList = std::vector<std::array<int32_t, 3>>;
 
-void touch_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
-                double resolution, int threads, Touched& out);
-void touch_cells(const Cell* cells, int n, int reach, Touched& out);
-void own(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
-         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* touched, int64_t n, int64_t used[3]);
+void tiles_on_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
+                   double resolution, int threads, TileList& out);
+void tiles_near_cells(const Cell* cells, int n, int reach, TileList& out);
+void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
+                         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* tiles_to_write, int64_t n, int64_t used[3]);
 
 struct Evidence {
   int hit, miss, min, max, occupied_above;
@@ -144,10 +144,10 @@ void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, in
 void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads);
 
 struct MatchSettings {
-  int max_passes;
+  int max_iterations;
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
   double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as determined
-  double sparse_cells;     // ends on a straight wall farther apart than this are ignored along it
+  double dense_spacing_cells;  // ends on a straight wall farther apart than this are ignored along it
 };
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score);

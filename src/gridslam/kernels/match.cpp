@@ -89,7 +89,7 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
 }
 
 // Pins the position along a degenerate direction (a corridor's axis) to the guess.
-void hold_undetermined(const Normal& n, const MatchSettings& s, double h[6]) {
+void pin_degenerate(const Normal& n, const MatchSettings& s, double h[6]) {
   const double t = n.h22 > 0 ? 1.0 / n.h22 : 0.0;
   const double a = n.h00 - n.h02 * n.h02 * t, b = n.h01 - n.h02 * n.h12 * t, c = n.h11 - n.h12 * n.h12 * t;
   const double mean = 0.5 * (a + c), half = std::sqrt(0.25 * (a - c) * (a - c) + b * b), least = s.min_information * n.score;
@@ -131,11 +131,11 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
   const int32_t* root = m.root(row);
   Normal n;
   bool current = false;
-  for (int pass = 0; pass < s.max_passes; ++pass) {
+  for (int pass = 0; pass < s.max_iterations; ++pass) {
     n = linearize(m, root, x, y, theta, ends, walls, s);
     current = true;
     double h[6] = {p[0], p[1], p[2], p[3], p[4], p[5]};
-    hold_undetermined(n, s, h);
+    pin_degenerate(n, s, h);
     const double ex = x - x0, ey = y - y0, et = theta - guess[2];
     const double g[3] = {n.g0 + h[0] * ex + h[1] * ey + h[2] * et, n.g1 + h[1] * ex + h[3] * ey + h[4] * et,
                          n.g2 + h[2] * ex + h[4] * ey + h[5] * et};
@@ -163,7 +163,7 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
 void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
            double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score) {
   const Ends in_cells(ends, b, 1.0 / resolution);
-  const Walls walls(in_cells, s.sparse_cells);
+  const Walls walls(in_cells, s.dense_spacing_cells);
   parallel_for(k, threads, [&](int i) {
     match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i, information + 9 * i, score + i);
   });

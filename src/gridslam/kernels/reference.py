@@ -22,11 +22,26 @@ of the map of each pose, each map at most once where the kernel writes. `threads
 from __future__ import annotations
 
 from gridslam.kernels.reference_correlate import correlate, max_pyramid
+from gridslam.kernels.reference_likelihood import sum_at_ends
 from gridslam.kernels.reference_lookup import cast_rays, distances, match
-from gridslam.kernels.reference_update import own, touch_cells, touch_rays, update_field, update_log_odds
-from gridslam.kernels.reference_weigh import sum_at_ends
+from gridslam.kernels.reference_update import (
+    make_tiles_writable,
+    tiles_near_cells,
+    tiles_on_rays,
+    update_field,
+    update_log_odds,
+)
 
 __all__ = [
-    "cast_rays", "correlate", "distances", "match", "max_pyramid", "own", "sum_at_ends", "touch_cells", "touch_rays",
-    "update_field", "update_log_odds",
+    "cast_rays",
+    "correlate",
+    "distances",
+    "make_tiles_writable",
+    "match",
+    "max_pyramid",
+    "sum_at_ends",
+    "tiles_near_cells",
+    "tiles_on_rays",
+    "update_field",
+    "update_log_odds",
 ]  # fmt: skip

@@ -43,8 +43,8 @@ def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
 
 def correlate(
     fine: Bytes, top: Bytes, ends: FloatArray, headings: FloatArray, window: tuple[int, int, int, int],
-    centre: FloatArray, information: FloatArray, distance: float, places: int, floor: int, rival: float,
-    apart_cells: float, apart_rad: float,
+    centre: FloatArray, information: FloatArray, distance: float, count: int, min_sum: int, min_runner_up_ratio: float,
+    min_distance_cells: float, min_distance_rad: float,
 ) -> Int32Array:  # fmt: skip
     """The best lattice pose of a scan in a map, and the best ones that are other places.
 
@@ -61,17 +61,17 @@ def correlate(
         x0, x1, y0, y1: cells of the map.
     centre, information : (3,), (3, 3) float64
         In cells and rad, from the lower left corner of the map's cell (0, 0); headings are taken as they are given.
-    places, floor : int
+    count, min_sum : int
         How many places are wanted, and the least sum of each.
-    rival : float
+    min_runner_up_ratio : float
         Least part of the first place's sum that the others must have.
-    apart_cells, apart_rad : float
+    min_distance_cells, min_distance_rad : float
         A pose within both of an earlier place is not another one.
 
     Returns
     -------
     (N, 4) int32
-        [sum, heading's index, y, x] of at most `places` places, the best first.
+        [sum, heading's index, y, x] of at most `count` places, the best first.
 
     Source: Olson, Real-time correlative scan matching (ICRA 2009); Hess et al. 2016, Algorithm 3, of which the
     compiled twin is the best-first form.
@@ -79,18 +79,18 @@ def correlate(
     poses = [np.zeros((0, 4), np.int64)]
     for index, heading in enumerate(headings.tolist()):
         sums = np.where(_within(window, heading, centre, information, distance), _sums(fine, ends, heading, window), -1)
-        y, x = np.nonzero(sums >= max(floor, 0))
+        y, x = np.nonzero(sums >= max(min_sum, 0))
         poses.append(np.column_stack([sums[y, x], np.full(len(y), index), y + window[2], x + window[0]]))
     left = np.concatenate(poses)
     left = left[np.argsort(-left[:, 0], kind="stable")]
     found: list[IntArray] = []
-    while len(left) and len(found) < places:
+    while len(left) and len(found) < count:
         place = left[0]
         found.append(place)
         turns = np.array([abs(math.remainder(h - headings[place[1]], 2 * math.pi)) for h in headings.tolist()])
         squared = ((left[:, 2:] - place[2:]) ** 2).sum(axis=1)
-        other = (turns[left[:, 1]] > apart_rad) | (squared > apart_cells**2)
-        left = left[other & (left[:, 0] >= rival * found[0][0])]
+        other = (turns[left[:, 1]] > min_distance_rad) | (squared > min_distance_cells**2)
+        left = left[other & (left[:, 0] >= min_runner_up_ratio * found[0][0])]
     return np.array(found, dtype=np.int32).reshape(-1, 4)
 
 

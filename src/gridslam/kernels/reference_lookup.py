@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.kernels import UNKNOWN
-from gridslam.kernels.reference_update import FloatArray, Int32Array, IntArray, addresses, placed
+from gridslam.kernels.reference_update import FloatArray, Int32Array, IntArray, cell_addresses, transform_to_world
 
 __all__ = ["cast_rays", "distances", "match"]
 
 FloatMap = NDArray[np.float32]
 
 _OCCUPIED = 255
-_HOLD = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
+_PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
 _BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
@@ -31,13 +31,13 @@ class _Field(NamedTuple):
     values: NDArray[np.uint8]
     rows: Int32Array
 
-    def places(self, y: IntArray, x: IntArray) -> IntArray:
+    def cell_addresses(self, y: IntArray, x: IntArray) -> IntArray:
         """Positions (K, B) of cells y, x (K, B) in the flattened tiles."""
-        return addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)
+        return cell_addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)
 
     def at(self, y: IntArray, x: IntArray) -> NDArray[np.uint8]:
         """Values (K, B) at cells y, x (K, B)."""
-        return self.values.reshape(-1)[self.places(y, x)]
+        return self.values.reshape(-1)[self.cell_addresses(y, x)]
 
     def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
         """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
@@ -59,7 +59,7 @@ def distances(
     Interpolated between cells; the field's reach where nothing is nearer.
     """
     scale, reach_m = 1.0 / resolution, reach_cells * resolution
-    x, y = placed(poses, ends)
+    x, y = transform_to_world(poses, ends)
     value, _, _ = _Field(roots, first, pages, field, rows).sample(x * scale, y * scale)
     return (reach_m - reach_m / 255.0 * value.astype(np.float64)).astype(np.float32)
 
@@ -75,8 +75,8 @@ def cast_rays(
 
     Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing (1987).
     """
-    place = np.concatenate(placed(poses, origin[None]), axis=1)[:, None]
-    turned = np.stack(placed(poses * [0, 0, 1], directions), axis=-1)
+    place = np.concatenate(transform_to_world(poses, origin[None]), axis=1)[:, None]
+    turned = np.stack(transform_to_world(poses * [0, 0, 1], directions), axis=-1)
     lookup = _Field(roots, first, pages, field, rows)
     cell = np.broadcast_to(np.floor(place * (1.0 / resolution)), turned.shape).astype(np.int64)
     forward = np.where(turned > 0, 1, -1)
@@ -102,8 +102,8 @@ def cast_rays(
 def match(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
     rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, resolution: float,
-    max_passes: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
-    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, sparse_cells: float,
+    max_iterations: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
+    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, dense_spacing_cells: float,
     threads: int,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
@@ -111,9 +111,9 @@ def match(
     Minimizes sum_b c^2 log(1 + (d_b / c)^2) + e^T P e with d_b the distance and c = `cauchy_cells` in cells, e the way
     from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
     `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
-    less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall `sparse_cells`
-    or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies along their wall rather
-    than across are ignored entirely (0: all are used).
+    less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall
+    `dense_spacing_cells` or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies
+    along their wall rather than across are ignored entirely (0: all are used).
 
     Returns
     -------
@@ -129,11 +129,11 @@ def match(
     prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
     pose, going = guess.copy(), np.arange(len(guesses))
-    settings = ends / resolution, _walls(ends * (1 / resolution), sparse_cells), cauchy_cells, reach_cells
-    for _ in range(max_passes):
+    settings = ends / resolution, _walls(ends * (1 / resolution), dense_spacing_cells), cauchy_cells, reach_cells
+    for _ in range(max_iterations):
         lookup = _Field(roots, first, pages, field, rows[going])
         h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
-        held = prior[going] + _hold(h, min_information * score)
+        held = prior[going] + _pin_degenerate(h, min_information * score)
         step, solved = _solve(h + held, g + np.einsum("kij,kj->ki", held, pose[going] - guess[going]))
         step, going = step[solved], going[solved]
         length = np.hypot(step[:, 0], step[:, 1])
@@ -153,7 +153,7 @@ def _linearize(
     cauchy_cells: float, reach_cells: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
-    u, v = placed(poses, ends)
+    u, v = transform_to_world(poses, ends)
     value, du, dv = lookup.sample(u, v)
     to_cells = reach_cells / 255.0
     d = reach_cells - to_cells * value.astype(np.float64)
@@ -163,10 +163,10 @@ def _linearize(
     normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
     beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
-    beyond &= log_odds.reshape(-1)[lookup.places(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
+    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
     across = slope * normals
-    said = across + along[:, None] * (gradient - across)
-    ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, said), -1, 0)
+    constraining = across + along[:, None] * (gradient - across)
+    ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
     jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
     weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
     weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
@@ -206,7 +206,7 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
     return normals, along
 
 
-def _hold(h: FloatArray, least: FloatArray) -> FloatArray:
+def _pin_degenerate(h: FloatArray, least: FloatArray) -> FloatArray:
     """Information (K, 3, 3) that pins the position where its own, the heading marginalized, is below `least` (K,)."""
     turn = h[:, 2, 2]
     known = np.where(turn > 0, 1.0 / np.where(turn > 0, turn, 1.0), 0.0)
@@ -216,8 +216,8 @@ def _hold(h: FloatArray, least: FloatArray) -> FloatArray:
     weakest = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     held = np.zeros_like(h)
     one, both = mean - half < least, mean + half < least
-    held[one, :2, :2] = _HOLD * weakest[one, :, None] * weakest[one, None, :]
-    held[both, :2, :2] = _HOLD * np.eye(2)
+    held[one, :2, :2] = _PIN * weakest[one, :, None] * weakest[one, None, :]
+    held[both, :2, :2] = _PIN * np.eye(2)
     return held
 
 

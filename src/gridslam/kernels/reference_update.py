@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 
 __all__ = [
-    "addresses", "own", "placed", "ray_cells", "touch_cells", "touch_rays", "update_field", "update_log_odds",
+    "cell_addresses",
+    "make_tiles_writable",
+    "ray_cells",
+    "tiles_near_cells",
+    "tiles_on_rays",
+    "transform_to_world",
+    "update_field",
+    "update_log_odds",
 ]  # fmt: skip
 
 FloatArray = NDArray[np.float64]
@@ -23,7 +30,7 @@ _OCCUPIED = 255
 _BLOCK = 512  # changed cells whose windows are in memory at once
 
 
-def placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def transform_to_world(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """World coordinates x, y (K, B) in m of points (B, 2) of the base frame seen from poses (K, 3).
 
     Sine and cosine are the C library's, as in the kernels: NumPy's differ in the last bit, and so would a cell.
@@ -36,12 +43,12 @@ def placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArra
 
 def _cells(poses: FloatArray, points: FloatArray, resolution: float) -> IntArray:
     """Cells (K, B, 2) = [y, x] that hold points (B, 2) of the base frame."""
-    x, y = placed(poses, points)
+    x, y = transform_to_world(poses, points)
     scale = 1.0 / resolution
     return np.stack([np.floor(y * scale), np.floor(x * scale)], axis=-1).astype(np.int64)
 
 
-def addresses(
+def cell_addresses(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, rows: NDArray[np.integer], y: IntArray, x: IntArray
 ) -> IntArray:
     """Positions (...) of cells y, x (...) of maps `rows` (...) in the flattened tiles; tile 0's where there is none."""
@@ -69,7 +76,7 @@ def ray_cells(start: IntArray, ends: IntArray) -> IntArray:
     return cells
 
 
-def touch_rays(
+def tiles_on_rays(
     rows: Int32Array, poses: FloatArray, ends: FloatArray, origin: FloatArray, resolution: float, threads: int
 ) -> Int32Array:
     """Tiles that the rays from `origin` (2,) to `ends` (B, 2) cross, seen from poses (K, 3).
@@ -80,7 +87,7 @@ def touch_rays(
         [row, tile y, tile x], each tile of a row once; grouped by pose, ascending within.
     """
     starts, tips = _cells(poses, origin[None], resolution)[:, 0], _cells(poses, ends, resolution)
-    touched = [np.zeros((0, 3), np.int32)]
+    tiles_to_write = [np.zeros((0, 3), np.int32)]
     for row, start, tip in zip(rows, starts, tips, strict=True):
         tiles = np.concatenate([ray_cells(start, tip), tip]) // TILE
         if not len(tiles):
@@ -89,11 +96,11 @@ def touch_rays(
         marked = np.zeros(tiles.max(axis=0) - low + 1, bool)
         marked[tuple((tiles - low).T)] = True
         found = np.argwhere(marked) + low
-        touched.append(np.column_stack([np.full(len(found), row), found]).astype(np.int32))
-    return np.concatenate(touched)
+        tiles_to_write.append(np.column_stack([np.full(len(found), row), found]).astype(np.int32))
+    return np.concatenate(tiles_to_write)
 
 
-def touch_cells(cells: Int32Array, reach: int) -> Int32Array:
+def tiles_near_cells(cells: Int32Array, reach: int) -> Int32Array:
     """Tiles within `reach` cells (1 to 15) of changed `cells` (M, 4) = [row, y, x, occupied], grouped by row.
 
     Returns
@@ -107,9 +114,10 @@ def touch_cells(cells: Int32Array, reach: int) -> Int32Array:
     return np.unique(around.reshape(-1, 3), axis=0).astype(np.int32)
 
 
-def own(
+def make_tiles_writable(
     roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    page_refs: Int32Array, tile_refs: Int32Array, free_pages: Int32Array, free_tiles: Int32Array, touched: Int32Array,
+    page_refs: Int32Array, tile_refs: Int32Array, free_pages: Int32Array, free_tiles: Int32Array,
+    tiles_to_write: Int32Array,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Copy on write: give every touched tile (N, 3) = [row, tile y, tile x] to its map alone, in order.
 
@@ -129,7 +137,7 @@ def own(
         How many free pages and tiles were taken, and how many of the touched tiles are owned now.
     """
     pages_left, tiles_left, done = len(free_pages), len(free_tiles), 0
-    for row, ty, tx in touched.tolist():
+    for row, ty, tx in tiles_to_write.tolist():
         at = row, ty // PAGE - first[0], tx // PAGE - first[1]
         page = roots[at]
         if page == 0 or page_refs[page] > 1:
@@ -190,7 +198,7 @@ def update_log_odds(
         free = ~np.isin(keys, end_keys, assume_unique=True)
         cells = np.concatenate([free_cells[free], end_cells])
         evidence = np.concatenate([misses[free] * miss, hits * hit])
-        at = addresses(roots, first, pages, row, cells[:, 0], cells[:, 1])
+        at = cell_addresses(roots, first, pages, row, cells[:, 0], cells[:, 1])
         before = np.where(stored[at] == UNKNOWN, 0, stored[at]).astype(np.int64)
         after = before + evidence
         after = np.where(evidence < 0, np.maximum(after, min), np.minimum(after, max))
@@ -216,7 +224,7 @@ def update_field(
     def windows(part: Int32Array, around: int) -> IntArray:
         d = np.arange(-around, around + 1)
         row, y, x = (part[:, c, None, None].astype(np.int64) for c in range(3))
-        return addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
+        return cell_addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
 
     values[windows(cells, 0)[:, 0, 0]] = np.where(cells[:, 3] != 0, _OCCUPIED, 0)
     freed, met = cells[cells[:, 3] == 0], cells[cells[:, 3] != 0]

@@ -71,9 +71,9 @@ inline uint32_t occupied_bits(const uint8_t* cells) {
 
 // How often the rays of one scan pass each cell: a rectangle of counters, of which only the tiles that they cross are used.
 template <class Count>
-class Passes {
+class PassCounts {
  public:
-  Passes(const TileSet& tiles, std::vector<Count>& memory)
+  PassCounts(const TileSet& tiles, std::vector<Count>& memory)
       : y0_(tiles.y0 * kTile), x0_(tiles.x0 * kTile), width_(tiles.cols * kTile), tiles_(tiles) {
     const size_t size = static_cast<size_t>(tiles.rows) * kTile * width_;
     if (memory.size() < size) memory.resize(size);
@@ -132,7 +132,7 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
   const int32_t* root = m.root(row);
   const Fan fan(pose, ends, b, origin, scale);
   const TileSet tiles = fan.tiles();
-  Passes<Count> passes(tiles, memory);
+  PassCounts<Count> passes(tiles, memory);
   for (int j = 0; j < b; ++j) passes.add(fan.line(j));
   for (int j = 0; j < b; ++j) *passes.at(fan.ys[j], fan.xs[j]) = 0;  // an end cell of this scan is not freed by it
   passes.apply(m, root, e, row, changed);
@@ -177,7 +177,7 @@ void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int
 }
 
 // A newly occupied cell's cone, as a maximum over what is there.
-void stamp(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
+void raise_cone(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
   const int r = cone.reach;
   window_rows(m, root, cy - r, cy + r, cx - r, cx + r, [&](int64_t first, int y, int x) {
     uint8_t* to = m.field + first;
@@ -228,7 +228,7 @@ GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row
 }
 
 // Recomputes the field around a freed cell, where that cell was the nearest obstacle.
-void rebuild(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
+void rebuild_field(const Maps& m, const int32_t* root, int cy, int cx, const Cone& cone) {
   const int r = cone.reach;
   const Obstacles near(m, root, cy, cx, r);
   window_rows(m, root, cy - r, cy + r, cx - r, cx + r, [&](int64_t first, int y, int x) {
@@ -264,12 +264,12 @@ void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone_c
     for (int i = starts[g]; i < starts[g + 1]; ++i) {
       const Cell& c = cells[i];
       if (c.occupied)
-        stamp(m, root, c.y, c.x, cone);
+        raise_cone(m, root, c.y, c.x, cone);
       else  // no cell's nearest obstacle is found at it from now on
         m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells + Maps::inside(c.y, c.x)] = 0;
     }
     for (int i = starts[g]; i < starts[g + 1]; ++i)
-      if (!cells[i].occupied) rebuild(m, root, cells[i].y, cells[i].x, cone);
+      if (!cells[i].occupied) rebuild_field(m, root, cells[i].y, cells[i].x, cone);
   });
 }
 

@@ -13,7 +13,7 @@ from gridslam.live.sight import BEST, View
 from gridslam.live.tiles import TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.types import LaserScan, OccupancyGrid
-from gridslam.viz.cloud import fair_share
+from gridslam.viz.cloud import select_representatives
 
 __all__ = ["CloudSight"]
 
@@ -66,7 +66,7 @@ class _CloudView:
 
     def particles(self) -> Float32Array:
         """At most a thousand, moved on by odometry since the last update."""
-        chosen, shares = fair_share(np.exp(self.state.log_weights))
+        chosen, shares = select_representatives(np.exp(self.state.log_weights))
         moved = between(self.state.estimate.pose, self.report.pose)
         poses = compose(self.state.poses[chosen], moved).astype(np.float32)
         return np.column_stack([np.rint(poses * _GRAIN) / _GRAIN, shares.astype(np.float32)])
@@ -79,4 +79,4 @@ class _CloudView:
 
     def facts(self) -> dict[str, Any]:
         report = self.report
-        return {"particles": report.particles, "doubt": report.lost_probability, "agreement": report.agreement}
+        return {"particles": report.particles, "doubt": report.lost_probability, "agreement": report.inlier_ratio}

@@ -21,7 +21,7 @@ from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 __all__ = ["Finished", "open_finished"]
 
-_BELIEF = "stamp_s,lost,lost_probability,agreement,particles,n_eff,augmented"
+_BELIEF = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 
 
 class Finished(NamedTuple):

@@ -2,10 +2,15 @@
 
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
-from gridslam.localization.parts import MonteCarloParts
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, LocalizationSkip, MonteCarloState
 
 __all__ = [
-    "KnownMap", "LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloLocalization",
-    "MonteCarloParts", "MonteCarloState",
+    "KnownMap",
+    "LocalizationObserver",
+    "LocalizationReport",
+    "LocalizationSkip",
+    "MonteCarloConfiguration",
+    "MonteCarloLocalization",
+    "MonteCarloState",
 ]  # fmt: skip

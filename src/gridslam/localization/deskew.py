@@ -11,12 +11,12 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["Deskew"]
+__all__ = ["LocalizationDeskew"]
 
 
 @final
 @parameters(frozen=True, config=STRICT)
-class Deskew:
+class LocalizationDeskew:
     """Deskews a scan by the times of its beams, in the order by which it fits the map.
 
     Some drivers report these times in reverse order or without meaning. A known map detects this, scan by scan.
@@ -45,10 +45,10 @@ class Deskew:
         share : callable
             Inlier ratio after matching to the map.
         """
-        told, times = beams.deskewed(twist), beams.scan.beam_times_s
+        told, times = beams.deskew(twist), beams.scan.beam_times_s
         if times is None or abs(twist[2]) * (times.max() - times.min()) <= self.turn_rad:
             return told
-        orders = told, beams, beams.deskewed(-twist)
+        orders = told, beams, beams.deskew(-twist)
         shares = [share(order) for order in orders]
         best = shares.index(max(shares))
         return orders[best] if shares[best] > shares[0] + self.margin else told

@@ -12,12 +12,12 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.models.association import AMBIGUOUS, NEW, Association, Told
+from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.sightings import Sightings
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 __all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
@@ -46,8 +46,8 @@ class KnownLandmarks:
     @classmethod
     def of(cls, names: ArrayLike, positions: ArrayLike) -> KnownLandmarks:
         """Validate and copy; ArgumentError for wrong shapes, no landmark, a name twice, a value that is not finite."""
-        places = frozen(positions, np.float64, (None, 2), "positions")
-        signatures = frozen(names, np.int64, (len(places),), "names")
+        places = freeze(positions, np.float64, (None, 2), "positions")
+        signatures = freeze(names, np.int64, (len(places),), "names")
         if not len(places) or not np.isfinite(places).all():
             raise ArgumentError("positions", "at least one landmark, at finite places", places.tolist())
         if len(np.unique(signatures)) < len(signatures):
@@ -98,8 +98,8 @@ class EkfLocalization:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` if the observations contain the correspondences, `MaximumLikelihood` otherwise. Both gate by the
-        Mahalanobis distance of an observation from its prediction.
+        `KnownCorrespondence` if the observations contain the correspondences, `MaximumLikelihood` otherwise. Both gate
+        by the Mahalanobis distance of an observation from its prediction.
 
     Source: Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is associated
     twice in one step). The tables correct by one observation after the other; here all observations of a step are used
@@ -108,15 +108,15 @@ class EkfLocalization:
 
     landmarks: KnownLandmarks
     sensor: LandmarkModel = field(default_factory=RangeBearing)
-    association: Association = field(default_factory=Told)
+    association: Association = field(default_factory=KnownCorrespondence)
 
     def init(self, pose: ArrayLike, covariance: ArrayLike) -> PoseGaussian:
         """Begin near a pose (3,), with a covariance (3, 3).
 
         Raises ArgumentError for a pose that is not finite, or a matrix that is no covariance.
         """
-        mean = frozen(pose, np.float64, (3,), "pose")
-        spread = frozen(covariance, np.float64, (3, 3), "covariance")
+        mean = freeze(pose, np.float64, (3,), "pose")
+        spread = freeze(covariance, np.float64, (3, 3), "covariance")
         if not np.isfinite(mean).all():
             raise ArgumentError("pose", "finite x, y, theta", mean.tolist())
         if not np.isfinite(spread).all() or not np.allclose(spread, spread.T) or np.linalg.eigvalsh(spread)[0] < 0:
@@ -124,7 +124,7 @@ class EkfLocalization:
         return PoseGaussian(np.array([mean[0], mean[1], wrap(float(mean[2]))]), spread)
 
     def step(
-        self, belief: PoseGaussian, motion: MotionSampler, sightings: Sightings
+        self, belief: PoseGaussian, motion: MotionSampler, observations: LandmarkObservations
     ) -> tuple[PoseGaussian, EkfLocalizationReport]:
         """Take one step.
 
@@ -133,7 +133,7 @@ class EkfLocalization:
         belief : PoseGaussian
         motion : MotionSampler
             The motion model, conditioned on u_t.
-        sightings : Sightings
+        observations : LandmarkObservations
             z_t, with c_t where the association needs it; perhaps none.
 
         Raises
@@ -142,12 +142,12 @@ class EkfLocalization:
             The association needs correspondences that the observations do not contain.
         """
         belief = self._predicted(belief, motion)
-        if not len(sightings):
+        if not len(observations):
             return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
-        noise = self.sensor.noise(sightings)
-        places = self._correspondences(belief, sightings, noise)
+        noise = self.sensor.noise(observations)
+        places = self._correspondences(belief, observations, noise)
         seen = np.flatnonzero(places >= 0)
-        belief, log_likelihood = self._corrected(belief, places[seen], sightings.values[seen], noise[seen])
+        belief, log_likelihood = self._corrected(belief, places[seen], observations.values[seen], noise[seen])
         told = np.where(places >= 0, self.landmarks.names[places], np.where(places == NEW, NEW, AMBIGUOUS))
         return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
 
@@ -158,13 +158,13 @@ class EkfLocalization:
         G[:2, 2] = belief.pose[1] - pose[1], pose[0] - belief.pose[0]
         return PoseGaussian(pose, G @ belief.covariance @ G.T + motion_noise)
 
-    def _correspondences(self, belief: PoseGaussian, sightings: Sightings, noise: FloatArray) -> IntArray:
+    def _correspondences(self, belief: PoseGaussian, observations: LandmarkObservations, noise: FloatArray) -> IntArray:
         """Table 7.3, lines 9 to 15: the index of each observation's landmark in the map."""
         predicted, H, _ = self.sensor.linearize(belief.pose, self.landmarks.positions)
-        residuals = self.sensor.residual(sightings.values[:, None], predicted)
+        residuals = self.sensor.residual(observations.values[:, None], predicted)
         S = H @ belief.covariance @ H.swapaxes(1, 2) + noise[:, None]
         distances = np.einsum("kmi,kmij,kmj->km", residuals, np.linalg.inv(S), residuals)
-        return self.association(sightings, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
+        return self.association(observations, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
 
     def _corrected(
         self, belief: PoseGaussian, places: IntArray, measured: FloatArray, noise: FloatArray

@@ -18,13 +18,13 @@ from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.localization.distance_transform import distance_transform
 from gridslam.localization.field_table import FieldTable
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
 
-__all__ = ["KnownMap", "PoseWeigher"]
+__all__ = ["KnownMap", "PoseLikelihood"]
 
-PoseWeigher = Callable[[FloatArray], FloatArray]
+PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
 _OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
@@ -73,7 +73,7 @@ class KnownMap:
         self._corner = np.array(grid.origin) - rim * grid.resolution_m
         cells = distance_transform(np.pad(occupied, rim), reach)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
-        self._tabulated: dict[LikelihoodField | CauchyAgreement, FieldTable] = {}
+        self._tabulated: dict[LikelihoodField | CauchyEndPoint, FieldTable] = {}
         self._rim = rim
 
     def __repr__(self) -> str:
@@ -111,7 +111,7 @@ class KnownMap:
         spread[2, 2] = math.pi**2 / 3
         return spread
 
-    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def sample_poses(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Poses (count, 3), uniform over free cells and headings."""
         cells = self._free_cells[rng.integers(len(self._free_cells), size=count)]
         poses = rng.random((count, 3))
@@ -119,22 +119,22 @@ class KnownMap:
         poses[:, 2] = (poses[:, 2] - 0.5) * math.tau
         return poses
 
-    def blurred_m(self, sigma_m: float) -> float:
+    def blurred_sigma_m(self, sigma_m: float) -> float:
         """Standard deviation of an end's distance to the map's obstacles: a beam's, and the map's rounding to cells."""
         return math.hypot(sigma_m, self.resolution_m / math.sqrt(12))
 
-    def weigher(self, sensor: SensorModel, beams: Beams) -> PoseWeigher:
+    def condition(self, sensor: SensorModel, beams: Beams) -> PoseLikelihood:
         """Condition a measurement model on this map and one scan.
 
         The likelihood of an end point under a likelihood field depends on its distance alone, so it is tabulated for
         all
         cells once and each scan only adds it up; any other model looks at the map for itself.
         """
-        if isinstance(sensor, LikelihoodField | CauchyAgreement):
+        if isinstance(sensor, LikelihoodField | CauchyEndPoint):
             table, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
             return lambda poses: table.sums(poses, ends, self.threads)
-        weigh = sensor(beams)
-        return lambda poses: weigh(self, np.zeros(len(poses), np.int32), poses)
+        log_likelihood = sensor(beams)
+        return lambda poses: log_likelihood(self, np.zeros(len(poses), np.int32), poses)
 
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
@@ -174,12 +174,12 @@ class KnownMap:
             resolution_m=self.resolution_m, reach_cells=reach_cells, evidence=_NONE, threads=self.threads,
         )  # fmt: skip
 
-    def _tabulate(self, sensor: LikelihoodField | CauchyAgreement) -> FieldTable:
+    def _tabulate(self, sensor: LikelihoodField | CauchyEndPoint) -> FieldTable:
         """Log likelihood of an end point in each cell."""
         if sensor not in self._tabulated:
             blurred = sensor
             if isinstance(sensor, LikelihoodField):
-                blurred = replace(sensor, sigma_hit_m=self.blurred_m(sensor.sigma_hit_m))
+                blurred = replace(sensor, sigma_hit_m=self.blurred_sigma_m(sensor.sigma_hit_m))
             field = sensor.tempering * blurred.log_likelihoods(self._distances)
             self._tabulated[sensor] = FieldTable.of(field, self._corner, self.resolution_m)
         return self._tabulated[sensor]

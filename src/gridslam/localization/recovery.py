@@ -10,15 +10,15 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.localization.known_map import KnownMap, PoseWeigher
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.localization.known_map import KnownMap, PoseLikelihood
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, FloatArray
 
-__all__ = ["AugmentedRecovery", "Averages", "MeasurementProposal"]
+__all__ = ["AugmentedRecovery", "InlierRatioAverages", "MeasurementProposal"]
 
 
-class Averages(NamedTuple):
+class InlierRatioAverages(NamedTuple):
     """Inlier ratio with the map, averaged over the particles and, slowly and fast, over updates."""
 
     slow: float
@@ -52,18 +52,18 @@ class AugmentedRecovery:
     alpha_fast: float = Field(default=0.1, ge=0, le=1)
     expected: float = Field(default=0.6, ge=0, le=1)
 
-    def begin(self) -> Averages:
+    def begin(self) -> InlierRatioAverages:
         """Averages before the first scan."""
-        return Averages(self.expected, self.expected)
+        return InlierRatioAverages(self.expected, self.expected)
 
-    def __call__(self, averages: Averages, agreement: float) -> tuple[Averages, float]:
+    def __call__(self, averages: InlierRatioAverages, inlier_ratio: float) -> tuple[InlierRatioAverages, float]:
         """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1)."""
-        slow = averages.slow + self.alpha_slow * (agreement - averages.slow)
-        fast = averages.fast + self.alpha_fast * (agreement - averages.fast)
-        averages = Averages(slow, fast)
-        return averages, self.share(averages)
+        slow = averages.slow + self.alpha_slow * (inlier_ratio - averages.slow)
+        fast = averages.fast + self.alpha_fast * (inlier_ratio - averages.fast)
+        averages = InlierRatioAverages(slow, fast)
+        return averages, self.injection_ratio(averages)
 
-    def share(self, averages: Averages) -> float:
+    def injection_ratio(self, averages: InlierRatioAverages) -> float:
         """Share of the belief that is elsewhere, in [0, 1)."""
         return max(0.0, 1 - averages.fast / averages.slow) if averages.slow > 0 else 0.0
 
@@ -79,9 +79,9 @@ class MeasurementProposal:
 
     Parameters
     ----------
-    poses_per_m2 : float, 1/m^2, > 0
+    samples_per_m2 : float, 1/m^2, > 0
         How many are looked at where nothing is known: 500 put ten within 0.3 m and 10 degrees of every pose.
-    poses_max : int, >= 1
+    samples_max : int, >= 1
         At most; a million take a second.
     draws : int, >= 1
         How many of them are chosen.
@@ -96,8 +96,8 @@ class MeasurementProposal:
     Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
     """
 
-    poses_per_m2: float = Field(default=500.0, gt=0)
-    poses_max: int = Field(default=1_000_000, ge=1)
+    samples_per_m2: float = Field(default=500.0, gt=0)
+    samples_max: int = Field(default=1_000_000, ge=1)
     draws: int = Field(default=50_000, ge=1)
     scale_m: float = Field(default=0.2, gt=0)
     concentration: float = Field(default=25.0, ge=0)
@@ -105,22 +105,22 @@ class MeasurementProposal:
     jitter_rad: float = Field(default=0.03, ge=0)
 
     def __call__(
-        self, known_map: KnownMap, beams: Beams, weigh: PoseWeigher, share: float, rng: np.random.Generator
+        self, known_map: KnownMap, beams: Beams, log_likelihood: PoseLikelihood, share: float, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
         """Sample a `share` in (0, 1] of all samples from this many poses; poses (K, 3) and log weights (K,).
 
         The weights are such that their sum is the evidence: the mean of p(z | x) over the free space.
         """
         count = math.ceil(self.draws * share)
-        looked_at = math.ceil(min(self.poses_per_m2 * known_map.free_area_m2, self.poses_max) * share)
-        poses = known_map.draw(looked_at, rng)
-        agree = known_map.weigher(CauchyAgreement(scale_m=self.scale_m, tempering=1.0), beams)
+        samples = math.ceil(min(self.samples_per_m2 * known_map.free_area_m2, self.samples_max) * share)
+        poses = known_map.sample_poses(samples, rng)
+        agree = known_map.condition(CauchyEndPoint(scale_m=self.scale_m, tempering=1.0), beams)
         log_q = agree(poses) * (self.concentration / len(beams))
         ends = np.cumsum(np.exp(log_q - log_q.max()))
         chosen = np.minimum(ends.searchsorted(rng.random(count) * ends[-1], side="right"), len(poses) - 1)
         log_mean_q = math.log(ends[-1] / len(poses)) + log_q.max()
         poses = self._moved(known_map, poses[chosen], rng)
-        return poses, weigh(poses) + log_mean_q - log_q[chosen] - math.log(count)
+        return poses, log_likelihood(poses) + log_mean_q - log_q[chosen] - math.log(count)
 
     def _moved(self, known_map: KnownMap, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Jitter poses (N, 3), but none out of the free space."""

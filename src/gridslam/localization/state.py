@@ -11,16 +11,16 @@ from typing import Any, Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.localization.belief import Estimate, is_near
-from gridslam.localization.recovery import Averages
-from gridslam.localization.rivals import NO_RIVALS, Rivals
+from gridslam.localization.belief import PoseEstimate, is_in_cluster
+from gridslam.localization.pose_hypotheses import NO_HYPOTHESES, PoseHypotheses
+from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
-__all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "checked_poses"]
+__all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "validate_poses"]
 
 
 class LocalizationSkip(Enum):
@@ -42,13 +42,13 @@ class LocalizationReport:
         Stamp of the scan.
     pose, covariance : (3,), (3, 3) float64
         Of the robot's base in the map: where the scan fits best, given the densest cluster of particles (see
-        `MonteCarloParts.matcher`). The covariance is that cluster's; where the robot is lost, it spans all places where
-        it may be.
+        `MonteCarloConfiguration.matcher`). The covariance is that cluster's; where the robot is lost, it spans all
+        places where it may be.
     lost_probability : float, [0, 1]
         How probable it is that the robot is farther from `pose` than 1 m or 0.5 rad.
     lost : bool
-        Whether the lost probability exceeds `MonteCarloParts.lost_above`.
-    agreement : float, [0, 1]
+        Whether the lost probability exceeds `MonteCarloConfiguration.lost_above`.
+    inlier_ratio : float, [0, 1]
         Inlier ratio with the map at the last update, at the cluster's mean.
     particles : int
         Number of particles after the step.
@@ -56,7 +56,7 @@ class LocalizationReport:
         Effective sample size before resampling; NaN for a scan that was skipped.
     skipped : LocalizationSkip or None
         Why the particles were not updated; None where they were.
-    augmented : float, [0, 1]
+    injection_ratio : float, [0, 1]
         Ratio of the belief that was sampled over the whole map; 1 if the pose is unknown.
     poses, log_weights : (N, 3), (N,) float64 or None
         The particles where they were updated, before resampling; log weights are normalized.
@@ -69,11 +69,11 @@ class LocalizationReport:
     covariance: FloatArray
     lost_probability: float
     lost: bool
-    agreement: float
+    inlier_ratio: float
     particles: int
     n_eff: float = float("nan")
     skipped: LocalizationSkip | None = None
-    augmented: float = 0.0
+    injection_ratio: float = 0.0
     poses: FloatArray | None = None
     log_weights: FloatArray | None = None
     parents: IntArray | None = None
@@ -94,15 +94,15 @@ class MonteCarloState:
     ----------
     poses, log_weights : (N, 3), (N,) float64
         The particles at the last update, map frame, normalized; none where nothing is known.
-    averages : Averages
+    averages : InlierRatioAverages
         How well scans fitted, lately and for long.
-    estimate : Estimate
+    estimate : PoseEstimate
         Pose estimate from the particles at the last update.
-    followed_m : float, m
+    driven_since_found_m : float, m
         Path length since the reported place was found; infinite if it was given.
-    rivals : Rivals
+    hypotheses : PoseHypotheses
         Places that the particles have left, and that nothing has refuted yet.
-    agreement : float, [0, 1]
+    inlier_ratio : float, [0, 1]
         Inlier ratio with the map there.
     odometry : (3,) float64 or None
         Odometry's pose at the last update; None before the first one.
@@ -114,11 +114,11 @@ class MonteCarloState:
 
     poses: FloatArray
     log_weights: FloatArray
-    averages: Averages
-    estimate: Estimate
-    followed_m: float = 0.0
-    rivals: Rivals = NO_RIVALS
-    agreement: float = 0.0
+    averages: InlierRatioAverages
+    estimate: PoseEstimate
+    driven_since_found_m: float = 0.0
+    hypotheses: PoseHypotheses = NO_HYPOTHESES
+    inlier_ratio: float = 0.0
     odometry: FloatArray | None = None
     last: Odometry | None = None
     updates: int = 0
@@ -140,8 +140,8 @@ class MonteCarloState:
         return {
             "poses": self.poses, "log_weights": self.log_weights, "averages": np.array(self.averages),
             "estimate.pose": self.estimate.pose, "estimate.covariance": self.estimate.covariance,
-            "estimate.mass": np.array(self.estimate.mass), "rivals.poses": self.rivals.poses,
-            "rivals.log_odds": self.rivals.log_odds, **numbers,
+            "estimate.mass": np.array(self.estimate.mass), "hypotheses.poses": self.hypotheses.poses,
+            "hypotheses.log_odds": self.hypotheses.log_odds, **numbers,
             "last.stamp_ns": np.array(0 if self.last is None else self.last.stamp_ns, np.int64),
             **{name: array for name, array in optional.items() if array is not None},
         }  # fmt: skip
@@ -153,19 +153,21 @@ class MonteCarloState:
         def take(name: str, *shape: int | None) -> FloatArray:
             if name not in arrays:
                 raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-            return frozen(arrays[name], np.float64, shape, name)
+            return freeze(arrays[name], np.float64, shape, name)
 
-        poses, rivals = take("poses", None, 3), take("rivals.poses", None, 3)
-        followed_m, agreement, updates = (float(take(name)) for name in _NUMBERS)
-        told = Estimate(take("estimate.pose", 3), take("estimate.covariance", 3, 3), float(take("estimate.mass")))
+        poses, hypotheses = take("poses", None, 3), take("hypotheses.poses", None, 3)
+        driven_since_found_m, inlier_ratio, updates = (float(take(name)) for name in _NUMBERS)
+        estimate = PoseEstimate(
+            take("estimate.pose", 3), take("estimate.covariance", 3, 3), float(take("estimate.mass"))
+        )
         last = Odometry.at(int(arrays["last.stamp_ns"]), take("last.pose", 3)) if "last.pose" in arrays else None
         return cls(
-            poses, take("log_weights", len(poses)), Averages(*take("averages", 2).tolist()), told, followed_m,
-            Rivals(rivals, take("rivals.log_odds", len(rivals))), agreement,
-            take("odometry", 3) if "odometry" in arrays else None, last, int(updates),
+            poses, take("log_weights", len(poses)), InlierRatioAverages(*take("averages", 2).tolist()), estimate,
+            driven_since_found_m, PoseHypotheses(hypotheses, take("hypotheses.log_odds", len(hypotheses))),
+            inlier_ratio, take("odometry", 3) if "odometry" in arrays else None, last, int(updates),
         )  # fmt: skip
 
-    def odometry_or(self, first: Odometry) -> FloatArray:
+    def odometry_at_update(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""
         if self.odometry is None:
             self.odometry = first.pose
@@ -178,11 +180,11 @@ class MonteCarloState:
         self.odometry, self.last = odometry.pose, odometry
         self.updates += 1
 
-    def follow(self, told: Estimate, moved: FloatArray) -> None:
+    def update_estimate(self, estimate: PoseEstimate, moved: FloatArray) -> None:
         """Update the estimate after the robot has `moved` (3,): the same place, or another one."""
-        same = is_near(compose(self.estimate.pose, moved)[None], told.pose)[0]
-        self.followed_m = self.followed_m + math.hypot(moved[0], moved[1]) if same else 0.0
-        self.estimate = told
+        same = is_in_cluster(compose(self.estimate.pose, moved)[None], estimate.pose)[0]
+        self.driven_since_found_m = self.driven_since_found_m + math.hypot(moved[0], moved[1]) if same else 0.0
+        self.estimate = estimate
 
     def resample(self, parents: IntArray) -> None:
         """Let particle i continue particle parents[i] of parents (M,), all with equal weights."""
@@ -202,7 +204,7 @@ class MonteCarloState:
         return replace(self)
 
 
-_NUMBERS = ("followed_m", "agreement", "updates")
+_NUMBERS = ("driven_since_found_m", "inlier_ratio", "updates")
 
 
 class LocalizationObserver(Protocol):
@@ -212,7 +214,7 @@ class LocalizationObserver(Protocol):
         """Record a step that took `seconds`; `state` may be read now, but belongs to the filter."""
 
 
-def checked_poses(particles: FloatArray) -> FloatArray:
+def validate_poses(particles: FloatArray) -> FloatArray:
     """Copy of finite poses (N, 3), theta wrapped; raises ArgumentError for anything else."""
     poses = np.array(particles, np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or not np.isfinite(poses).all():

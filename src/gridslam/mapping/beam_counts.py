@@ -66,7 +66,7 @@ class BeamCounts:
             return
         told = self._scan.tiles(ids[places[:, 0], places[:, 1]])
         self._scan.clear(0)
-        slots = self._owned(places + corner)
+        slots = self._slots_of(places + corner)
         if self._kept < 1:
             kept = np.where(told == UNKNOWN, 1.0, self._kept)
             self._hits[slots] *= kept
@@ -87,7 +87,7 @@ class BeamCounts:
         row, column = (TILE * self._first).tolist()
         return hits, np.maximum(hits - net, 0.0), (row, column)
 
-    def _owned(self, tiles: IntArray) -> IntArray:
+    def _slots_of(self, tiles: IntArray) -> IntArray:
         """Slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
         low, high = tiles.min(axis=0), tiles.max(axis=0) + 1
         if not self._slots.size:

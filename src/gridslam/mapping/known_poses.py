@@ -13,13 +13,13 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, log
 from gridslam.types import Beams, FloatArray, Trajectory
 
-__all__ = ["KnownPoses", "Unplaced"]
+__all__ = ["KnownPoses", "NoPoseReason"]
 
 _EXACT_NS: Final = 1_000_000
 """A pose stamped so near is the scan's own: programs round stamps."""
 
 
-class Unplaced(Enum):
+class NoPoseReason(Enum):
     """Why it is not known where a scan was taken."""
 
     OUTSIDE = "outside the trajectory"
@@ -58,7 +58,7 @@ class KnownPoses:
         """First and last stamp."""
         return int(self._stamps[0]), int(self._stamps[-1])
 
-    def at(self, stamp_ns: int) -> FloatArray | Unplaced:
+    def at(self, stamp_ns: int) -> FloatArray | NoPoseReason:
         """Pose (3,) at a scan's stamp: x and y linear between the neighbours in time, theta along the shorter arc.
 
         Where several poses have just this stamp, as where several scans had it, they are given one after the other.
@@ -72,12 +72,12 @@ class KnownPoses:
         sooner, later = stamp_ns - int(self._stamps[before]), int(self._stamps[after]) - stamp_ns
         if min(abs(sooner), abs(later)) > _EXACT_NS:
             if sooner < 0 or later < 0:
-                return Unplaced.OUTSIDE
+                return NoPoseReason.OUTSIDE
             if sooner + later > self._max_gap_ns:
-                return Unplaced.GAP
-        return self._between(stamp_ns)
+                return NoPoseReason.GAP
+        return self._interpolate(stamp_ns)
 
-    def sharpened(self, beams: Beams) -> Beams:
+    def deskew(self, beams: Beams) -> Beams:
         """Undo the motion of the robot during a scan by the trajectory; unchanged if there are no beam times."""
         times = beams.scan.beam_times_s
         if times is None or not len(times):
@@ -86,7 +86,7 @@ class KnownPoses:
         start, end = np.clip(ends, *self.span_ns).tolist()
         if end - start < _EXACT_NS:
             return beams
-        return beams.deskewed(log(between(self._between(start), self._between(end))) / (1e-9 * (end - start)))
+        return beams.deskew(log(between(self._interpolate(start), self._interpolate(end))) / (1e-9 * (end - start)))
 
     def _neighbours(self, stamp_ns: int) -> tuple[int, int]:
         """Indices of the poses before and after; of the two outermost where there is only one side."""
@@ -94,7 +94,7 @@ class KnownPoses:
         after = min(max(int(np.searchsorted(self._stamps, stamp_ns)), min(1, last)), last)
         return max(after - 1, 0), after
 
-    def _between(self, stamp_ns: int) -> FloatArray:
+    def _interpolate(self, stamp_ns: int) -> FloatArray:
         before, after = self._neighbours(stamp_ns)
         span = max(int(self._stamps[after] - self._stamps[before]), 1)
         share = min(max((stamp_ns - int(self._stamps[before])) / span, 0.0), 1.0)

@@ -1,8 +1,8 @@
 """Scan matching: where does a scan fit a map best, and how well is that determined."""
 
-from gridslam.matching.branch_and_bound import BranchAndBound, Found, Pyramid, thinned
+from gridslam.matching.branch_and_bound import BranchAndBound, LatticeMatch, Pyramid, thin_points
 from gridslam.matching.correlative import Correlative
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
 
-__all__ = ["BranchAndBound", "Correlative", "Found", "GaussNewton", "HillClimbing", "Pyramid", "thinned"]
+__all__ = ["BranchAndBound", "Correlative", "GaussNewton", "HillClimbing", "LatticeMatch", "Pyramid", "thin_points"]

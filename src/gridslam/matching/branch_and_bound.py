@@ -20,7 +20,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["BranchAndBound", "Found", "Pyramid", "thinned"]
+__all__ = ["BranchAndBound", "LatticeMatch", "Pyramid", "thin_points"]
 
 _LEVELS = 3
 """Nodes of 8 x 8 cells are bounded side by side, all of them; larger ones bound too little to be worth their time."""
@@ -56,32 +56,32 @@ class Pyramid:
         distance_m = maps.reach_m * (1 - np.arange(256) / 255)
         likelihood = np.rint(255 / (1 + np.square(distance_m / cauchy_m))).astype(np.uint8)
         likelihood[0] = 0
-        told = field.tobytes().translate(likelihood.tobytes())  # take() would make an index of 8 bytes for each
-        fine, top = backend.max_pyramid(np.frombuffer(told, np.uint8).reshape(field.shape), _LEVELS)
+        values = field.tobytes().translate(likelihood.tobytes())  # take() would make an index of 8 bytes for each
+        fine, top = backend.max_pyramid(np.frombuffer(values, np.uint8).reshape(field.shape), _LEVELS)
         return cls(fine, top, corner, maps.resolution_m)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class LatticeMatch:
     """Best pose at lattice resolution; refine by Gauss-Newton.
 
     Attributes
     ----------
     pose : (3,) float64
         The best pose.
-    share : float
+    score : float
         Mean weight of the points there, in [0, 1]: `Match.score` for each beam, up to the lattice.
-    other_pose : (3,) float64 or None
+    runner_up_pose : (3,) float64 or None
         Runner-up pose at another place; None if its score is too low.
-    other_share : float
+    runner_up_score : float
         Its share; 0 where there is none.
     """
 
     pose: FloatArray
-    share: float
-    other_pose: FloatArray | None = None
-    other_share: float = 0.0
+    score: float
+    runner_up_pose: FloatArray | None = None
+    runner_up_score: float = 0.0
 
 
 @final
@@ -95,15 +95,15 @@ class BranchAndBound:
     ----------
     window_m, window_rad : float
         Half the sides of the largest window; pi is the full turn.
-    gate : float
+    gate_sigmas : float
         Mahalanobis distance up to which poses are tried, where the guess has a covariance.
-    points : int
+    max_points : int
         Points used in the search, spread evenly in space.
-    floor : float
+    min_score : float
         Minimum score. A higher value ends unsuccessful searches sooner.
-    rival : float
+    min_runner_up_ratio : float
         Runner-up poses below this fraction of the best score are not reported.
-    other_place_m, other_place_rad : float
+    runner_up_distance_m, runner_up_distance_rad : float
         A pose within both of the best is the same place. A peak is a few times as wide as `cauchy_m` and as a step of
         the headings; but along a bare corridor it has no end, and the other place is its next part.
 
@@ -113,16 +113,16 @@ class BranchAndBound:
 
     window_m: float = Field(default=15.0, gt=0, le=100)
     window_rad: float = Field(default=0.5, gt=0, le=math.pi)
-    gate: float = Field(default=3.0, gt=0)
-    points: int = Field(default=200, ge=8, le=_MOST_POINTS)
-    floor: float = Field(default=0.5, gt=0, le=1)
-    rival: float = Field(default=0.6, gt=0, le=1)
-    other_place_m: float = Field(default=1.0, gt=0)
-    other_place_rad: float = Field(default=0.3, gt=0)
+    gate_sigmas: float = Field(default=3.0, gt=0)
+    max_points: int = Field(default=200, ge=8, le=_MOST_POINTS)
+    min_score: float = Field(default=0.5, gt=0, le=1)
+    min_runner_up_ratio: float = Field(default=0.6, gt=0, le=1)
+    runner_up_distance_m: float = Field(default=1.0, gt=0)
+    runner_up_distance_rad: float = Field(default=0.3, gt=0)
 
     def search(
         self, pyramid: Pyramid, guess: FloatArray, covariance: FloatArray | None, points: FloatArray
-    ) -> Found | None:
+    ) -> LatticeMatch | None:
         """Search around a guess.
 
         Parameters
@@ -132,14 +132,14 @@ class BranchAndBound:
         guess : (3,) float64
             In the map's frame.
         covariance : (3, 3) float64 or None
-            Of the guess; poses within `gate` of it and in the window are tried. None: the whole window.
+            Of the guess; poses within `gate_sigmas` of it and in the window are tried. None: the whole window.
         points : (N, 2) float64, m
             Ends of a scan, or of several, in the base frame.
 
         Returns
         -------
         Found or None
-            None where no pose has a share of `floor`.
+            None where no pose has a share of `min_score`.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class BranchAndBound:
         if not len(points):
             return None
         cell, corner = pyramid.resolution_m, np.array(pyramid.corner)
-        few = thinned(points, self.points, cell)
+        few = thin_points(points, self.max_points, cell)
         step_rad = cell / max(math.sqrt(float(np.square(few).sum(axis=1).mean())), cell)
         sides, information = self._ellipsoid(covariance, np.array([cell, cell, step_rad]))
         turns = math.floor(sides[2] / step_rad)
@@ -164,11 +164,12 @@ class BranchAndBound:
         places = backend.correlate(
             pyramid.fine, pyramid.top, few / cell, headings, (x - across, x + across + 1, y - up, y + up + 1),
             guess / unit - np.append(corner[::-1], 0), information * unit[:, None] * unit, 1.0,
-            2, math.ceil(self.floor * 255 * len(few)), self.rival, self.other_place_m / cell, self.other_place_rad,
+            2, math.ceil(self.min_score * 255 * len(few)), self.min_runner_up_ratio,
+            self.runner_up_distance_m / cell, self.runner_up_distance_rad,
         )  # fmt: skip
         poses = np.column_stack([cell_centres(places[:, 2:] + corner, cell), wrap(headings[places[:, 1]])])
-        told = zip(poses, (places[:, 0] / (255 * len(few))).tolist(), strict=True)
-        return Found(*chain.from_iterable(told)) if len(places) else None
+        matches = zip(poses, (places[:, 0] / (255 * len(few))).tolist(), strict=True)
+        return LatticeMatch(*chain.from_iterable(matches)) if len(places) else None
 
     def _ellipsoid(self, covariance: FloatArray | None, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Half the sides (3,) of the window, and the information (3, 3) of the ellipsoid d^T information d <= 1 in it.
@@ -181,12 +182,12 @@ class BranchAndBound:
         fits = covariance.shape == (3, 3) and np.isfinite(covariance).all()
         if not fits or np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
             raise ArgumentError("covariance", "a positive semidefinite matrix (3, 3)", covariance.tolist())
-        spread = self.gate**2 * covariance + np.diag(0.75 * np.square(steps))
+        spread = self.gate_sigmas**2 * covariance + np.diag(0.75 * np.square(steps))
         information: FloatArray = np.asarray(np.linalg.inv(spread), dtype=np.float64)
         return np.minimum(largest, np.sqrt(np.diag(spread))), information
 
 
-def thinned(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatArray:
+def thin_points(points: FloatArray, most: int, finest_m: float = 0.05) -> FloatArray:
     """At most `most` of points (N, 2), spread evenly in space: the first in each square of the finest grid that does.
 
     Grids have sides `finest_m`, and each next one a tenth more; `most` is 4 or more.

@@ -13,9 +13,9 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["LEAST_INFORMATION", "LOOK", "GaussNewton", "undetermined"]
+__all__ = ["EVALUATE_ONLY", "MIN_INFORMATION", "GaussNewton", "degenerate_direction"]
 
-LEAST_INFORMATION = 0.02
+MIN_INFORMATION = 0.02
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
 
 
@@ -29,7 +29,7 @@ class GaussNewton:
 
     Parameters
     ----------
-    max_passes : int
+    max_iterations : int
         Linearizations at most; a good guess needs three, and 0 only evaluates the guess.
     cauchy_m : float, m
         Distance c at which a beam counts half: two cells of 5 cm, about the thickness of a mapped wall.
@@ -40,10 +40,10 @@ class GaussNewton:
     min_information : float
         Least eigenvalue of the position's information, per agreeing beam, that counts as determined; along a
         direction with less (the axis of a bare corridor) the guess is kept.
-    least_beams : int
+    min_beams : int
         With fewer the guess is kept: a few beams fit almost anywhere. Of a full circle in a simulated office ten are
         better than poor odometry, and eight are worse.
-    sparse_m : float, m
+    dense_spacing_m : float, m
         Ends of beams that lie on a straight wall farther apart than this count only across it. They are mapped as dots,
         and as every scan of a corridor has its dots in the same places, dots would hold the robot where it is. Ends on
         a straight wall, in unknown cells, whose nearest obstacle lies along the wall do not count at all: it goes on
@@ -53,34 +53,34 @@ class GaussNewton:
     Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
 
-    max_passes: int = Field(default=10, ge=0)
+    max_iterations: int = Field(default=10, ge=0)
     cauchy_m: float = Field(default=0.1, gt=0)
     max_step_m: float = Field(default=0.1, gt=0)
     max_step_rad: float = Field(default=0.1, gt=0)
     stop_m: float = Field(default=0.001, gt=0)
     stop_rad: float = Field(default=2e-4, gt=0)
-    min_information: float = Field(default=LEAST_INFORMATION, ge=0)
-    least_beams: int = Field(default=10, ge=0)
-    sparse_m: float = Field(default=0.06, ge=0)
+    min_information: float = Field(default=MIN_INFORMATION, ge=0)
+    min_beams: int = Field(default=10, ge=0)
+    dense_spacing_m: float = Field(default=0.06, ge=0)
 
     def __call__(
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        cell, passes = maps.resolution_m, self.max_passes if len(beams) >= self.least_beams else 0
+        cell, passes = maps.resolution_m, self.max_iterations if len(beams) >= self.min_beams else 0
         found = maps.match(
             rows, guesses, priors, beams.ends, passes, self.cauchy_m / cell, self.max_step_m / cell,
             self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
-            self.sparse_m / cell,
+            self.dense_spacing_m / cell,
         )  # fmt: skip
         return Match(*found)
 
 
-LOOK = GaussNewton(max_passes=0)
+EVALUATE_ONLY = GaussNewton(max_iterations=0)
 """Evaluates the score at the guess without iterating."""
 
 
-def undetermined(information: FloatArray, score: float, least: float = LEAST_INFORMATION) -> FloatArray | None:
+def degenerate_direction(information: FloatArray, score: float, least: float = MIN_INFORMATION) -> FloatArray | None:
     """Degenerate direction (2,) of a match with this information (3, 3) and score; None if there is none."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
     turn = 1 / max(tt, 1e-12)

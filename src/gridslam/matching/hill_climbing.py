@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import compose
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import LOOK
+from gridslam.matching.gauss_newton import EVALUATE_ONLY
 from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = ["HillClimbing"]
@@ -69,7 +69,7 @@ class HillClimbing:
             scores[moved] = found[better, best[better]]
             steps[active[~better]] /= 2
         poses = np.where((scores >= self.minimum_score)[:, None], poses, guesses)
-        return LOOK(maps, rows, poses, priors, beams)
+        return EVALUATE_ONLY(maps, rows, poses, priors, beams)
 
     def _score(self, maps: TileMaps, rows: Int32Array, poses: FloatArray, beams: BeamEnds) -> FloatArray:
         distances = maps.distances(rows, poses, beams.ends)

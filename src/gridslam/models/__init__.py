@@ -1,7 +1,7 @@
 """Motion, measurement and inverse sensor models: conditioned once, then applied to all particles."""
 
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyAgreement, EndPoint
+from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement, GMappingMotion, OdometryMotion
@@ -9,9 +9,9 @@ from gridslam.models.velocity import VelocityMotion
 
 __all__ = [
     "BeamRangeFinder",
-    "CauchyAgreement",
+    "CauchyEndPoint",
     "DiffusionMotion",
-    "EndPoint",
+    "GMappingEndPoint",
     "GMappingMotion",
     "GaussianIncrement",
     "InverseSensorModel",

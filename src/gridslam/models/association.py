@@ -10,11 +10,11 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.parameters import STRICT
-from gridslam.models.sightings import Sightings
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["AMBIGUOUS", "NEW", "Association", "MaximumLikelihood", "Told", "signatures"]
+__all__ = ["AMBIGUOUS", "NEW", "Association", "KnownCorrespondence", "MaximumLikelihood", "signatures"]
 
 NEW, AMBIGUOUS = -1, -2
 """Instead of a landmark index: a new landmark, or an ambiguous observation."""
@@ -22,32 +22,34 @@ NEW, AMBIGUOUS = -1, -2
 
 @final
 @parameters(frozen=True, config=STRICT)
-class Told:
+class KnownCorrespondence:
     """Known correspondences, with an outlier gate.
 
     Distances are squared Mahalanobis distances between observations and predictions, with two degrees of freedom.
 
     Parameters
     ----------
-    believed : float
+    gate : float
         Up to this distance, 20 standard deviations. A true one seldom exceeds 4; but odometry has biases that no noise
         model knows, and when the EKF closes Victoria Park's first loop it is 13 off. A misread barcode is off by 50.
     """
 
-    believed: float = Field(default=400.0, gt=0)
-    told: ClassVar[bool] = True
+    gate: float = Field(default=400.0, gt=0)
+    uses_signatures: ClassVar[bool] = True
 
     @property
-    def strange(self) -> float:
+    def outlier_distance(self) -> float:
         """Squared Mahalanobis distance assigned to an outlier."""
-        return self.believed
+        return self.gate
 
-    def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
+    def __call__(
+        self, observations: LandmarkObservations, names: IntArray, distances: FloatArray, log_dets: FloatArray
+    ) -> IntArray:
         """Indices (K,) of the observed landmarks among M, or `NEW`, or `AMBIGUOUS`.
 
         Parameters
         ----------
-        sightings : Sightings
+        observations : LandmarkObservations
             K of them.
         names : (M,) int64
             Names of the landmarks.
@@ -60,8 +62,8 @@ class Told:
         ArgumentError
             The observations have no correspondences.
         """
-        same = signatures(sightings)[:, None] == names
-        places = np.where(distances <= self.believed, np.arange(len(names)), AMBIGUOUS)
+        same = signatures(observations)[:, None] == names
+        places = np.where(distances <= self.gate, np.arange(len(names)), AMBIGUOUS)
         return np.where(same.any(axis=1), places.sum(axis=1, where=same), NEW)
 
 
@@ -70,52 +72,54 @@ class Told:
 class MaximumLikelihood:
     """Maximum likelihood correspondence with a gate; each landmark is matched at most once per step.
 
-    Distances are as for `Told`.
+    Distances are as for `KnownCorrespondence`.
 
     Parameters
     ----------
-    same : float
+    match_gate : float
         Gate of the association; 9.2 holds for 99 % of the true pairs.
-    other : float
+    new_gate : float
         From this distance on to all landmarks it is of another one. The book has one threshold; between the two
         nothing is learned, so that an outlier neither moves a landmark nor doubles it.
 
     Source: Probabilistic Robotics, Table 10.2, lines 9 to 16, and 10.3.3.
     """
 
-    same: float = Field(default=9.2, gt=0)
-    other: float = Field(default=25.0, gt=0)
-    told: ClassVar[bool] = False
+    match_gate: float = Field(default=9.2, gt=0)
+    new_gate: float = Field(default=25.0, gt=0)
+    uses_signatures: ClassVar[bool] = False
 
     @model_validator(mode="after")
     def _ordered(self) -> MaximumLikelihood:
-        if self.same > self.other:
-            raise ValueError("expected same <= other")
+        if self.match_gate > self.new_gate:
+            raise ValueError("expected match_gate <= new_gate")
         return self
 
     @property
-    def strange(self) -> float:
+    def outlier_distance(self) -> float:
         """Squared Mahalanobis distance assigned to a new landmark: p_0 of Table 13.2."""
-        return self.other
+        return self.new_gate
 
-    def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
-        """Indices (K,), as for `Told`, estimated from the distances."""
-        costs = np.where(distances <= self.same, distances + log_dets, math.inf)
+    def __call__(
+        self, observations: LandmarkObservations, names: IntArray, distances: FloatArray, log_dets: FloatArray
+    ) -> IntArray:
+        """Indices (K,), as for `KnownCorrespondence`, estimated from the distances."""
+        costs = np.where(distances <= self.match_gate, distances + log_dets, math.inf)
         chosen, free = np.full(len(costs), NEW), np.ones(len(names), np.bool_)
         while np.isfinite(costs).any():  # the surest pair first
-            sighting, landmark = np.unravel_index(costs.argmin(), costs.shape)
-            chosen[sighting], free[landmark] = landmark, False
-            costs[sighting], costs[:, landmark] = math.inf, math.inf
-        near = (distances[:, free] <= self.other).any(axis=1)
+            observation, landmark = np.unravel_index(costs.argmin(), costs.shape)
+            chosen[observation], free[landmark] = landmark, False
+            costs[observation], costs[:, landmark] = math.inf, math.inf
+        near = (distances[:, free] <= self.new_gate).any(axis=1)
         chosen[(chosen == NEW) & near] = AMBIGUOUS
         return chosen
 
 
-Association: TypeAlias = Told | MaximumLikelihood
+Association: TypeAlias = KnownCorrespondence | MaximumLikelihood
 
 
-def signatures(sightings: Sightings) -> IntArray:
+def signatures(observations: LandmarkObservations) -> IntArray:
     """Return the signatures (K,) of observations; raises ArgumentError if there are none."""
-    if sightings.landmarks is None:
-        raise ArgumentError("sightings", "known correspondences, or an association that estimates them", "neither")
-    return sightings.landmarks
+    if observations.landmarks is None:
+        raise ArgumentError("observations", "known correspondences, or an association that estimates them", "neither")
+    return observations.landmarks

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, Weigher
+from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
 __all__ = ["BeamRangeFinder"]
 
@@ -109,7 +109,7 @@ class BeamRangeFinder:
         density = self.z_hit * hit + self.z_short * short + self.z_rand / self.range_max_m
         return np.where(ranges < self.range_max_m, density, no_return)
 
-    def __call__(self, beams: Beams) -> Weigher:
+    def __call__(self, beams: Beams) -> ScanLikelihood:
         """Condition on the given beams and, where these are not all, on as many of those without return."""
         scan = beams.scan
         hits, silent = (np.flatnonzero(scan.status == status) for status in (BeamStatus.HIT, BeamStatus.NO_RETURN))
@@ -122,9 +122,9 @@ class BeamRangeFinder:
         directions = projected / level[:, None]
         look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none
 
-        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
+        def log_likelihood(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             expected = maps.cast_rays(rows, poses, beams.origin, directions, look).astype(np.float64)
             log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected / level)).sum(axis=1)
             return self.tempering * log_likelihood
 
-        return weigh
+        return log_likelihood

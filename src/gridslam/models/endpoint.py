@@ -10,14 +10,14 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, Weigher
+from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
-__all__ = ["CauchyAgreement", "EndPoint"]
+__all__ = ["CauchyEndPoint", "GMappingEndPoint"]
 
 
 @final
 @parameters(frozen=True, config=STRICT)
-class CauchyAgreement:
+class CauchyEndPoint:
     """How many beams agree with the map: log weight = tempering * sum over beams of 1 / (1 + (d / scale)^2).
 
     A beam far from every obstacle costs at most one agreement, so people and moved furniture do not decide.
@@ -48,34 +48,34 @@ class CauchyAgreement:
         """Agreement of a beam for the distance (...) in m of its end to the nearest obstacle, before tempering."""
         return np.asarray(1 / (1 + np.square(distances) * np.float32(1 / self.scale_m**2)), np.float32)
 
-    def __call__(self, beams: Beams) -> Weigher:
+    def __call__(self, beams: Beams) -> ScanLikelihood:
         """Condition on the beams of one scan."""
         ends = beams.ends
 
-        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
+        def log_likelihood(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             agreement = self.log_likelihoods(maps.distances(rows, poses, ends))
             return np.asarray(self.tempering * agreement.sum(axis=1, dtype=np.float64))
 
-        return weigh
+        return log_likelihood
 
 
 @final
 @parameters(frozen=True, config=STRICT)
-class EndPoint:
+class GMappingEndPoint:
     """GMapping's likelihood: minus the squared distance to the map within a small window, a fixed penalty outside.
 
     Parameters
     ----------
     scale_m2 : float, m^2, > 0
         What squared distances are divided by; GMapping's `lsigma` (twice the variance of an end point).
-    no_hit_m2 : float, m^2, >= 0
+    miss_penalty_m2 : float, m^2, >= 0
         Squared distance charged to a beam with no occupied cell in the window; 0.5 in GMapping.
     kernel_m : float, m, > 0
         Radius of the window; 1.5 cells of 5 cm, half the width of the square that GMapping searches with its
         `kernelSize` of 1.
     skip : int, >= 0
         Beams left out between two used ones, counted over the whole scan; GMapping's `lskip`.
-    gain : float, > 0
+    likelihood_gain : float, > 0
         What the sum is divided by to smooth the weights; GMapping's `ogain` (3) times its number of particles, which is
         why there more particles mean a flatter posterior. Here the number of particles enters only if given so.
 
@@ -88,21 +88,21 @@ class EndPoint:
     """
 
     scale_m2: float = Field(default=0.075, gt=0)
-    no_hit_m2: float = Field(default=0.5, ge=0)
+    miss_penalty_m2: float = Field(default=0.5, ge=0)
     kernel_m: float = Field(default=0.075, gt=0)
     skip: int = Field(default=0, ge=0)
-    gain: float = Field(default=3.0, gt=0)
+    likelihood_gain: float = Field(default=3.0, gt=0)
 
-    def __call__(self, beams: Beams) -> Weigher:
+    def __call__(self, beams: Beams) -> ScanLikelihood:
         """Condition on the beams of one scan."""
         ends = beams.ends[beams.indices % (self.skip + 1) == self.skip]
-        factor = -1 / (self.scale_m2 * self.gain)
-        kernel, no_hit = np.float32(self.kernel_m), np.float32(self.no_hit_m2)
+        factor = -1 / (self.scale_m2 * self.likelihood_gain)
+        kernel, no_hit = np.float32(self.kernel_m), np.float32(self.miss_penalty_m2)
 
-        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
+        def log_likelihood(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             distances = maps.distances(rows, poses, ends)
             charged = np.where(distances <= kernel, np.square(distances), no_hit)
             total: FloatArray = charged.sum(axis=1, dtype=np.float64)
             return factor * total
 
-        return weigh
+        return log_likelihood

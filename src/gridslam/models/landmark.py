@@ -14,8 +14,8 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import transform_points
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.parameters import STRICT
-from gridslam.models.sightings import Sightings
 from gridslam.types import FloatArray
 
 __all__ = ["DepthBearing", "LandmarkModel", "RangeBearing", "RelativePosition"]
@@ -34,7 +34,7 @@ class LandmarkModel(Protocol):
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
         """Where the landmark (..., 2) is that is measured so: h^-1(x, z)."""
 
-    def noise(self, sightings: Sightings) -> FloatArray:
+    def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) of K observations: their own covariances if they have any, else the model's."""
 
 
@@ -76,9 +76,9 @@ class RangeBearing:
         offset = measured[..., :1] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
         return np.asarray(poses[..., :2] + offset)
 
-    def noise(self, sightings: Sightings) -> FloatArray:
+    def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K observations."""
-        return _noise(sightings, self.sigma_range_m, self.sigma_bearing_rad)
+        return _noise(observations, self.sigma_range_m, self.sigma_bearing_rad)
 
 
 @final
@@ -121,9 +121,9 @@ class DepthBearing:
         across = measured[..., 0] * np.tan(measured[..., 1])
         return transform_points(poses, np.stack([measured[..., 0], across], axis=-1))
 
-    def noise(self, sightings: Sightings) -> FloatArray:
+    def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K observations."""
-        return _noise(sightings, self.sigma_depth_m, self.sigma_bearing_rad)
+        return _noise(observations, self.sigma_depth_m, self.sigma_bearing_rad)
 
 
 @final
@@ -163,9 +163,9 @@ class RelativePosition:
         """Return the point (..., 2) that lies there in the robot's frame."""
         return transform_points(poses, measured)
 
-    def noise(self, sightings: Sightings) -> FloatArray:
+    def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2] of K observations."""
-        return _noise(sightings, self.sigma_x_m, self.sigma_y_m)
+        return _noise(observations, self.sigma_x_m, self.sigma_y_m)
 
 
 def _bearing(dx: FloatArray, dy: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -183,7 +183,7 @@ def _with_bearing_wrapped(residual: FloatArray) -> FloatArray:
     return residual
 
 
-def _noise(sightings: Sightings, first: float, second: float) -> FloatArray:
-    if sightings.covariances is not None:
-        return sightings.covariances
-    return np.broadcast_to(np.diag([first**2, second**2]), (len(sightings), 2, 2))
+def _noise(observations: LandmarkObservations, first: float, second: float) -> FloatArray:
+    if observations.covariances is not None:
+        return observations.covariances
+    return np.broadcast_to(np.diag([first**2, second**2]), (len(observations), 2, 2))

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
-from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, Weigher
+from gridslam.types import Beams, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
 __all__ = ["LikelihoodField"]
 
@@ -65,12 +65,12 @@ class LikelihoodField:
         log_density: NDArray[np.float32] = np.log(peak * np.exp(exponent * np.square(distances)) + uniform)
         return log_density
 
-    def __call__(self, beams: Beams) -> Weigher:
+    def __call__(self, beams: Beams) -> ScanLikelihood:
         """Condition on the beams of one scan."""
         ends = beams.ends
 
-        def weigh(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
+        def log_likelihood(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             log_likelihood = self.log_likelihoods(maps.distances(rows, poses, ends))
             return np.asarray(self.tempering * log_likelihood.sum(axis=1, dtype=np.float64))
 
-        return weigh
+        return log_likelihood

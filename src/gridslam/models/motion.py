@@ -61,7 +61,7 @@ class GaussianIncrement:
     to_increment: Callable[[FloatArray], FloatArray] = _same
 
     @classmethod
-    def around(cls, increment: FloatArray, std: FloatArray) -> GaussianIncrement:
+    def from_std(cls, increment: FloatArray, std: FloatArray) -> GaussianIncrement:
         """Sampler with noise `std` (3,) directly on x, y (m) and theta (rad) of `increment` (3,)."""
         return cls(increment, std, increment, np.eye(3))
 
@@ -190,7 +190,7 @@ class GMappingMotion:
             self.srr * abs(y) + turned + across * abs(x),
             self.stt * abs(theta) + self.srt * math.hypot(x, y),
         ]
-        return GaussianIncrement.around(np.array([x, y, theta]), np.array(std))
+        return GaussianIncrement.from_std(np.array([x, y, theta]), np.array(std))
 
 
 @final
@@ -226,4 +226,4 @@ class DiffusionMotion:
         root = math.sqrt(math.hypot(x, y) + abs(theta))
         xy = math.hypot(self.sigma_xy_m * root, self.floor_xy_m)
         std = np.array([xy, xy, math.hypot(self.sigma_theta_rad * root, self.floor_theta_rad)])
-        return GaussianIncrement.around(np.array([x, y, theta]), std)
+        return GaussianIncrement.from_std(np.array([x, y, theta]), std)

@@ -1,12 +1,12 @@
 """The belief as weighted particles: weights, resampling, policies, ancestry and the first draw."""
 
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import at_pose, spread
+from gridslam.particles.initial import repeat_pose, sample_gaussian
 from gridslam.particles.policies import (
-    Always,
+    AlwaysResample,
     EffectiveSampleSizeBelow,
-    MovedAtLeast,
-    Never,
+    MotionThreshold,
+    NeverResample,
     ResamplingPolicy,
     UpdatePolicy,
 )
@@ -14,7 +14,21 @@ from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual
 from gridslam.particles.weights import effective_sample_size, entropy, normalize
 
 __all__ = [
-    "Always", "Ancestry", "EffectiveSampleSizeBelow", "MovedAtLeast", "Multinomial", "Never", "ResamplingPolicy",
-    "ResamplingWheel", "Residual", "Stratified", "Systematic", "UpdatePolicy", "at_pose", "effective_sample_size",
-    "entropy", "normalize", "spread",
+    "AlwaysResample",
+    "Ancestry",
+    "EffectiveSampleSizeBelow",
+    "MotionThreshold",
+    "Multinomial",
+    "NeverResample",
+    "ResamplingPolicy",
+    "ResamplingWheel",
+    "Residual",
+    "Stratified",
+    "Systematic",
+    "UpdatePolicy",
+    "effective_sample_size",
+    "entropy",
+    "normalize",
+    "repeat_pose",
+    "sample_gaussian",
 ]  # fmt: skip

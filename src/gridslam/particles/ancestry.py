@@ -57,7 +57,7 @@ class Ancestry:
         return ancestry
 
     @classmethod
-    def along(cls, trajectory: FloatArray, particles: int) -> Ancestry:
+    def from_trajectory(cls, trajectory: FloatArray, particles: int) -> Ancestry:
         """Begin with N particles that all share one past, poses (T, 3)."""
         return cls(np.zeros(particles, dtype=np.int64), [], trajectory.copy())
 
@@ -124,7 +124,7 @@ class Ancestry:
         return self._trunk_length + len(self._levels)
 
     @property
-    def coalesced(self) -> int:
+    def common_steps(self) -> int:
         """How many first steps are one and the same node for all particles."""
         return self._trunk_length
 

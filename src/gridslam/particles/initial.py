@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen, require_generator, require_instance
+from gridslam.arguments import freeze, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["at_pose", "spread"]
+__all__ = ["repeat_pose", "sample_gaussian"]
 
 
-def at_pose(count: int, pose: ArrayLike) -> FloatArray:
+def repeat_pose(count: int, pose: ArrayLike) -> FloatArray:
     """Put all particles at one pose: SLAM's map frame is where the robot starts, so nothing is uncertain yet.
 
     Parameters
@@ -35,14 +35,14 @@ def at_pose(count: int, pose: ArrayLike) -> FloatArray:
     require_instance("count", count, int, np.integer)
     if count < 1:
         raise ArgumentError("count", "at least one particle", count)
-    mean = frozen(pose, np.float64, (3,), "pose").copy()
+    mean = freeze(pose, np.float64, (3,), "pose").copy()
     if not np.isfinite(mean).all():
         raise ArgumentError("pose", "finite [x, y, theta]", mean.tolist())
     mean[2] = wrap(mean[2])
     return np.tile(mean, (count, 1))
 
 
-def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
+def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> FloatArray:
     """Draw particles from a Gaussian about a pose, theta wrapped around the circle.
 
     Parameters
@@ -66,7 +66,7 @@ def spread(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Ge
         If an argument is anything else.
     """
     require_generator(rng)
-    poses, matrix = at_pose(count, pose), frozen(covariance, np.float64, (3, 3), "covariance")
+    poses, matrix = repeat_pose(count, pose), freeze(covariance, np.float64, (3, 3), "covariance")
     if not np.isfinite(matrix).all():
         raise ArgumentError("covariance", "a finite (3, 3) matrix", matrix.tolist())
     rounding = 1e-12 * np.abs(matrix).max()

@@ -7,7 +7,14 @@ from typing import Annotated, Protocol, final, runtime_checkable
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-__all__ = ["Always", "EffectiveSampleSizeBelow", "MovedAtLeast", "Never", "ResamplingPolicy", "UpdatePolicy"]
+__all__ = [
+    "AlwaysResample",
+    "EffectiveSampleSizeBelow",
+    "MotionThreshold",
+    "NeverResample",
+    "ResamplingPolicy",
+    "UpdatePolicy",
+]
 
 
 @runtime_checkable
@@ -48,7 +55,7 @@ class EffectiveSampleSizeBelow:
 
 @final
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
-class Always:
+class AlwaysResample:
     """Resample at every key scan, as in the textbook's particle filter (Probabilistic Robotics, Table 4.3)."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
@@ -58,7 +65,7 @@ class Always:
 
 @final
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
-class Never:
+class NeverResample:
     """Never resample: sequential importance sampling, whose weights degenerate; for study and for tests."""
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
@@ -68,7 +75,7 @@ class Never:
 
 @final
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
-class MovedAtLeast:
+class MotionThreshold:
     """A scan is a key scan once the robot has moved or turned enough since the last one.
 
     Scans from nearly one place see the same surfaces with the same error: counted as independent, they make the

@@ -14,7 +14,7 @@ import numpy as np
 from gridslam.config import Configuration
 from gridslam.errors import ArgumentError, ConfigurationError, OutputError
 from gridslam.io.measurement import Measurement
-from gridslam.particles import spread
+from gridslam.particles import sample_gaussian
 from gridslam.pipeline import Observer
 from gridslam.ros.accepted import Accepted
 from gridslam.ros.complaints import Complaints
@@ -173,7 +173,7 @@ class NodeCore:
         if not isinstance(self.configuration, Localization):
             raise ArgumentError("place", "a node that localizes", "one that maps")
         if place is not None:  # validates it
-            spread(1, *place, np.random.default_rng(0))
+            sample_gaussian(1, *place, np.random.default_rng(0))
             self.configuration.known.require(place[0])
 
         def put() -> None:

@@ -14,8 +14,8 @@ from gridslam.io.measurement import Measurement
 from gridslam.localization import (
     KnownMap,
     LocalizationReport,
+    MonteCarloConfiguration,
     MonteCarloLocalization,
-    MonteCarloParts,
     MonteCarloState,
 )  # fmt: skip
 from gridslam.pipeline import run
@@ -40,20 +40,20 @@ class Localization:
     ----------
     known : KnownMap
         Where it is.
-    parts : MonteCarloParts
+    configuration : MonteCarloConfiguration
         Of the filter.
     place : (pose (3,), covariance (3, 3)) or None
         Where it is at first; it is found where that is not known.
     """
 
     known: KnownMap
-    parts: MonteCarloParts
+    configuration: MonteCarloConfiguration
     place: Place = None
 
     @property
     def range_max_m(self) -> float:
         """Range from which on beams are not used, m."""
-        return self.parts.range_max_m
+        return self.configuration.range_max_m
 
 
 @final
@@ -75,13 +75,13 @@ class LocalizationSession:
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
         self._localization = localization
         self._rng = np.random.default_rng(seed)
-        self._mcl = MonteCarloLocalization(localization.known, localization.parts)
+        self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
         self._recorder = None if record is None else ScanRecorder(record)
         self.place(localization.place)
 
     def place(self, place: Place) -> None:
         """Let the robot be somewhere else from the next scan on; nowhere that is known, if None."""
-        self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.around(*place, self._rng)
+        self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.init_gaussian(*place, self._rng)
 
     def add(self, accepted: Accepted) -> None:
         """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from gridslam.api.amcl import AMCL_NAMES, from_amcl
 from gridslam.api.localization import known_map
-from gridslam.api.localization_parameters import override_parts
+from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.localization import Localization
 
@@ -39,10 +39,12 @@ def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
     if not path:
         raise ConfigurationError("map_file: expected the YAML file of the map to be localized in, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
-    changed = override_parts(amcl.parts, [part for part in str(given.get("set", "")).split(";") if part.strip()])
+    changed = override_configuration(
+        amcl.configuration, [part for part in str(given.get("set", "")).split(";") if part.strip()]
+    )
     placed = changed if changed.pose is not None else amcl
-    parts = changed.parts
-    known = known_map(str(path), parts, int(given.get("threads", 1)))[1]
+    configuration = changed.configuration
+    known = known_map(str(path), configuration, int(given.get("threads", 1)))[1]
     place = None if placed.pose is None else (placed.pose, placed.covariance)
     if place is not None:
         try:
@@ -50,4 +52,4 @@ def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
         except ArgumentError as error:
             raise ConfigurationError(f"initial_{error}") from None
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in NODE_NAMES]
-    return Localization(known, parts, place), ignored
+    return Localization(known, configuration, place), ignored

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from gridslam.api.amcl import AMCL_NAMES
 from gridslam.config import Configuration, load, override, preset
-from gridslam.config.tables import changed, meant, names
+from gridslam.config.tables import names, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.ros.localization import Localization
 from gridslam.ros.localization_parameters import NODE_NAMES, localization_of
@@ -61,7 +61,7 @@ _FILTER: Final[Mapping[str, str]] = {
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
-    "ogain": ("sensor.gain",),
+    "ogain": ("sensor.likelihood_gain",),
     "maxUrange": ("range_max_m",),
     "maxRange": ("range_max_m",),
 }
@@ -143,8 +143,8 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
     held = {**GMAPPING, **given} if name == "gmapping" else dict(given)
     try:
-        config = changed(base, _tree(_direct(base, held)))
-        config = changed(config, _tree(_derived(base, given, held)))
+        config = replace_parameters(base, _tree(_direct(base, held)))
+        config = replace_parameters(config, _tree(_derived(base, given, held)))
     except ConfigurationError as error:
         raise _by_its_ros_name(error) from None
     if own["config"]:
@@ -169,7 +169,7 @@ def _localizing(given: Mapping[str, Any], own: Mapping[str, Any]) -> NodeParamet
         if name in elsewhere:
             reasons[name] = "the node localizes, and makes no map"
         elif name not in (*_NODE, *OWN, *AMCL_NAMES):
-            reasons[name] = f"there is no such parameter{meant(name, [*AMCL_NAMES, *_NODE, *OWN])}"
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *OWN])}"
     return NodeParameters(_settings(ours), localization, _ignored(reasons), _path(own["record"]), None)
 
 
@@ -213,8 +213,8 @@ def _derived(base: Configuration, given: Mapping[str, Any], held: Mapping[str, A
     if "sensor.kernel_m" in there:  # a circle as wide as the square of cells
         kernel_m = round((number("kernelSize", 1) + 0.5) * number("delta", base.mapper.resolution_m), 9)
         values |= dict.fromkeys(_DERIVED["kernelSize"], kernel_m)
-    if "sensor.gain" in there:
-        values["sensor.gain"] = number("ogain", 3.0) * number("particles", base.particles)
+    if "sensor.likelihood_gain" in there:
+        values["sensor.likelihood_gain"] = number("ogain", 3.0) * number("particles", base.particles)
     if "maxUrange" in held or "maxRange" in held:
         bounds = [number(name, 80.0) for name in ("maxUrange", "maxRange") if name in given]
         values["range_max_m"] = min(bounds, default=80.0)
@@ -257,7 +257,7 @@ def _warning(base: Configuration, preset_name: str, given: Mapping[str, Any]) ->
             if not there.intersection(paths):
                 reasons[name] = f"the preset {preset_name} has no such part"
         elif name not in _NODE and name not in OWN:
-            reasons[name] = f"there is no such parameter{meant(name, [*GMAPPING, *OWN])}"
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING, *OWN])}"
     return _ignored(reasons)
 
 

@@ -16,7 +16,7 @@ from gridslam.api.result import MapResult
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
@@ -163,7 +163,7 @@ class TakenSession:
             seed=self.seed,
             threads=self.threads,
             source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
-            digest="" if self.record is None else digest_of(self.record),
+            digest="" if self.record is None else compute_digest(self.record),
             record=record,
             stopwatch=watch,
             repair=Repair(),

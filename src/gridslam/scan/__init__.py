@@ -4,12 +4,21 @@
 """
 
 from gridslam.scan.arrays import FloatArray, IntArray, Rows
-from gridslam.scan.beams import BeamEnds, Beams, EndPoints
+from gridslam.scan.beams import BeamEnds, Beams, StoredScan
 from gridslam.scan.geometry import ScanGeometry
 from gridslam.scan.laser_scan import LONGEST_SCAN_S, BeamStatus, LaserScan
 from gridslam.scan.thinning import Thinning
 
 __all__ = [
-    "LONGEST_SCAN_S", "BeamEnds", "BeamStatus", "Beams", "EndPoints", "FloatArray", "IntArray", "LaserScan", "Rows",
-    "ScanGeometry", "Thinning",
+    "LONGEST_SCAN_S",
+    "BeamEnds",
+    "BeamStatus",
+    "Beams",
+    "FloatArray",
+    "IntArray",
+    "LaserScan",
+    "Rows",
+    "ScanGeometry",
+    "StoredScan",
+    "Thinning",
 ]  # fmt: skip

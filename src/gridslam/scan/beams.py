@@ -13,7 +13,7 @@ from gridslam.scan.arrays import FloatArray, IntArray
 if TYPE_CHECKING:
     from gridslam.scan.laser_scan import LaserScan
 
-__all__ = ["BeamEnds", "Beams", "EndPoints"]
+__all__ = ["BeamEnds", "Beams", "StoredScan"]
 
 _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
 
@@ -56,7 +56,7 @@ class Beams:
         """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
         return _reach_m(self.ends, self.origin)
 
-    def deskewed(self, twist: FloatArray) -> Beams:
+    def deskew(self, twist: FloatArray) -> Beams:
         """Undo the robot's motion during the scan: all beams as if they had been measured at the scan's stamp.
 
         A beam that was measured t seconds after the stamp left the laser, and ended, where the base then was: both lie
@@ -91,7 +91,7 @@ class Beams:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class EndPoints:
+class StoredScan:
     """End points (K, 2) of the usable beams and origin (2,) of a stored scan."""
 
     ends: FloatArray
@@ -108,7 +108,7 @@ class EndPoints:
 
 
 class BeamEnds(Protocol):
-    """Where beams end, seen from the base: `Beams` of a scan at hand, or `EndPoints` of one that was kept."""
+    """Where beams end, seen from the base: `Beams` of a scan at hand, or `StoredScan` of one that was kept."""
 
     @property
     def ends(self) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.scan.arrays import FloatArray
@@ -40,21 +40,21 @@ class ScanGeometry:
     __slots__ = ("base_from_laser", "bearings", "directions", "origin", "widths")
 
     def __init__(self, bearings: ArrayLike, base_from_laser: ArrayLike | None = None) -> None:
-        self.bearings: FloatArray = frozen(bearings, np.float64, (None,), "bearings")
+        self.bearings: FloatArray = freeze(bearings, np.float64, (None,), "bearings")
         if not np.isfinite(self.bearings).all():
             raise ArgumentError("bearings", "finite angles in rad", "a value that is not finite")
         mounting = np.eye(4) if base_from_laser is None else base_from_laser
-        self.base_from_laser: FloatArray = frozen(mounting, np.float64, (4, 4), "base_from_laser")
+        self.base_from_laser: FloatArray = freeze(mounting, np.float64, (4, 4), "base_from_laser")
         if not np.isfinite(self.base_from_laser).all():
             raise ArgumentError("base_from_laser", "finite numbers", self.base_from_laser.tolist())
         rotation = self.base_from_laser[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
             raise ArgumentError("base_from_laser", "a rotation in its upper left 3x3 block", rotation.tolist())
         in_laser = np.stack([np.cos(self.bearings), np.sin(self.bearings), np.zeros_like(self.bearings)])
-        self.directions: FloatArray = frozen((rotation @ in_laser)[:2].T, np.float64, (None, 2), "directions")
-        self.origin: FloatArray = frozen(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
+        self.directions: FloatArray = freeze((rotation @ in_laser)[:2].T, np.float64, (None, 2), "directions")
+        self.origin: FloatArray = freeze(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
         gaps = np.abs(wrap(self.bearings - np.roll(self.bearings, 1)))
-        self.widths: FloatArray = frozen(gaps, np.float64, (None,), "widths")
+        self.widths: FloatArray = freeze(gaps, np.float64, (None,), "widths")
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -65,6 +65,6 @@ class ScanGeometry:
     @classmethod
     def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
         """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
-        x, y, theta = frozen(base_from_laser, np.float64, (3,), "base_from_laser")
+        x, y, theta = freeze(base_from_laser, np.float64, (3,), "base_from_laser")
         c, s = np.cos(theta), np.sin(theta)
         return cls(bearings, [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.arguments import frozen, require_array, require_instance
+from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan.arrays import FloatArray
 from gridslam.scan.beams import Beams
@@ -111,14 +111,14 @@ class LaserScan:
         `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ or a beam's time is not finite.
         """
         require_instance("geometry", geometry, ScanGeometry)
-        values = frozen(ranges, np.float64, (len(geometry.bearings),), "ranges")
+        values = freeze(ranges, np.float64, (len(geometry.bearings),), "ranges")
         no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
         valid = (values > 0) & (values >= range_min_m)
         status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
-        times = None if beam_times_s is None else frozen(beam_times_s, np.float64, values.shape, "beam_times_s")
+        times = None if beam_times_s is None else freeze(beam_times_s, np.float64, values.shape, "beam_times_s")
         if times is not None and not np.isfinite(times).all():
             raise ArgumentError("beam_times_s", "finite times in s", "a value that is not finite")
-        known = frozen(status, np.uint8, values.shape, "status")
+        known = freeze(status, np.uint8, values.shape, "status")
         return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
 
     @classmethod
@@ -166,7 +166,7 @@ class LaserScan:
         lower = float(range_min) if 0 < range_min < math.inf else 0.0
         upper = float(range_max) if range_max > lower else math.inf
         with np.errstate(invalid="ignore"):  # of NaNs that signal
-            values = frozen(ranges, np.float64, (None,), "ranges")
+            values = freeze(ranges, np.float64, (None,), "ranges")
         if geometry is None:
             if not math.isfinite(angle_min + angle_increment):
                 got = f"{angle_min} rad in steps of {angle_increment} rad"

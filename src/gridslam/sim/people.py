@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.models.parameters import STRICT
 from gridslam.types import FloatArray
 
-__all__ = ["PeopleConfig", "walkers"]
+__all__ = ["PeopleConfig", "simulate_walkers"]
 
 
 @final
@@ -37,7 +37,7 @@ class PeopleConfig:
     distance_m: float = Field(default=0.8, gt=0)
 
 
-def walkers(
+def simulate_walkers(
     route: FloatArray, people: PeopleConfig, rng: np.random.Generator
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """People who walk along the route (K, 2) and back for ever.

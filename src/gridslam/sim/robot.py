@@ -14,7 +14,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import STRICT
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Drive", "OdometryNoise", "RobotConfig", "drive", "follow", "read_odometry"]
+__all__ = ["Drive", "OdometryNoise", "RobotConfig", "drive", "follow", "simulate_odometry"]
 
 _STEP_M = 0.01  # speed is planned at this spacing along the path
 _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
@@ -193,7 +193,7 @@ def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tu
     return driven, np.sqrt(np.maximum(square, 0.0))
 
 
-def read_odometry(truth: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
+def simulate_odometry(truth: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
     """Poses (N, 3) that odometry reports for true poses (N, 3); the first is the true one."""
     twists = se2.log(se2.between(truth[:-1], truth[1:]))
     distance, turn = np.hypot(twists[:, 0], twists[:, 1]), np.abs(twists[:, 2])

@@ -13,8 +13,8 @@ from gridslam.errors import ArgumentError
 from gridslam.io.measurement import Measurement
 from gridslam.sim.floor_plan import clearance, near
 from gridslam.sim.lidar import LidarConfig
-from gridslam.sim.people import PeopleConfig, walkers
-from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, read_odometry
+from gridslam.sim.people import PeopleConfig, simulate_walkers
+from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, simulate_odometry
 from gridslam.sim.scanner import TOGETHER, Scanner
 from gridslam.sim.world import World
 from gridslam.types import FloatArray, IntArray, Odometry, Trajectory
@@ -125,8 +125,8 @@ def simulate_stream(
     seconds = np.concatenate(times)[order]
     truth, legs = way.at(seconds)
     _check_clearance(world, truth, legs, robot)
-    measured = read_odometry(truth, odometry, rng)
-    crowd = (people, walkers(world.route, people, rng)) if people is not None and people.count else None
+    measured = simulate_odometry(truth, odometry, rng)
+    crowd = (people, simulate_walkers(world.route, people, rng)) if people is not None and people.count else None
     scanners = [Scanner(one, way, world, rng) for one in lidars]
     of = np.repeat(np.arange(len(lidars)), [len(some) for some in times])[order]
     stamps = np.round(1e9 * seconds).astype(np.int64)

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thinned
+from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam import place_checks as checks
 from gridslam.slam.alignment_hypotheses import AlignmentHypothesis, SearchHit, group_hits
@@ -89,7 +89,7 @@ class ComponentAlignment:
     self_similarity_ratio: float = Field(default=0.85, gt=0, le=1)
     inlier_ratio: float = Field(default=0.5, gt=0, le=1)
     min_constraints: int = Field(default=3, ge=1)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def __call__(
@@ -173,7 +173,7 @@ class ComponentAlignment:
         hits = []
         beyond = np.square(
             np.diag([places.ambiguity_window_m, places.ambiguity_window_m, places.ambiguity_window_rad])
-            / self.search.gate
+            / self.search.gate_sigmas
         )
         for key, way in ways.items():
             guess = self._guess(closure_state.graph, way)
@@ -182,8 +182,8 @@ class ComponentAlignment:
             )
             if found is None:
                 continue
-            distinct = found.other_share <= places.ambiguity_ratio * found.share
-            two = (found.pose, found.share, distinct), (found.other_pose, found.other_share, False)
+            distinct = found.runner_up_score <= places.ambiguity_ratio * found.score
+            two = (found.pose, found.score, distinct), (found.runner_up_pose, found.runner_up_score, False)
             for pose, score, distinct in two:
                 if pose is not None:
                     missed = np.append((pose - guess)[:2], between(guess, pose)[2])
@@ -193,7 +193,9 @@ class ComponentAlignment:
     def _collect_points(
         self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, key: int
     ) -> FloatArray:
-        return thinned(checks.collect_recent_points(closure_state, key, places.query_key_scans), self.search.points)
+        return thin_points(
+            checks.collect_recent_points(closure_state, key, places.query_key_scans), self.search.max_points
+        )
 
     def _track_component(
         self, closure_state: LoopClosureState, maps: TileMaps, keys: IntArray, group: list[SearchHit]
@@ -218,14 +220,14 @@ class ComponentAlignment:
     ) -> tuple[FloatArray, float]:
         """Match a key scan within the gate of the motion; return its pose and log likelihood (nats)."""
         beams, pose = closure_state.scans.key(key), guess
-        if len(beams) < self.matcher.least_beams:
+        if len(beams) < self.matcher.min_beams:
             return pose, 0.0
-        if np.mean(maps.known(0, transform_points(guess, beams.ends))) >= 0.4:
+        if np.mean(maps.is_known(0, transform_points(guess, beams.ends))) >= 0.4:
             match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
             x, y, turn = between(guess, match.poses[0]).tolist()
             if (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.tracking_gate_sigmas**2:
                 pose = match.poses[0]
-        known = maps.known(0, transform_points(pose, beams.ends))
+        known = maps.is_known(0, transform_points(pose, beams.ends))
         away = maps.distances(ROW, pose[None], beams.ends)[0, known].astype(np.float64)
         agreeing = float(np.sum(1 / (1 + np.square(away / self.scale_m))))
         return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
@@ -240,7 +242,7 @@ class ComponentAlignment:
             found = within.search(
                 own, closure_state.graph.poses[key], None, self._collect_points(closure_state, places, key)
             )
-            ratios.append(0.0 if found is None else found.other_share / found.share)
+            ratios.append(0.0 if found is None else found.runner_up_score / found.score)
         return float(np.quantile(ratios, 0.75)) >= self.self_similarity_ratio
 
     def _make_constraints(
@@ -259,7 +261,7 @@ class ComponentAlignment:
         anchors = np.array([graph.poses[anchor_of(submap)] for submap in submaps.tolist()]).reshape(-1, 3)
         for index in range(0, len(keys), self.search_interval):
             key, pose = int(keys[index]), best.poses[index]
-            if not len(submaps) or len(closure_state.scans.key(key)) < self.matcher.least_beams:
+            if not len(submaps) or len(closure_state.scans.key(key)) < self.matcher.min_beams:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             seen, anchor, submap = between(anchors[nearest], pose), anchors[nearest], int(submaps[nearest])

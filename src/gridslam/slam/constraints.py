@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.types import BeamEnds, FloatArray, Match
 
 __all__ = [
@@ -30,7 +30,7 @@ _FLOOR = np.diag([1e-2, 1e-2, 1e-2])
 """Information (1/m^2, 1/rad^2) along a degenerate direction: 10 m, 10 rad."""
 
 
-_WALLS_ONLY = GaussNewton(max_passes=0, sparse_m=1e-3)
+_WALLS_ONLY = GaussNewton(max_iterations=0, dense_spacing_m=1e-3)
 """Evaluates point-to-line residuals only."""
 
 
@@ -87,7 +87,7 @@ class Constraint(NamedTuple):
             Minimum eigenvalue of the position information per inlier beam of a non-degenerate match.
         """
         pose, information = match.poses[0].copy(), match.information[0] / sigma_m**2
-        weak = undetermined(match.information[0], float(match.score[0]), least)
+        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
         if weak is not None:
             pose[:2] -= weak * float(weak @ (pose - guess)[:2])
             across = np.eye(3)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.geometry.angles import wrap
-from gridslam.models.association import NEW, Association, Told
+from gridslam.models.association import NEW, Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
-from gridslam.models.sightings import Sightings
 from gridslam.slam.ekf_slam_state import EkfSlamState
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
 from gridslam.slam.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
@@ -37,8 +37,8 @@ class EkfSlam:
     sensor : LandmarkModel
         p(z | x, m) of one landmark.
     association : Association
-        `Told` if the observations contain the correspondences, `MaximumLikelihood` otherwise.
-    existence : Existence
+        `KnownCorrespondence` if the observations contain the correspondences, `MaximumLikelihood` otherwise.
+    existence : LandmarkExistence
         Which landmarks are real, where correspondences are unknown. A provisional one learns from the robot's pose,
         but the pose learns nothing from it.
     bias : OdometryBias
@@ -50,8 +50,8 @@ class EkfSlam:
     """
 
     sensor: LandmarkModel = field(default_factory=RangeBearing)
-    association: Association = field(default_factory=Told)
-    existence: Existence = field(default_factory=Existence)
+    association: Association = field(default_factory=KnownCorrespondence)
+    existence: LandmarkExistence = field(default_factory=LandmarkExistence)
     bias: OdometryBias = EXACT_ODOMETRY
 
     def init(self, pose: ArrayLike = (0.0, 0.0, 0.0)) -> EkfSlamState:
@@ -59,7 +59,7 @@ class EkfSlam:
         return EkfSlamState.at(pose, self.bias.covariance())
 
     def step(
-        self, state: EkfSlamState, motion: MotionSampler, sightings: Sightings
+        self, state: EkfSlamState, motion: MotionSampler, observations: LandmarkObservations
     ) -> tuple[EkfSlamState, LandmarkReport]:
         """Take one step; consumes `state` (keep one for later with `state.snapshot()`).
 
@@ -68,7 +68,7 @@ class EkfSlam:
         state : EkfSlamState
         motion : MotionSampler
             The motion model, conditioned on u_t.
-        sightings : Sightings
+        observations : LandmarkObservations
             z_t, with c_t where the association needs it; perhaps none.
 
         Raises
@@ -76,24 +76,24 @@ class EkfSlam:
         ArgumentError
             The association needs correspondences that the observations do not contain.
         """
-        state, noise = state.take(), self.sensor.noise(sightings)
+        state, noise = state.take(), self.sensor.noise(observations)
         self._predict(state, motion)
-        places = self._correspondences(state, sightings, noise)
+        places = self._correspondences(state, observations, noise)
         known = np.flatnonzero(places >= 0)
-        firm = state.evidence[places[known]] >= self.existence.confirmed
-        self._correct(state, places[known[firm]], sightings.values[known[firm]], noise[known[firm]])
-        for k in known[~firm].tolist():
-            self._correct_provisional(state, int(places[k]), sightings.values[k], noise[k])
+        confirmed = state.evidence[places[known]] >= self.existence.log_odds_confirmed
+        self._correct(state, places[known[confirmed]], observations.values[known[confirmed]], noise[known[confirmed]])
+        for k in known[~confirmed].tolist():
+            self._correct_provisional(state, int(places[k]), observations.values[k], noise[k])
         for k in np.flatnonzero(places == NEW).tolist():
-            places[k] = self._add(state, sightings, k, noise[k])
+            places[k] = self._add(state, observations, k, noise[k])
         told = places.copy()
         told[places >= 0] = state.names[places[places >= 0]]
-        self._count(state, places[places >= 0], sightings)
+        self._count(state, places[places >= 0], observations)
         return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), told)
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the confirmed landmarks."""
-        return state.landmark_map(self.existence.confirmed)
+        return state.landmark_map(self.existence.log_odds_confirmed)
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
         """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""
@@ -104,7 +104,7 @@ class EkfSlam:
         P[:, own] = P[:, own] @ F.T
         P[own, own] += Q
 
-    def _correspondences(self, state: EkfSlamState, sightings: Sightings, noise: FloatArray) -> IntArray:
+    def _correspondences(self, state: EkfSlamState, observations: LandmarkObservations, noise: FloatArray) -> IntArray:
         """Table 10.2, lines 9 to 16: the index of each observation's landmark in the state."""
         predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions)
         H = np.concatenate([H_x, H_m], axis=-1)
@@ -112,9 +112,9 @@ class EkfSlam:
         P[:, :3, :3], P[:, 3:, 3:] = state.pose_covariance, state.position_covariances
         P[:, :3, 3:] = state.covariance[:3, state.first :].reshape(3, -1, 2).swapaxes(0, 1)
         P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
-        residuals = self.sensor.residual(sightings.values[:, None], predicted)
+        residuals = self.sensor.residual(observations.values[:, None], predicted)
         S = H @ P @ H.swapaxes(1, 2) + noise[:, None]
-        return self.association(sightings, state.names, *mahalanobis(residuals, S))
+        return self.association(observations, state.names, *mahalanobis(residuals, S))
 
     def _correct(self, state: EkfSlamState, places: IntArray, measured: FloatArray, noise: FloatArray) -> None:
         """Table 10.1, lines 12 to 20, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
@@ -148,30 +148,30 @@ class EkfSlam:
         residuals = self.sensor.residual(measured, predicted)
         return residuals.ravel(), HP.reshape(2 * count, -1), S.reshape(2 * count, 2 * count)
 
-    def _add(self, state: EkfSlamState, sightings: Sightings, k: int, noise: FloatArray) -> int:
+    def _add(self, state: EkfSlamState, observations: LandmarkObservations, k: int, noise: FloatArray) -> int:
         """Tables 10.1, lines 9 to 11, and 10.2, line 8: put a landmark where it is seen.
 
         z = h(x, m) + e makes dm = H_m^-1 (dz - H_x dx - e).
         """
-        position = self.sensor.locate(state.pose, sightings.values[k])
+        position = self.sensor.locate(state.pose, observations.values[k])
         _, H_x, H_m = self.sensor.linearize(state.pose, position)
         by_measured = np.linalg.inv(H_m)
         by_pose = -by_measured @ H_x
         with_others = by_pose @ state.covariance[:3]
         own = with_others[:, :3] @ by_pose.T + by_measured @ noise @ by_measured.T
-        if self.association.told and sightings.landmarks is not None:
-            name = int(sightings.landmarks[k])
+        if self.association.uses_signatures and observations.landmarks is not None:
+            name = int(observations.landmarks[k])
         else:
             name, state.next_name = state.next_name, state.next_name + 1
         state.append(name, position, with_others, own)
         return len(state.names) - 1
 
-    def _count(self, state: EkfSlamState, places: IntArray, sightings: Sightings) -> None:
+    def _count(self, state: EkfSlamState, places: IntArray, observations: LandmarkObservations) -> None:
         """Count observations and update the evidence; drop landmarks whose evidence is negative."""
-        state.sightings[places] += 1
-        if self.association.told:
+        state.observations[places] += 1
+        if self.association.uses_signatures:
             state.evidence[places] = math.inf
-        elif len(sightings):  # a sensor that sees nothing may not have looked
+        elif len(observations):  # a sensor that sees nothing may not have looked
             seen = np.zeros(len(state.names), np.bool_)
             seen[places] = True
             state.evidence = self.existence(state.evidence, seen, state.pose, state.positions)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
-from gridslam.particles.initial import at_pose
+from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmark_report import LandmarkMap
 from gridslam.types import FloatArray, IntArray
 
@@ -29,7 +29,7 @@ class EkfSlamState:
         Signatures of the landmarks, or numbers in the order of first sight.
     evidence : (M,) float64, nats
         Log odds that each exists; infinite where its signature is known.
-    sightings : (M,) int64
+    observations : (M,) int64
         How often each was seen.
     next_name : int
         Number of the next landmark without a signature.
@@ -41,7 +41,7 @@ class EkfSlamState:
     covariance: FloatArray
     names: IntArray
     evidence: FloatArray
-    sightings: IntArray
+    observations: IntArray
     next_name: int = 0
     biases: int = 0
     consumed: bool = False
@@ -54,7 +54,7 @@ class EkfSlamState:
         """
         nothing, size = np.empty(0, np.int64), 3 + len(bias)
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        mean[:3], covariance[3:, 3:] = at_pose(1, pose)[0], bias
+        mean[:3], covariance[3:, 3:] = repeat_pose(1, pose)[0], bias
         return cls(mean, covariance, nothing, np.empty(0), nothing, biases=len(bias))
 
     @property
@@ -89,7 +89,7 @@ class EkfSlamState:
         """Return the landmarks whose log odds are at least so great."""
         kept = self.evidence >= least_evidence
         covariances = self.position_covariances[kept]
-        return LandmarkMap(self.names[kept], self.positions[kept], covariances, self.sightings[kept])
+        return LandmarkMap(self.names[kept], self.positions[kept], covariances, self.observations[kept])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.
@@ -106,13 +106,13 @@ class EkfSlamState:
         self.mean = np.concatenate([self.mean, position])
         self.covariance = np.block([[self.covariance, with_others.T], [with_others, own]])
         self.names = np.append(self.names, name)
-        self.evidence, self.sightings = np.append(self.evidence, 0.0), np.append(self.sightings, 0)
+        self.evidence, self.observations = np.append(self.evidence, 0.0), np.append(self.observations, 0)
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget all landmarks but those `kept` (M,)."""
         rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, 2)]))
         self.mean, self.covariance = self.mean[rows], self.covariance[np.ix_(rows, rows)]
-        self.names, self.evidence, self.sightings = self.names[kept], self.evidence[kept], self.sightings[kept]
+        self.names, self.evidence, self.observations = self.names[kept], self.evidence[kept], self.observations[kept]
 
     def take(self) -> EkfSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
@@ -124,7 +124,7 @@ class EkfSlamState:
         """Return an independent copy for later."""
         self._check()
         return EkfSlamState(
-            self.mean.copy(), self.covariance.copy(), self.names.copy(), self.evidence.copy(), self.sightings.copy(),
+            self.mean.copy(), self.covariance.copy(), self.names.copy(), self.evidence.copy(), self.observations.copy(),
             next_name=self.next_name, biases=self.biases,
         )  # fmt: skip
 

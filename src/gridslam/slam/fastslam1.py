@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.arguments import require_generator, require_instance
 from gridslam.models.association import NEW
-from gridslam.models.sightings import Sightings
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmark_filters import LandmarkFilters
@@ -54,7 +54,11 @@ class FastSlam1:
         return LandmarkParticles.at(particles, pose)
 
     def step(
-        self, state: LandmarkParticles, motion: MotionSampler, sightings: Sightings, rng: np.random.Generator
+        self,
+        state: LandmarkParticles,
+        motion: MotionSampler,
+        observations: LandmarkObservations,
+        rng: np.random.Generator,
     ) -> tuple[LandmarkParticles, LandmarkReport]:
         """Take one step; consumes `state` (keep one for later with `state.snapshot()`).
 
@@ -63,7 +67,7 @@ class FastSlam1:
         state : LandmarkParticles
         motion : MotionSampler
             The motion model, conditioned on u_t.
-        sightings : Sightings
+        observations : LandmarkObservations
             z_t, with c_t where the association needs it; perhaps none.
         rng : numpy.random.Generator
 
@@ -76,14 +80,14 @@ class FastSlam1:
         require_generator(rng)
         state = state.take()
         poses = motion(state.poses, rng)  # x_t ~ p(x_t | x_t-1, u_t)
-        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
-        for k in self.landmarks.order(state, sightings, poses).tolist():
-            columns[:, k], log_p, seen = self.landmarks.correspond(state, sightings, k, poses, None, columns, rng)
+        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(observations)), NEW)
+        for k in self.landmarks.order(state, observations, poses).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, poses, None, columns, rng)
             log_weights += log_p  # w = p(z | x_t, m)
             self.landmarks.correct(state, seen)
-        for k in range(len(sightings)):
-            self.landmarks.add(state, columns[:, k], poses, sightings, k)
-        state.advance(poses, state.spread, log_weights)
+        for k in range(len(observations)):
+            self.landmarks.add(state, columns[:, k], poses, observations, k)
+        state.advance(poses, state.state_covariances, log_weights)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

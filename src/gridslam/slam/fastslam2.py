@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 
 from gridslam.arguments import require_generator, require_instance
 from gridslam.models.association import NEW
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
-from gridslam.models.sightings import Sightings
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.slam.landmark_bias import predict
 from gridslam.slam.landmark_filters import LandmarkFilters
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
 from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.landmark_raft import PoseAndRaft
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
 from gridslam.types import MotionSampler, Resampler
 
@@ -40,8 +40,8 @@ class FastSlam2:
     corrects have a part: what the proposal takes into account is not weighed again.
 
     Where only new landmarks are observed, the pose is not sampled either: the new landmarks are kept in a local frame
-    whose pose is Gaussian (see `gridslam.slam.landmark_raft`). So particles are not depleted by what is not observable
-    yet.
+    whose pose is Gaussian (see `gridslam.slam.landmark_local_frame`). So particles are not depleted by what is not
+    observable yet.
 
     Attributes
     ----------
@@ -68,33 +68,39 @@ class FastSlam2:
         return LandmarkParticles.at(particles, pose, self.bias.covariance())
 
     def step(
-        self, state: LandmarkParticles, motion: MotionSampler, sightings: Sightings, rng: np.random.Generator
+        self,
+        state: LandmarkParticles,
+        motion: MotionSampler,
+        observations: LandmarkObservations,
+        rng: np.random.Generator,
     ) -> tuple[LandmarkParticles, LandmarkReport]:
         """Take one step; consumes `state`. Parameters and exceptions are those of `FastSlam1.step`."""
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
         state = state.take()
         mean, spread = predict(state, self.bias, motion, rng)  # of p(x_t, b_t | x_t-1, u_t)
-        if not len(sightings):
-            state.wait(mean, spread)
+        if not len(observations):
+            state.predict_without_drawing(mean, spread)
             return state, state.report(np.empty((len(state), 0), np.int64))
-        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(sightings)), NEW)
-        belief = PoseAndRaft.of(state, mean, spread)
-        for k in self.landmarks.order(state, sightings, belief.poses).tolist():
+        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(observations)), NEW)
+        belief = LocalFrameBelief.of(state, mean, spread)
+        for k in self.landmarks.order(state, observations, belief.poses).tolist():
             columns[:, k], log_p, seen = self.landmarks.correspond(
-                state, sightings, k, belief.poses, belief, columns, rng
+                state, observations, k, belief.poses, belief, columns, rng
             )
             log_weights += log_p  # w = p(z | x_t-1, u_t)
             belief.correct(seen)
         unknown = np.flatnonzero((columns == NEW).all(axis=1))
-        belief.launch(unknown[self.landmarks.outweighs(belief.poses[unknown], spread[unknown], sightings)], rng)
+        belief.open_local_frame(
+            unknown[self.landmarks.is_less_certain(belief.poses[unknown], spread[unknown], observations)], rng
+        )
         state.advance(*belief.draw(rng), log_weights, belief.replaced)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
-        for k in range(len(sightings)):
+        for k in range(len(observations)):
             rows = np.flatnonzero(columns[:, k] >= 0)
-            apart = belief.apart(rows, columns[rows, k])
-            seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, apart, sightings, k)
+            apart = belief.cross_frame_covariance(rows, columns[rows, k])
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, apart, observations, k)
             self.landmarks.correct(state, seen)
-            self.landmarks.add(state, columns[:, k], state.poses, sightings, k)
+            self.landmarks.add(state, columns[:, k], state.poses, observations, k)
         self.landmarks.count(state, columns)
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):

@@ -92,7 +92,7 @@ class GlobalScanRefinement:
     max_searches : int
         So often at most the whole log is searched for places seen again, each time from what the last one has made of
         it.
-    other_share, confirmations
+    ambiguity_ratio, min_confirmations
         As in `PlaceRecognition`: at the end the score decides, too, so that fewer searches need to agree.
     component_alignment : ComponentAlignment
         Alignment of rigid components that are separated by gaps in the laser data.
@@ -271,7 +271,7 @@ class GlobalScanRefinement:
         prior = self.scan_prior_information * np.eye(3)[None]
         for scan in range(len(poses)):
             beams = closure_state.scans[scan]
-            if len(beams) < self.matcher.least_beams:
+            if len(beams) < self.matcher.min_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
             last = scan

@@ -18,11 +18,11 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import at_pose
-from gridslam.particles.policies import EffectiveSampleSizeBelow, MovedAtLeast, ResamplingPolicy, UpdatePolicy
+from gridslam.particles.initial import repeat_pose
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
 from gridslam.particles.resampling import Systematic
 from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
 from gridslam.scan.thinning import Thinning
@@ -98,11 +98,11 @@ class GridFastSlam:
 
     tracker: Tracker | OdometryTracker = Tracker()
     motion: MotionModel = DiffusionMotion()
-    sensor: SensorModel = CauchyAgreement()
+    sensor: SensorModel = CauchyEndPoint()
     proposal: Proposal = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     resampler: Resampler = Systematic()
-    when_to_update: UpdatePolicy = MovedAtLeast()
+    when_to_update: UpdatePolicy = MotionThreshold()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
@@ -129,8 +129,8 @@ class GridFastSlam:
         scan : LaserScan
             One without a usable beam is fine.
         particles : int or (N, 3) float64, optional
-            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.spread`); as many as
-            the filter's own `particles` if not given.
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.sample_gaussian`); as
+            many as the filter's own `particles` if not given.
         pose : (3,) float64
             Where they start, map frame [x m, y m, theta rad].
 
@@ -142,7 +142,7 @@ class GridFastSlam:
         require_measurement(odometry, scan)
         particles = self.particles if particles is None else particles
         is_count = isinstance(particles, int | np.integer)
-        poses = at_pose(int(particles), pose) if is_count else _check_particles(particles)
+        poses = repeat_pose(int(particles), pose) if is_count else _check_particles(particles)
         poses[:, 2] = wrap(poses[:, 2])
         beams = self._select(scan)
         tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)

@@ -78,7 +78,7 @@ class KeyScanMatching:
             maps = build_map(mapper, closure_state.scans, keys, between(poses[anchor], poses[keys]))
             for key in members:
                 beams = closure_state.scans.key(key)
-                if len(beams) < self.matcher.least_beams:
+                if len(beams) < self.matcher.min_beams:
                     continue
                 guess = between(poses[anchor], poses[key])
                 match = recompute_information(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)

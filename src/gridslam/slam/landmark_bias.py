@@ -7,7 +7,7 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.models.odometry_bias import OdometryBias
 from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.small_gaussians import draw, projected, times, transposed
+from gridslam.slam.small_gaussians import draw, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, MotionSampler
 
 __all__ = ["predict"]
@@ -36,21 +36,22 @@ def predict(
     mean, spread : (N, 3 + B), (N, 3 + B, 3 + B) float64
         Of poses and errors.
     """
-    mean, F, Q = bias.predict(motion, state.known)
-    spread = Q + projected(F, state.spread) if state.spread.any() else Q  # drawn poses have none
+    mean, F, Q = bias.predict(motion, state.state_means)
+    before = state.state_covariances
+    spread = Q + transform_covariances(F, before) if before.any() else Q  # drawn poses have none
     if not len(bias):
         return mean, spread
-    back = state.spread[:, 3:, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
+    back = state.state_covariances[:, 3:, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
     rest = back @ Q[:, 3:, 3:]
-    rest = (rest + transposed(rest)) / 2
+    rest = (rest + transpose(rest)) / 2
     G = back @ F[:, 3:, 3:]
     drawn = draw(np.zeros((len(state), len(bias))), rest, rng)
     by_bias = F[:, :3, :3] @ state.pose_by_bias + F[:, :3, 3:]
-    mean[:, :3] += times(by_bias, drawn)
+    mean[:, :3] += matvec(by_bias, drawn)
     mean[:, 2] = wrap(mean[:, 2])
-    spread[:, :3, :3] -= projected(by_bias, rest)
+    spread[:, :3, :3] -= transform_covariances(by_bias, rest)
     leaning = state.positions_by_bias.reshape(len(state), -1, len(bias))  # few products of larger matrices: faster
     state.positions += (leaning @ drawn[:, :, None]).reshape(state.positions.shape)
     state.positions_by_bias = (leaning @ G).reshape(state.positions_by_bias.shape)
-    state.bias_before[..., 0], state.bias_before[..., 1:] = state.known[:, 3:] - times(G, mean[:, 3:]) + drawn, G
+    state.bias_before[..., 0], state.bias_before[..., 1:] = state.state_means[:, 3:] - matvec(G, mean[:, 3:]) + drawn, G
     return mean, spread

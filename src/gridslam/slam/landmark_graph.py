@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.geometry.se2 import compose, compose_jacobians, inverse
 from gridslam.models.association import signatures
 from gridslam.models.landmark import LandmarkModel
-from gridslam.models.sightings import LandmarkStep
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.slam.pose_graph import PoseGraph
 from gridslam.slam.small_gaussians import inverse_2x2
 from gridslam.types import FloatArray, IntArray, MotionModel
@@ -34,24 +34,24 @@ class LandmarkGraph:
 
     Attributes
     ----------
-    increments, of_increments : (T, 3), (T, 3, 3) float64
+    increments, increment_information : (T, 3), (T, 3, 3) float64
         Measurements and information of the edges between poses.
     at : (K,) int64
         Index of the pose of each observation, ascending.
     place : (K,) int64
         Which landmark it is of, by the order of first sight.
-    points, of_points : (K, 3), (K, 3, 3) float64
+    points, point_information : (K, 3), (K, 3, 3) float64
         Measurements and information of their edges.
     names : (M,) int64
         Signatures of the landmarks in that order.
     """
 
     increments: FloatArray
-    of_increments: FloatArray
+    increment_information: FloatArray
     at: IntArray
     place: IntArray
     points: FloatArray
-    of_points: FloatArray
+    point_information: FloatArray
     names: IntArray
 
     @classmethod
@@ -65,10 +65,10 @@ class LandmarkGraph:
             (increment,), (spread,) = step.motion(motion).moments(np.zeros((1, 3)))
             increments.append(increment)
             spreads.append(spread)
-            if len(step.sightings):
+            if len(step.observations):
                 seen, uncertain = _points(step, sensor)
                 at += [t] * len(seen)
-                told += signatures(step.sightings).tolist()
+                told += signatures(step.observations).tolist()
                 points += list(seen)
                 covariances += list(uncertain)
         names = list(dict.fromkeys(told))
@@ -80,9 +80,9 @@ class LandmarkGraph:
         measured[:, :2] = np.array(points).reshape(-1, 2)
         information[:, :2, :2] = inverse_2x2(np.array(covariances).reshape(-1, 2, 2))
         information[np.unique(place, return_index=True)[1], 2, 2] = _ANY
-        of_increments = np.asarray(np.linalg.inv(spread_at_end), np.float64)
+        increment_information = np.asarray(np.linalg.inv(spread_at_end), np.float64)
         where = np.array(at, np.int64), place
-        return cls(moved, of_increments, *where, measured, information, np.array(names, np.int64))
+        return cls(moved, increment_information, *where, measured, information, np.array(names, np.int64))
 
     def __len__(self) -> int:
         """Return the number T of steps."""
@@ -112,7 +112,7 @@ class LandmarkGraph:
             poses=np.concatenate([nodes, located[: len(places)]]),
             edges=np.concatenate([chain, np.stack([self.at[:seen], steps + 1 + self.place[:seen]], axis=1)]),
             measurements=np.concatenate([self.increments[:steps], self.points[:seen]]),
-            information=np.concatenate([self.of_increments[:steps], self.of_points[:seen]]),
+            information=np.concatenate([self.increment_information[:steps], self.point_information[:seen]]),
             trusted=np.arange(steps + seen) < steps,
         )
 
@@ -120,9 +120,9 @@ class LandmarkGraph:
 def _points(step: LandmarkStep, sensor: LandmarkModel) -> tuple[FloatArray, FloatArray]:
     """Observations as positions (K, 2) in the base frame, and their covariances (K, 2, 2)."""
     here = np.zeros(3)
-    points = sensor.locate(here, step.sightings.values)
+    points = sensor.locate(here, step.observations.values)
     root = inverse_2x2(sensor.linearize(here, points)[2])
-    return points, root @ sensor.noise(step.sightings) @ root.swapaxes(1, 2)
+    return points, root @ sensor.noise(step.observations) @ root.swapaxes(1, 2)
 
 
 def _at_the_end(covariances: FloatArray, increments: FloatArray) -> FloatArray:

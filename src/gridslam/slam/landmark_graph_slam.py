@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.errors import ArgumentError
 from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.sightings import LandmarkStep
+from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.slam.graph_marginals import Marginals
 from gridslam.slam.graph_slam import GraphSlam, GraphSolution
 from gridslam.slam.landmark_graph import LandmarkGraph
@@ -41,9 +41,9 @@ class LandmarkGraphSolution:
     solution: GraphSolution
 
     @property
-    def freedom(self) -> int:
+    def degrees_of_freedom(self) -> int:
         """Degrees of freedom of chi2: two for each observation but the first of each landmark."""
-        return 2 * int((self.landmarks.sightings - 1).sum())
+        return 2 * int((self.landmarks.observations - 1).sum())
 
 
 @final
@@ -89,6 +89,6 @@ class LandmarkGraphSlam:
             nodes, known = solution.poses, until
         covariances = Marginals(solution.weighted_graph).covariances
         poses, landmarks = slice(1, known + 1), slice(known + 1, None)
-        sightings = np.bincount(problem.place, minlength=len(problem.names))
-        found = LandmarkMap(problem.names, nodes[landmarks, :2], covariances[landmarks, :2, :2], sightings)
+        observations = np.bincount(problem.place, minlength=len(problem.names))
+        found = LandmarkMap(problem.names, nodes[landmarks, :2], covariances[landmarks, :2, :2], observations)
         return LandmarkGraphSolution(nodes[poses], covariances[poses], found, solution)

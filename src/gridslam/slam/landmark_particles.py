@@ -12,11 +12,11 @@ from gridslam.errors import ConsumedStateError
 from gridslam.geometry.se2 import weighted_covariance
 from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
-from gridslam.particles.initial import at_pose
+from gridslam.particles.initial import repeat_pose
 from gridslam.particles.weights import effective_sample_size, normalize
-from gridslam.slam.landmark_raft import lever
+from gridslam.slam.landmark_local_frame import lever_arm_jacobian
 from gridslam.slam.landmark_report import LandmarkMap, LandmarkReport
-from gridslam.slam.small_gaussians import projected
+from gridslam.slam.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LandmarkParticles"]
@@ -38,9 +38,9 @@ class LandmarkParticles:
 
     Attributes
     ----------
-    known : (N, 3 + B) float64
+    state_means : (N, 3 + B) float64
         The pose, map frame, and the B errors of the odometry that are learned.
-    spread : (N, 3 + B, 3 + B) float64
+    state_covariances : (N, 3 + B, 3 + B) float64
         Their covariance given what was drawn: of the pose what these errors explain, and all as long as drawing waits.
     pose_by_bias, positions_by_bias : (N, 3, B), (N, M, 2, B) float64
         Derivatives of the pose and of the landmarks by these errors: what was drawn of the path is the rest.
@@ -55,22 +55,24 @@ class LandmarkParticles:
         Of the landmarks, given what was drawn and the errors of the odometry.
     evidence : (N, M) float64, nats
         Log odds that each exists: -inf where the column is free, +inf where its signature is known.
-    firm : (N, M) bool
+    confirmed : (N, M) bool
         Confirmed landmarks.
-    sightings : (N, M) int64
+    observations : (N, M) int64
         Number of observations of each.
-    rafts, drift, aboard, launched : (N, 3), (N, 3, 3) float64, (N,) bool, (N,) int64
-        Pose of each particle's local frame in the map frame, its covariance, whether the robot is in it, and the step
-        at which it was opened, 0 if there is none: see `gridslam.slam.landmark_raft`.
-    adrift : (N, M) bool
+    local_frames, local_frame_covariances : (N, 3), (N, 3, 3) float64
+        Pose of each particle's local frame in the map frame, and its covariance: see
+        `gridslam.slam.landmark_local_frame`.
+    in_local_frame, local_frame_step : (N,) bool, (N,) int64
+        Whether the robot is in it, and the step at which it was opened, 0 if there is none.
+    landmark_in_local_frame : (N, M) bool
         Landmarks kept in the local frame.
     ancestry : Ancestry
-        Ancestry of all particles, step by step, including the first pose: `landmark_path.path` computes trajectories
-        from it.
+        Ancestry of all particles, step by step, including the first pose: `landmark_path.smooth_trajectory` computes
+        trajectories from it.
     """
 
-    known: FloatArray
-    spread: FloatArray
+    state_means: FloatArray
+    state_covariances: FloatArray
     pose_by_bias: FloatArray
     bias_before: FloatArray
     log_weights: FloatArray
@@ -80,13 +82,13 @@ class LandmarkParticles:
     covariances: FloatArray
     positions_by_bias: FloatArray
     evidence: FloatArray
-    firm: NDArray[np.bool_]
-    sightings: IntArray
-    rafts: FloatArray
-    drift: FloatArray
-    aboard: NDArray[np.bool_]
-    launched: IntArray
-    adrift: NDArray[np.bool_]
+    confirmed: NDArray[np.bool_]
+    observations: IntArray
+    local_frames: FloatArray
+    local_frame_covariances: FloatArray
+    in_local_frame: NDArray[np.bool_]
+    local_frame_step: IntArray
+    landmark_in_local_frame: NDArray[np.bool_]
     ancestry: Ancestry
     consumed: bool = False
 
@@ -96,7 +98,7 @@ class LandmarkParticles:
 
         Raises ArgumentError where there is no particle, or no such pose.
         """
-        poses, errors = at_pose(particles, pose), len(bias)
+        poses, errors = repeat_pose(particles, pose), len(bias)
         known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
         known[:, :3], spread[:, 3:, 3:] = poses, bias
         return cls(
@@ -112,12 +114,12 @@ class LandmarkParticles:
 
     def __len__(self) -> int:
         """Return the number N of particles."""
-        return len(self.known)
+        return len(self.state_means)
 
     @property
     def poses(self) -> FloatArray:
         """Poses (N, 3), map frame."""
-        return self.known[:, :3]
+        return self.state_means[:, :3]
 
     @property
     def exists(self) -> NDArray[np.bool_]:
@@ -137,15 +139,15 @@ class LandmarkParticles:
         """
         spread = self._landmark_covariances()
         if (self.names < 0).all():
-            best, kept = self.best, np.flatnonzero(self.firm[self.best])
-            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.sightings)))
+            best, kept = self.best, np.flatnonzero(self.confirmed[self.best])
+            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
         kept = np.flatnonzero(self.names >= 0)
         weights, positions = np.exp(self.log_weights), self.positions[:, kept]
         means = np.einsum("n,nmi->mi", weights, positions)
         apart = positions - means
         covariances = np.einsum("n,nmij->mij", weights, spread[:, kept])
         covariances += np.einsum("n,nmi,nmj->mij", weights, apart, apart)
-        return LandmarkMap(self.names[kept], means, covariances, self.sightings[self.best, kept])
+        return LandmarkMap(self.names[kept], means, covariances, self.observations[self.best, kept])
 
     def column(self, name: int) -> int:
         """Return the column of the landmark with a signature, `NEW` where it has none."""
@@ -164,28 +166,32 @@ class LandmarkParticles:
         return np.full(len(particles), column)
 
     def advance(
-        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, rafts: FloatArray | None = None
+        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, local_frames: FloatArray | None = None
     ) -> None:
         """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
 
-        `rafts` (N, 5) is stored in the ancestry instead of `rafts_now()` where local frames are replaced.
+        `local_frames` (N, 5) is stored in the ancestry instead of `current_local_frames()` where local frames are
+        replaced.
         """
-        self._go(known, spread, True, rafts)
+        self._extend_ancestry(known, spread, True, local_frames)
         self.log_weights = normalize(self.log_weights + log_weights)
         accumulated = self.log_ancestry + log_weights
         self.log_ancestry = accumulated - accumulated.max()
 
-    def wait(self, known: FloatArray, spread: FloatArray) -> None:
+    def predict_without_drawing(self, known: FloatArray, spread: FloatArray) -> None:
         """Predict poses and errors (N, 3 + B) with covariance (N, 3 + B, 3 + B), without observations."""
-        self._go(known, spread, False, None)
+        self._extend_ancestry(known, spread, False, None)
 
-    def rafts_now(self) -> FloatArray:
+    def current_local_frames(self) -> FloatArray:
         """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
-        return np.column_stack([self.rafts, self.launched, self.aboard])
+        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
 
-    def _go(self, known: FloatArray, spread: FloatArray, drawn: bool, rafts: FloatArray | None) -> None:
-        self.known, self.spread = known, spread
-        past = [self.poses, self.rafts_now() if rafts is None else rafts, np.full(len(self), drawn)]
+    def _extend_ancestry(
+        self, known: FloatArray, spread: FloatArray, drawn: bool, local_frames: FloatArray | None
+    ) -> None:
+        self.state_means, self.state_covariances = known, spread
+        frames = self.current_local_frames() if local_frames is None else local_frames
+        past = [self.poses, frames, np.full(len(self), drawn)]
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
             past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
@@ -232,16 +238,18 @@ class LandmarkParticles:
 
     def _pose_covariances(self) -> FloatArray:
         """Covariance of each particle's pose (N, 3, 3), including that of its local frame where the robot is in it."""
-        if not self.aboard.any():
-            return self.spread[:, :3, :3]
-        of_raft = projected(lever(self.rafts, self.poses), self.drift)
-        return self.spread[:, :3, :3] + self.aboard[:, None, None] * of_raft
+        if not self.in_local_frame.any():
+            return self.state_covariances[:, :3, :3]
+        levers = lever_arm_jacobian(self.local_frames, self.poses)
+        of_frame = transform_covariances(levers, self.local_frame_covariances)
+        return self.state_covariances[:, :3, :3] + self.in_local_frame[:, None, None] * of_frame
 
     def _landmark_covariances(self) -> FloatArray:
         """Covariances of landmarks (N, M, 2, 2), including those of the odometry errors and of the local frame."""
-        moved = projected(lever(self.rafts[:, None], self.positions), self.drift[:, None])[..., :2, :2]
-        turned = projected(self.positions_by_bias, self.spread[:, None, 3:, 3:])
-        return self.covariances + turned + self.adrift[..., None, None] * moved
+        levers = lever_arm_jacobian(self.local_frames[:, None], self.positions)
+        moved = transform_covariances(levers, self.local_frame_covariances[:, None])[..., :2, :2]
+        turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
+        return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
 
     def _name(self, column: int) -> int:
         """Name of the landmark in a column; what is no column stays what it is."""
@@ -263,9 +271,19 @@ class LandmarkParticles:
 
 # What there is of each landmark of each particle, and what stands there where there is none.
 _OF_LANDMARKS = {
-    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "firm": False, "sightings": 0,
-    "adrift": False,
+    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "confirmed": False,
+    "observations": 0, "landmark_in_local_frame": False,
 }  # fmt: skip
-_OF_POSES = "known", "spread", "pose_by_bias", "bias_before", "log_ancestry", "rafts", "drift", "aboard", "launched"
+_OF_POSES = (
+    "state_means",
+    "state_covariances",
+    "pose_by_bias",
+    "bias_before",
+    "log_ancestry",
+    "local_frames",
+    "local_frame_covariances",
+    "in_local_frame",
+    "local_frame_step",
+)
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"

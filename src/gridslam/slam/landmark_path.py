@@ -12,10 +12,10 @@ from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.slam.landmark_particles import LandmarkParticles
 from gridslam.types import FloatArray, MotionSampler
 
-__all__ = ["path"]
+__all__ = ["smooth_trajectory"]
 
 
-def path(
+def smooth_trajectory(
     state: LandmarkParticles, particle: int, motions: Sequence[MotionSampler], bias: OdometryBias = EXACT_ODOMETRY
 ) -> FloatArray:
     """Trajectory (1 + T, 3) of a particle, map frame: sampled poses, and smoothed poses between them.
@@ -38,25 +38,28 @@ def path(
     Source: H. Rauch, F. Tung, C. Striebel, Maximum likelihood estimates of linear dynamic systems, 1965.
     """
     rows = state.ancestry.trajectory(particle)
-    poses, rafts, launched, aboard, drawn = rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7] > 0, rows[:, 8] > 0
-    errors = _straighten(poses, rows[:, 9:], len(bias))
-    for raft in np.unique(launched[launched > 0]).astype(int).tolist():
-        mine = launched == raft
-        end = rafts[mine][-1]
-        poses[mine & aboard] = compose(end, between(rafts[mine & aboard], poses[mine & aboard]))
-        poses[raft] = end  # it came to be where the robot was
+    poses, local_frames, local_frame_step = rows[:, :3], rows[:, 3:6], rows[:, 6]
+    in_local_frame, drawn = rows[:, 7] > 0, rows[:, 8] > 0
+    errors = _smooth_bias(poses, rows[:, 9:], len(bias))
+    for frame in np.unique(local_frame_step[local_frame_step > 0]).astype(int).tolist():
+        mine = local_frame_step == frame
+        end = local_frames[mine][-1]
+        poses[mine & in_local_frame] = compose(
+            end, between(local_frames[mine & in_local_frame], poses[mine & in_local_frame])
+        )
+        poses[frame] = end  # it came to be where the robot was
     drawn[0] = True
     keys = np.flatnonzero(drawn)
     for begin, end in zip(keys[:-1].tolist(), keys[1:].tolist(), strict=True):
         if end > begin + 1:
-            poses[begin + 1 : end] = _between(poses[begin], poses[end], motions[begin:end], bias, errors[begin:end])
+            poses[begin + 1 : end] = _interpolate(poses[begin], poses[end], motions[begin:end], bias, errors[begin:end])
     if keys[-1] < len(poses) - 1:  # only the motion constrains these
         for t in range(int(keys[-1]), len(poses) - 1):
             poses[t + 1] = bias.predict(motions[t], np.append(poses[t], errors[t])[None])[0][0, :3]
     return poses
 
 
-def _straighten(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
+def _smooth_bias(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
     """Turn poses (T, 3) by what the odometry's errors (T, B), which it returns, turned out to be at each of them."""
     believed, by_errors, before = np.split(rows, [count, 4 * count], axis=1)
     errors = believed.copy()
@@ -67,7 +70,7 @@ def _straighten(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
     return errors
 
 
-def _between(
+def _interpolate(
     begin: FloatArray, end: FloatArray, motions: Sequence[MotionSampler], bias: OdometryBias, errors: FloatArray
 ) -> FloatArray:
     """Expected poses (K - 1, 3) between two that K motions by an odometry of errors (K, B) are apart."""

@@ -48,14 +48,14 @@ class LandmarkMap:
         Map frame.
     covariances : (M, 2, 2) float64, m^2
         Of each position by itself.
-    sightings : (M,) int64
+    observations : (M,) int64
         Number of observations of each.
     """
 
     names: IntArray
     positions: FloatArray
     covariances: FloatArray
-    sightings: IntArray
+    observations: IntArray
 
     def __len__(self) -> int:
         """Return the number M of landmarks."""
@@ -63,4 +63,4 @@ class LandmarkMap:
 
     def __repr__(self) -> str:
         """Return one line."""
-        return f"LandmarkMap({len(self)} landmarks, {int(self.sightings.sum())} observations)"
+        return f"LandmarkMap({len(self)} landmarks, {int(self.observations.sum())} observations)"

@@ -53,7 +53,7 @@ def compute_inlier_ratio(
     An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
     """
     away = maps.distances(ROW, pose[None], points)[0]
-    known = maps.known(0, transform_points(pose, points)) | (away < cauchy_m)
+    known = maps.is_known(0, transform_points(pose, points)) | (away < cauchy_m)
     if np.mean(known) < overlap:
         return 0.0
     return float(np.mean(1 / (1 + np.square(away[known] / cauchy_m))))

@@ -36,7 +36,7 @@ class PlaceRecognition(PlaceRecognitionParameters):
         """Process the newest key scan; return the constraints of a newly recognized place, also added to the graph."""
         graph = closure_state.graph
         newest = len(graph) - 1
-        if submap_of(newest) < self.recent_submaps or len(closure_state.scans.key(newest)) < self.matcher.least_beams:
+        if submap_of(newest) < self.recent_submaps or len(closure_state.scans.key(newest)) < self.matcher.min_beams:
             return []
         if match_tracked_revisit(self, closure_state, mapper):
             closure_state.unconfirmed.clear()
@@ -86,7 +86,7 @@ class PlaceRecognition(PlaceRecognitionParameters):
         for key in range(
             self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, len(graph), self.search_interval
         ):
-            if key in covered or len(closure_state.scans.key(key)) < self.matcher.least_beams:
+            if key in covered or len(closure_state.scans.key(key)) < self.matcher.min_beams:
                 continue
             for component in find_candidate_submaps(self, graph, key):
                 if (

@@ -91,7 +91,7 @@ class PlaceRecognitionParameters:
     consistency_rad: float = Field(default=0.05, gt=0)
     min_information: float = Field(default=0.06, ge=0)
     beam_sigma_m: float = Field(default=0.3, gt=0)
-    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate=2.5, floor=0.45)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
     matcher: GaussNewton = GaussNewton()
 
     def match(
@@ -127,4 +127,4 @@ class PlaceRecognitionParameters:
 
     def is_within_gate(self, covariance: FloatArray, missed: FloatArray) -> bool:
         """Whether the innovation (3,) of a match lies within the gate."""
-        return checks.is_within_gate(covariance, missed, self.search.gate)
+        return checks.is_within_gate(covariance, missed, self.search.gate_sigmas)

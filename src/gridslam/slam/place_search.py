@@ -9,7 +9,7 @@ import numpy as np
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.matching.branch_and_bound import Found, thinned
+from gridslam.matching.branch_and_bound import LatticeMatch, thin_points
 from gridslam.slam import place_checks as checks
 from gridslam.slam.constraints import Constraint, ConstraintSource
 from gridslam.slam.key_graph import KeyGraph, SubmapDistance
@@ -38,12 +38,16 @@ def search_place(
     graph, oldest = closure_state.graph, submap_of(key) - places.recent_submaps
     way, submaps = candidates[0], tuple(n.submap for n in candidates)
     guess = compose(graph.poses[first_key_scan(way.submap)], way.pose)
-    points = thinned(checks.collect_recent_points(closure_state, key, places.query_key_scans), places.search.points)
+    points = thin_points(
+        checks.collect_recent_points(closure_state, key, places.query_key_scans), places.search.max_points
+    )
     if set(submaps[:_SEARCH_SUBMAPS]) <= set(closure_state.ambiguity_submaps):
         found = _check_ambiguity(places, closure_state, mapper, key, guess, way.covariance, points)
         closure_state.ambiguity_submaps = () if isinstance(found, RejectionReason) else closure_state.ambiguity_submaps
         return found
-    near = [n.submap for n in candidates if _mahalanobis_distance(places, n) < places.search.gate][:_SEARCH_SUBMAPS]
+    near = [n.submap for n in candidates if _mahalanobis_distance(places, n) < places.search.gate_sigmas][
+        :_SEARCH_SUBMAPS
+    ]
     if not set(near[:6]) <= set(closure_state.search_submaps):
         seen_too = {b for submap in near for b in range(submap - 1, submap + 2)}  # within the range of the sensor
         closure_state.search_submaps = tuple(sorted(b for b in seen_too if 0 <= b <= oldest))
@@ -69,7 +73,7 @@ def _check_ambiguity(
     maps = closure_state.submap_cache.joint_map(submaps, mapper, closure_state.scans, graph)
     beyond = np.square(
         np.diag([places.ambiguity_window_m, places.ambiguity_window_m, places.ambiguity_window_rad])
-        / places.search.gate
+        / places.search.gate_sigmas
     )
     found = places.search.search(pyramid, guess, spread + beyond, points)
     if found is None:
@@ -99,16 +103,17 @@ def find_candidate_submaps(places: PlaceRecognitionParameters, graph: KeyGraph, 
     """
     oldest, labels = submap_of(key) - places.recent_submaps, graph.label_rigid_components()
     found: dict[int, list[tuple[float, SubmapDistance]]] = {}
-    for nearby in graph.find_nearby_submaps(key, places.search.window_m / places.search.gate, len(graph)):
+    for nearby in graph.find_nearby_submaps(key, places.search.window_m / places.search.gate_sigmas, len(graph)):
         if nearby.submap > oldest:
             continue
         away, sigma_m = _mahalanobis_distance(places, nearby), nearby.sigma_m
-        if away * sigma_m < places.search.gate * sigma_m + places.ambiguity_window_m:
+        if away * sigma_m < places.search.gate_sigmas * sigma_m + places.ambiguity_window_m:
             found.setdefault(int(labels[anchor_of(nearby.submap)]), []).append((away, nearby))
     for component in found.values():
         component.sort(key=lambda f: (f[0], f[1].submap))
     near = sorted(
-        (component for component in found.values() if component[0][0] < places.search.gate), key=lambda p: p[0][0]
+        (component for component in found.values() if component[0][0] < places.search.gate_sigmas),
+        key=lambda p: p[0][0],
     )
     return [[nearby for _, nearby in component[:_AMBIGUITY_SUBMAPS]] for component in near]
 
@@ -120,7 +125,7 @@ def _mahalanobis_distance(places: PlaceRecognitionParameters, nearby: SubmapDist
 
 def _find_rejection(
     places: PlaceRecognitionParameters,
-    found: Found,
+    found: LatticeMatch,
     maps: TileMaps,
     points: FloatArray,
     closure_state: LoopClosureState,
@@ -129,7 +134,7 @@ def _find_rejection(
     """Return the reason to reject a candidate, or None."""
     if not places.is_inlier_match(maps, found.pose, points):
         return RejectionReason.LOW_INLIER_RATIO
-    if found.other_share > places.ambiguity_ratio * found.share:
+    if found.runner_up_score > places.ambiguity_ratio * found.score:
         return RejectionReason.AMBIGUOUS
     through = checks.compute_through_walls_ratio(maps, found.pose, closure_state.scans.key(key))
     return RejectionReason.THROUGH_WALLS if through > places.max_through_walls_ratio else None

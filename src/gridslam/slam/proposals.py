@@ -18,9 +18,9 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.angles import wrap
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import LOOK, GaussNewton
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
-from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, Weigher
+from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
 
 __all__ = ["ImprovedProposal", "Matcher", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
 
@@ -52,7 +52,7 @@ class Proposal(Protocol):
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> ProposedPoses:
@@ -95,13 +95,13 @@ class MotionModelProposal:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        match = LOOK(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
+        match = EVALUATE_ONLY(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
         return ProposedPoses(drawn, weigh(maps, rows, drawn), match)
 
 
@@ -135,13 +135,13 @@ class ScanMatchedProposal:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows, drawn = _rows(maps), motion(poses, rng)
-        matcher = self.matcher if self._moved(motion, poses) else LOOK
+        matcher = self.matcher if self._moved(motion, poses) else EVALUATE_ONLY
         match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
 
@@ -178,7 +178,7 @@ class ImprovedProposal:
         maps: TileMaps,
         poses: FloatArray,
         motion: MotionSampler,
-        weigh: Weigher,
+        weigh: ScanLikelihood,
         beams: BeamEnds,
         rng: np.random.Generator,
     ) -> ProposedPoses:

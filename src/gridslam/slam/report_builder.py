@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.matching.gauss_newton import undetermined
+from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
 
@@ -99,7 +99,7 @@ class ReportBuilder:
         covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
-        direction = undetermined(information, score)
+        direction = degenerate_direction(information, score)
         return Estimate(state.poses[best], covariance, direction, lost, state.poses, state.log_weights)
 
     @staticmethod

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.slam.tracker_state import is_within
-from gridslam.types import BeamEnds, EndPoints, FloatArray
+from gridslam.types import BeamEnds, FloatArray, StoredScan
 
 __all__ = ["ScanArchive"]
 
@@ -75,11 +75,11 @@ class ScanArchive:
         """Return the number of scans."""
         return len(self._ends)
 
-    def __getitem__(self, scan: int) -> EndPoints:
+    def __getitem__(self, scan: int) -> StoredScan:
         """Scan number `scan`, from 0."""
-        return EndPoints(self._ends[scan] * np.float64(self._steps_m[scan]), self._origins[scan])
+        return StoredScan(self._ends[scan] * np.float64(self._steps_m[scan]), self._origins[scan])
 
-    def key(self, key: int) -> EndPoints:
+    def key(self, key: int) -> StoredScan:
         """Key scan number `key`, from 0."""
         return self[self.keys[key]]
 

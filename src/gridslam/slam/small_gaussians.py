@@ -9,20 +9,29 @@ import numpy as np
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["draw", "draw_poses", "inverse_2x2", "log_density", "mahalanobis", "projected", "times", "transposed"]
+__all__ = [
+    "draw",
+    "draw_poses",
+    "inverse_2x2",
+    "log_density",
+    "mahalanobis",
+    "matvec",
+    "transform_covariances",
+    "transpose",
+]
 
 
-def transposed(matrices: FloatArray) -> FloatArray:
+def transpose(matrices: FloatArray) -> FloatArray:
     """Transposes (N, j, i) of matrices (N, i, j), copied: products of many small matrices are twice as fast so."""
     return np.ascontiguousarray(matrices.swapaxes(-1, -2))
 
 
-def projected(jacobians: FloatArray, covariances: FloatArray) -> FloatArray:
+def transform_covariances(jacobians: FloatArray, covariances: FloatArray) -> FloatArray:
     """J C J' (N, i, i) of Jacobians (N, i, j) and covariances (N, j, j)."""
-    return np.asarray(jacobians @ covariances @ transposed(jacobians))
+    return np.asarray(jacobians @ covariances @ transpose(jacobians))
 
 
-def times(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+def matvec(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
     """Products (N, i) of matrices (N, i, j) and vectors (N, j)."""
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 

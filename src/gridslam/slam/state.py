@@ -115,7 +115,7 @@ class GridFastSlamState:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
         count = len(self.poses)
         self.poses = np.repeat(trajectory[-1:], count, axis=0)
-        self.maps, self.ancestry = maps.snapshot(np.zeros(count, np.int64)), Ancestry.along(trajectory, count)
+        self.maps, self.ancestry = maps.snapshot(np.zeros(count, np.int64)), Ancestry.from_trajectory(trajectory, count)
         self.log_weights, self.log_ancestry = np.full(count, -np.log(count)), np.zeros(count)
 
     def snapshot(self) -> GridFastSlamState:

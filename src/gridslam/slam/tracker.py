@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.matching.gauss_newton import LOOK, GaussNewton, undetermined
+from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.slam.odometry_calibration import OdometryCalibration
 from gridslam.slam.tracker_deskew import TrackerDeskew
 from gridslam.slam.tracker_motion import motion_of, odometry_sigmas
@@ -178,7 +178,7 @@ class Tracker:
         if track is None:  # the other lasers may look elsewhere
             return PoseEstimate(predicted.pose, predicted, matched=len(beams) > 0, lost=False)
         joint = self._merge_lasers(state, predicted.pose, predicted, beams)
-        if not len(beams) or len(joint) < self.matcher.least_beams:
+        if not len(beams) or len(joint) < self.matcher.min_beams:
             return PoseEstimate(predicted.pose, predicted, matched=False, lost=not predicted.by_odometry)
         if not predicted.by_odometry:
             return self._match_from_velocity(state, predicted, joint)
@@ -206,7 +206,7 @@ class Tracker:
         """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        ratio = LOOK(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
         return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
@@ -221,7 +221,7 @@ class Tracker:
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
-            before = LOOK(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
+            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is best and self._is_determined(match)
         return PoseEstimate(
@@ -273,7 +273,7 @@ class Tracker:
     def _is_determined(self, match: Match) -> bool:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
         least = self.calibrated_matcher.min_information
-        return undetermined(match.information[0], float(match.score[0]), least) is None
+        return degenerate_direction(match.information[0], float(match.score[0]), least) is None
 
     def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
         """Insert the scan if its laser has moved since its last one, and if one knows where it was taken."""

@@ -74,13 +74,13 @@ class TrackerDeskew:
             Matches beams to the map.
         """
         order = self.find_order(state.sensors.get(beams.scan.sensor))
-        sharp = beams.deskewed(order * twist_to(predicted.pose))
+        sharp = beams.deskew(order * twist_to(predicted.pose))
         best = find(sharp)
         if not best.matched or not best.inlier_ratio:
             return best, sharp
         twist = twist_to(best.pose)
         for other in (twist, 2 * twist - state.twist):
-            again = beams.deskewed(order * other)
+            again = beams.deskew(order * other)
             found = find(again)
             if found.inlier_ratio > best.inlier_ratio:
                 best, sharp = found, again
@@ -93,6 +93,6 @@ class TrackerDeskew:
         """Update the number of scans used for the beam order, and the gains in agreement of the other orders."""
         track, times = state.sensors[beams.scan.sensor], beams.scan.beam_times_s
         if times is not None and abs(twist[2] * (times[-1] - times[0])) > self.turn_rad:
-            told, none, backward = (find(beams.deskewed(order * twist)).inlier_ratio for order in _ORDERS)
+            told, none, backward = (find(beams.deskew(order * twist)).inlier_ratio for order in _ORDERS)
             orders = track.beam_order_sums + np.array([1.0, none - told, backward - told])
             state.update_track(beams.scan.sensor, track._replace(beam_order_sums=orders))

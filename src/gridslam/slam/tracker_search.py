@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, undetermined
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
 from gridslam.slam.tracker_state import PoseEstimate, Prediction, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
@@ -78,8 +78,8 @@ class OdometrySearch:
     min_segments: float = Field(default=20, ge=0)
     min_sigma_m: float = Field(default=0.05, gt=0)
     min_overlap: float = Field(default=0.4, gt=0, le=1)
-    window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, floor=0.3)
-    global_window: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=2.2, floor=0.5)
+    window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, min_score=0.3)
+    global_window: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=2.2, min_score=0.5)
     global_inlier_ratio: float = Field(default=0.8, gt=0, le=1)
     global_inlier_gain: float = Field(default=0.3, ge=0, le=1)
     ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
@@ -128,18 +128,18 @@ class OdometrySearch:
         sigma_m = max(error_m, self.min_sigma_m if known else predicted.sigma_m)
         sigma_rad = max(error_rad, predicted.sigma_rad)
         for gate, gain in zip(self.gate_sigmas, self.inlier_gains, strict=True):
-            covariance = np.square(gate / self.window.gate * np.diag([sigma_m, sigma_m, sigma_rad]))
+            covariance = np.square(gate / self.window.gate_sigmas * np.diag([sigma_m, sigma_m, sigma_rad]))
             place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
-            if place is None or place.other_share > self.ambiguity_ratio * place.share:
+            if place is None or place.runner_up_score > self.ambiguity_ratio * place.score:
                 continue
             found = self._refine(state, place.pose, predicted, beams)
             best = found if found.inlier_ratio > best.inlier_ratio + gain else best
             if best.inlier_ratio >= self.certain_inlier_ratio:
                 return best
         reach_m = self.gate_sigmas[-1] * sigma_m if self.gate_sigmas else self.global_window.window_m
-        reach = np.diag([reach_m, reach_m, self.global_window.window_rad]) / self.global_window.gate
+        reach = np.diag([reach_m, reach_m, self.global_window.window_rad]) / self.global_window.gate_sigmas
         place = self.global_window.search(pyramid, predicted.pose, np.square(reach), beams.ends)
-        if place is None or place.other_share > self.ambiguity_ratio * place.share:
+        if place is None or place.runner_up_score > self.ambiguity_ratio * place.score:
             return best
         found = self._refine(state, place.pose, predicted, beams)
         needed = max(self.global_inlier_ratio, best.inlier_ratio + self.global_inlier_gain)
@@ -149,13 +149,13 @@ class OdometrySearch:
         """Match from a place that was found; its share is that of the beams that end in what the map knows."""
         maps, row, least = state.maps, state.row, self.calibrated_matcher.min_information
         match = self.matcher(maps, row, pose[None], _NO_PRIOR, beams)
-        weak = undetermined(match.information[0], float(match.score[0]), least)
+        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
         if weak is not None:
             along = match.poses[0].copy()
             along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
             match = self.calibrated_matcher(maps, row, along[None], _NO_PRIOR, beams)
         at = match.poses[0]
-        known = maps.known(state.matched_map, transform_points(at, beams.ends))
+        known = maps.is_known(state.matched_map, transform_points(at, beams.ends))
         away = maps.distances(row, at[None], beams.ends)[0, known]
         agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
         inlier_ratio = agreeing / max(len(away), self.min_overlap * len(beams))

@@ -14,7 +14,7 @@ from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.odometry_calibration import OdometryErrorModel
-from gridslam.types import BeamEnds, Beams, EndPoints, FloatArray, Odometry
+from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
 __all__ = ["PoseEstimate", "Prediction", "SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
 
@@ -127,7 +127,7 @@ class TrackerState:
             for sensor, track in self.sensors.items()
             if sensor != beams.scan.sensor and is_within(track.matched_pose, pose, metres, radians)
         ]
-        return EndPoints(np.concatenate([beams.ends, *others]), beams.origin) if others else beams
+        return StoredScan(np.concatenate([beams.ends, *others]), beams.origin) if others else beams
 
     def insert(self, beams: Beams, most: int) -> None:
         """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""

@@ -72,7 +72,7 @@ class ConstantVelocity:
         return BranchAndBound(
             window_m=min(self.search_m + self.speed_mps * passed, 6 * self.search_m),
             window_rad=min(self.search_rad + self.turn_rps * passed, math.pi),
-            floor=0.6,
+            min_score=0.6,
         )
 
     def sigmas(self, seconds: float) -> tuple[float, float]:

@@ -61,9 +61,9 @@ class TrajectoryScorer:
     same_visit_distance : float, m + rad
         Path length (plus rotation) within which mapped scans count as the same visit.
     scale_m : float, m
-        Distance at which a beam agrees by half, that of the measurement model `CauchyAgreement`.
+        Distance at which a beam agrees by half, that of the measurement model `CauchyEndPoint`.
     tempering : float, (0, 1]
-        Share of a beam's evidence that is new, as in `CauchyAgreement`.
+        Share of a beam's evidence that is new, as in `CauchyEndPoint`.
     neutral : float, [0, 1]
         Agreement that speaks neither for nor against a place: scans matched to a wrong place that looks alike reach
         0.6, right ones 0.75 (furniture and people have moved) to 0.97.
@@ -112,7 +112,7 @@ class TrajectoryScorer:
 
     def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
         """Sum of the agreement of those beams that end in what the map knows, and their number."""
-        known = maps.known(0, transform_points(pose, ends))
+        known = maps.is_known(0, transform_points(pose, ends))
         count = int(known.sum())
         if not count:
             return 0.0, 0

@@ -8,15 +8,15 @@ from gridslam.scan import (
     BeamEnds,
     Beams,
     BeamStatus,
-    EndPoints,
     FloatArray,
     IntArray,
     LaserScan,
     Rows,
     ScanGeometry,
+    StoredScan,
 )
 from gridslam.types.grid import GridRows, OccupancyGrid
-from gridslam.types.protocols import DistanceMaps, MotionModel, MotionSampler, Resampler, SensorModel, Weigher
+from gridslam.types.protocols import DistanceMaps, MotionModel, MotionSampler, Resampler, ScanLikelihood, SensorModel
 from gridslam.types.values import Match, Odometry, SkipReason, StepReport, Trajectory, require_measurement, require_step
 from gridslam.types.words import describe_pose, describe_time
 
@@ -25,7 +25,6 @@ __all__ = [
     "BeamStatus",
     "Beams",
     "DistanceMaps",
-    "EndPoints",
     "FloatArray",
     "GridRows",
     "IntArray",
@@ -38,11 +37,12 @@ __all__ = [
     "Resampler",
     "Rows",
     "ScanGeometry",
+    "ScanLikelihood",
     "SensorModel",
     "SkipReason",
     "StepReport",
+    "StoredScan",
     "Trajectory",
-    "Weigher",
     "describe_pose",
     "describe_time",
     "require_measurement",

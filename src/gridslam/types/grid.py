@@ -9,7 +9,7 @@ from typing import Protocol, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.arguments import frozen, require_array, require_instance
+from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray
 from gridslam.types.png import encode_grey
@@ -49,7 +49,7 @@ class OccupancyGrid:
         require_array("known", self.known, np.bool_, self.log_odds.shape)
         if not 0 < self.resolution_m < math.inf:
             raise ArgumentError("resolution_m", "a finite length > 0 m", self.resolution_m)
-        frozen(self.origin, np.float64, (2,), "origin")
+        freeze(self.origin, np.float64, (2,), "origin")
 
     def __repr__(self) -> str:
         """Return one line."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gridslam.scan import Beams, FloatArray, IntArray, Rows
 
-__all__ = ["DistanceMaps", "MotionModel", "MotionSampler", "Resampler", "SensorModel", "Weigher"]
+__all__ = ["DistanceMaps", "MotionModel", "MotionSampler", "Resampler", "ScanLikelihood", "SensorModel"]
 
 
 @runtime_checkable
@@ -55,7 +55,7 @@ class MotionModel(Protocol):
 
 
 @runtime_checkable
-class Weigher(Protocol):
+class ScanLikelihood(Protocol):
     """A measurement model conditioned on one scan: log p(z_t | x_t, m) up to a constant."""
 
     def __call__(self, maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
@@ -66,7 +66,7 @@ class Weigher(Protocol):
 class SensorModel(Protocol):
     """Conditions on the usable beams of a scan."""
 
-    def __call__(self, beams: Beams) -> Weigher:
+    def __call__(self, beams: Beams) -> ScanLikelihood:
         """Return the weigher for this scan."""
 
 

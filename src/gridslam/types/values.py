@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen, require_array, require_covariance, require_generator, require_instance
+from gridslam.arguments import freeze, require_array, require_covariance, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
 from gridslam.types.words import describe_pose, describe_time
@@ -60,8 +60,8 @@ class Odometry:
     @classmethod
     def at(cls, stamp_ns: int, pose: ArrayLike, covariance: ArrayLike | None = None) -> Odometry:
         """Copy what is given; raises ArgumentError as the constructor does."""
-        checked = frozen(pose, np.float64, (3,), "pose")
-        spread = None if covariance is None else frozen(covariance, np.float64, (3, 3), "covariance")
+        checked = freeze(pose, np.float64, (3,), "pose")
+        spread = None if covariance is None else freeze(covariance, np.float64, (3, 3), "covariance")
         return cls(stamp_ns, checked, spread)
 
 

@@ -6,13 +6,13 @@ import numpy as np
 
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["MOST_SHOWN", "fair_share"]
+__all__ = ["MOST_SHOWN", "select_representatives"]
 
 MOST_SHOWN = 1000
 """Particles of a cloud that are shown: an eye sees no more of them, and a line to it need not carry them."""
 
 
-def fair_share(weights: FloatArray, most: int = MOST_SHOWN) -> tuple[IntArray, FloatArray]:
+def select_representatives(weights: FloatArray, most: int = MOST_SHOWN) -> tuple[IntArray, FloatArray]:
     """Who stands for a cloud, and for what share of it; all particles where there are at most `most`.
 
     Parameters

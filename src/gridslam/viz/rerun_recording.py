@@ -17,7 +17,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
-from gridslam.viz.cloud import fair_share
+from gridslam.viz.cloud import select_representatives
 from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH
 
 __all__ = ["RerunRecording"]
@@ -144,7 +144,7 @@ class RerunRecording:
             self._log_past(state.ancestry.trajectory(state.best), self._closures)
 
     def _log_localization(self, report: LocalizationReport, state: MonteCarloState) -> None:
-        chosen, _ = fair_share(np.exp(state.log_weights))
+        chosen, _ = select_representatives(np.exp(state.log_weights))
         self._points("particles", state.poses[chosen], 0.03, CLOSURE)
         for name, value in (("particles", report.particles), ("doubt", report.lost_probability)):
             self._recording.log(f"filter/{name}", self._rerun.Scalars(value))
@@ -191,11 +191,11 @@ class RerunRecording:
             self._strips("closures", past[np.array(closures), :2], TRUTH)
 
     def _points(self, name: str, poses: FloatArray, radius_m: float, colour: tuple[int, int, int]) -> None:
-        points = _raised(poses[:, :2], _HEIGHT_M[name])
+        points = _lift(poses[:, :2], _HEIGHT_M[name])
         self._recording.log(f"map/{name}", self._rerun.Points3D(points, radii=radius_m, colors=[colour]))
 
     def _strips(self, name: str, strips: Iterable[FloatArray], colour: tuple[int, int, int]) -> None:
-        lines = [_raised(strip, _HEIGHT_M[name]) for strip in strips]
+        lines = [_lift(strip, _HEIGHT_M[name]) for strip in strips]
         self._recording.log(f"map/{name}", self._rerun.LineStrips3D(lines, radii=0.03, colors=[colour]))
 
     def _layout(self) -> Any:  # noqa: ANN401
@@ -207,6 +207,6 @@ class RerunRecording:
         )
 
 
-def _raised(points: FloatArray, height_m: float) -> NDArray[np.float32]:
+def _lift(points: FloatArray, height_m: float) -> NDArray[np.float32]:
     """Points (K, 2) at a height: (K, 3)."""
     return np.column_stack([points, np.full(len(points), height_m)]).astype(np.float32)

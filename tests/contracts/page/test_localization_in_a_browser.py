@@ -102,7 +102,7 @@ def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
     write_landmarks(tmp_path / "landmarks.csv", found)
     covariances = np.tile(np.diag([0.04, 0.01, 0.001]), (len(log.truth), 1, 1))
     write_trajectory_csv(tmp_path / "trajectory.csv", log.truth, covariances)
-    (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/1", "input": {"path": "park.txt"}}')
+    (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/2", "input": {"path": "park.txt"}}')
     with ReplayPage(tmp_path, LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")

@@ -30,22 +30,22 @@ def order_of(swept, noise=0.0, count=60, loss=0.05):
 
 @given(st.floats(0.21, 3.0), st.sampled_from([-1, 1]))
 def test_the_top_of_a_parabola_is_found(swept, sign):
-    assert order_of(sign * swept).swept == pytest.approx(sign * swept, rel=1e-6)
+    assert order_of(sign * swept).sweep_factor == pytest.approx(sign * swept, rel=1e-6)
 
 
 def test_what_is_not_certain_is_0():
-    assert order_of(0.5, count=24).swept == 0
-    assert order_of(0.1).swept == 0
-    assert order_of(0.3, loss=0.005).swept == 0
-    assert order_of(0.3, noise=0.2).swept == 0
-    assert order_of(0.3, noise=0.02).swept == pytest.approx(0.3, abs=0.1)
+    assert order_of(0.5, count=24).sweep_factor == 0
+    assert order_of(0.1).sweep_factor == 0
+    assert order_of(0.3, loss=0.005).sweep_factor == 0
+    assert order_of(0.3, noise=0.2).sweep_factor == 0
+    assert order_of(0.3, noise=0.02).sweep_factor == pytest.approx(0.3, abs=0.1)
 
 
 def test_times_are_those_told_or_those_of_a_mirror_that_turns_once_a_scan():
     times, beams = BeamTimes(), np.array([0, 90, 179])
     assert times.of(scan(0.0), beams) is None
     for stamp_s in (0.0, 0.1, 0.2):
-        times.note(scan(stamp_s))
+        times.update(scan(stamp_s))
     assert times.period_s == pytest.approx(0.1)
     np.testing.assert_allclose(np.diff(times.of(scan(0.3), beams)), 0.05 * np.diff(beams) / 180)
     told = np.linspace(0.03, 0.0, 180)
@@ -56,15 +56,15 @@ def test_times_are_those_told_or_those_of_a_mirror_that_turns_once_a_scan():
 def test_a_pause_is_no_period():
     times = BeamTimes()
     for stamp_s in (*np.arange(0, 5, 0.1), 65.0, *np.arange(65.1, 68, 0.1)):
-        times.note(scan(stamp_s))
+        times.update(scan(stamp_s))
     assert times.period_s == pytest.approx(0.1, rel=0.05)
 
 
 @pytest.mark.parametrize(("swept", "sign"), [(0.0, None), (0.5, 1.0), (-0.5, -1.0)])
 def test_scans_are_straightened_in_the_order_that_is_certain(swept, sign):
     times, seconds = BeamTimes(order_of(swept)), np.array([-0.1, 0.0, 0.1])
-    straight = times.straightening(seconds)
+    straight = times.deskew_times(seconds)
     assert (straight is None) == (sign is None)
     if sign is not None:
         np.testing.assert_array_equal(straight, sign * seconds)
-    assert times.straightening(None) is None
+    assert times.deskew_times(None) is None

@@ -100,21 +100,21 @@ def skewed(backward=False, **lidar):
 def test_scans_that_take_time_and_do_not_tell_it_are_named():
     found = skewed(tells_beam_times=False)
     smear = found["skewed_while_turning"]
-    assert smear.severity is Severity.DOUBTFUL
+    assert smear.severity is Severity.WARNING
     assert smear.size == pytest.approx(2.5 * 0.1, rel=0.2)
     assert "time_increment" in smear.remedy
     assert "clock_skew" not in found, "that a scan looks half of its sweep early is the same fault"
 
 
 def test_clockwise_scans_too():
-    assert skewed(tells_beam_times=False, clockwise=True)["skewed_while_turning"].severity is Severity.DOUBTFUL
+    assert skewed(tells_beam_times=False, clockwise=True)["skewed_while_turning"].severity is Severity.WARNING
 
 
 @pytest.mark.parametrize("backward", [False, True])
 def test_times_that_are_told_are_gone_by_unless_they_are_told_backward(backward):
     found = skewed(backward)["skewed_while_turning"]
     assert found.severity is Severity.INFO
-    assert ("reverse order" in found.says) == backward
+    assert ("reverse order" in found.message) == backward
 
 
 def test_scans_taken_in_an_instant_are_not():
@@ -124,8 +124,8 @@ def test_scans_taken_in_an_instant_are_not():
 def test_a_log_that_breaks_off_is_diagnosed_as_far_as_it_goes():
     diagnosis = diagnose(Memory(drive(), breaks_off=True))
     assert (diagnosis.findings[0].code, diagnosis.findings[0].size) == ("unreadable", 200)
-    assert "memory.log: cut off" in diagnosis.findings[0].says
-    assert diagnosis.worst is Severity.SPOILS
+    assert "memory.log: cut off" in diagnosis.findings[0].message
+    assert diagnosis.worst is Severity.ERROR
     with pytest.raises(InputError):
         diagnose(Memory([], breaks_off=True))
 
@@ -172,8 +172,8 @@ def test_a_checked_log_gives_all_and_tells_early(count):
 
 FINDINGS = (
     Finding("topics", Severity.INFO, "It holds things.", 3, "topics"),
-    Finding("gaps", Severity.DOUBTFUL, "A gap.", np.float64(2.5), "s", "Mend it.", "front"),
-    Finding("few_hits", Severity.SPOILS, "Nothing seen.", math.inf, "share"),
+    Finding("gaps", Severity.WARNING, "A gap.", np.float64(2.5), "s", "Mend it.", "front"),
+    Finding("few_hits", Severity.ERROR, "Nothing seen.", math.inf, "share"),
 )
 
 
@@ -185,7 +185,7 @@ def test_the_report_tells_the_worst_first_and_fits_into_json():
     told = json.loads(json.dumps(document(diagnosis_of(*FINDINGS)), allow_nan=False))
     assert [finding["code"] for finding in told["findings"]] == ["few_hits", "gaps", "topics"]
     assert [finding["size"] for finding in told["findings"]] == [None, 2.5, 3.0]
-    assert told["counts"] == {"info": 1, "doubtful": 1, "spoils": 1}
+    assert told["counts"] == {"info": 1, "warning": 1, "error": 1}
     lines = "\n".join(text(diagnosis_of(*FINDINGS)))
     assert "Faults that make the map unusable:\n  few_hits: Nothing seen." in lines
     assert "gaps (front): A gap.\n    -> Mend it." in lines

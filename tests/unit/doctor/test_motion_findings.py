@@ -41,28 +41,28 @@ def test_a_fault_is_named_with_its_size(name):
 
 
 @pytest.mark.parametrize(
-    ("skew_s", "severity"), [(0.03, Severity.INFO), (-0.2, Severity.INFO), (0.5, Severity.DOUBTFUL)]
+    ("skew_s", "severity"), [(0.03, Severity.INFO), (-0.2, Severity.INFO), (0.5, Severity.WARNING)]
 )
 def test_a_skew_is_told_with_its_size_and_is_a_fault_where_matching_does_not_make_up_for_it(skew_s, severity):
     motion = laser_motion(with_fault(log()[0], "clock_skew", np.random.default_rng(0), skew_s))
     (found,) = (finding for finding in motion_findings(motion) if finding.code == "clock_skew")
     assert found.severity is severity
     assert found.size == pytest.approx(skew_s, rel=0.2)
-    assert bool(found.remedy) == (severity is Severity.DOUBTFUL)
+    assert bool(found.remedy) == (severity is Severity.WARNING)
 
 
 def test_the_same_skew_is_a_fault_in_fast_turns():
     slow, fast = perfect(60.0, skew_s=0.2), perfect(240.0, skew_s=0.8)
     fast = replace(fast, stamps_ns=fast.stamps_ns // 4, odometry_stamps_ns=fast.odometry_stamps_ns // 4)
     (told,), (quick,) = ([f for f in motion_findings(m) if f.code == "clock_skew"] for m in (slow, fast))
-    assert (told.severity, quick.severity) == (Severity.INFO, Severity.DOUBTFUL)
+    assert (told.severity, quick.severity) == (Severity.INFO, Severity.WARNING)
     assert [told.size, quick.size] == pytest.approx([0.2, 0.2], rel=0.1)
 
 
 def test_a_reflected_laser_is_named():
     found = faults(laser_motion(with_fault(log()[0], "reflected_laser", np.random.default_rng(0))))
     assert list(found) == ["reflected_laser"]
-    assert found["reflected_laser"].severity is Severity.SPOILS
+    assert found["reflected_laser"].severity is Severity.ERROR
 
 
 def test_a_laser_declared_and_mounted_upside_down_is_none():
@@ -82,12 +82,12 @@ def test_a_laser_declared_and_mounted_upside_down_is_none():
     assert faults(motion) == {}
 
 
-@pytest.mark.parametrize(("yaw", "severity"), [(0.1, Severity.DOUBTFUL), (-0.6, Severity.SPOILS)])
+@pytest.mark.parametrize(("yaw", "severity"), [(0.1, Severity.WARNING), (-0.6, Severity.ERROR)])
 def test_a_yaw_matters_by_its_size(yaw, severity):
     found = faults(perfect(60.0, mounting=(0.1, 0.0, yaw), declared_yaw=0.0))
     assert found["yaw_offset"].severity is severity
     assert found["yaw_offset"].size == pytest.approx(yaw, abs=0.01)
-    assert ("left" in found["yaw_offset"].says) == (yaw > 0)
+    assert ("left" in found["yaw_offset"].message) == (yaw > 0)
 
 
 def test_what_every_robot_has_is_information():
@@ -102,7 +102,7 @@ def test_odometry_of_another_robot_is_unrelated():
     other = np.cumsum(np.random.default_rng(0).normal(0, [0.02, 0.0, 0.05], motion.odometry.shape), axis=0)
     found = motion_findings(replace(motion, odometry=other))
     assert [finding.code for finding in found] == ["odometry_unrelated"]
-    assert found[0].severity is Severity.SPOILS
+    assert found[0].severity is Severity.ERROR
 
 
 def test_without_odometry_or_motion_nothing_is_said():

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.doctor.calibration import calibrate
-from gridslam.doctor.intervals import shifted
+from gridslam.doctor.intervals import interpolate_odometry
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.robust_fit import robust_fit
 from gridslam.sim.faults import with_fault
@@ -126,7 +126,7 @@ def test_stamps_that_jitter_backward_determine_no_skew_and_spoil_nothing_else():
 
 def test_odometry_at_other_times_is_interpolated_and_never_extrapolated():
     motion = perfect(20.0)
-    at = shifted(motion, 0.33)
+    at = interpolate_odometry(motion, 0.33)
     inside = np.isfinite(at).all(axis=1)
     assert inside.sum() == len(motion) - 4
     assert not inside[:4].any()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import laser_motion as module
-from gridslam.doctor.laser_motion import LaserWitness, laser_motion
+from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault
@@ -141,12 +141,12 @@ def test_fast_lasers_are_thinned_out_and_others_left_out():
 
 def test_the_witness_tells_at_any_time():
     measurements, _ = log("rooms", 40)
-    witness = LaserWitness()
-    assert len(witness.motion) == 0
+    estimator = LaserMotionEstimator()
+    assert len(estimator.motion) == 0
     for measurement in measurements[:20]:
-        witness.add(measurement)
-    early = witness.motion
+        estimator.add(measurement)
+    early = estimator.motion
     for measurement in measurements[20:]:
-        witness.add(measurement)
-    np.testing.assert_array_equal(witness.motion.poses[:20], early.poses)
-    assert len(witness) == 40
+        estimator.add(measurement)
+    np.testing.assert_array_equal(estimator.motion.poses[:20], early.poses)
+    assert len(estimator) == 40

@@ -8,7 +8,7 @@ import pytest
 from gridslam.api import map_log
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
-from gridslam.doctor.repair import Repair, early_calibration, full_repair, needed_repair, repaired
+from gridslam.doctor.repair import Repair, calibrate_early, find_full_repair, find_needed_repair, repair_measurements
 from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
@@ -40,7 +40,7 @@ def steps(measurements):
 def test_a_fault_and_its_repair_leave_the_log_as_it_was(name, size):
     measurements = log(scans=120)[0]
     faulty = with_fault(measurements, name, np.random.default_rng(0), size)
-    mended = list(repaired(faulty, EXACT_REPAIRS[name](size)))
+    mended = list(repair_measurements(faulty, EXACT_REPAIRS[name](size)))
     np.testing.assert_allclose(steps(mended), steps(measurements), atol=1e-9)
     for one, other in zip(mended[::30], measurements[::30], strict=True):
         assert one.scan.stamp_ns == other.scan.stamp_ns
@@ -50,7 +50,9 @@ def test_a_fault_and_its_repair_leave_the_log_as_it_was(name, size):
 def test_a_reflected_laser_sees_the_world_again():
     """Ranges in reverse order at bearings of the other sign: the same ends in reverse, one beam's step aside."""
     measurements = log(scans=10)[0]
-    mended = repaired(with_fault(measurements, "reflected_laser", np.random.default_rng(0)), Repair(reflected=True))
+    mended = repair_measurements(
+        with_fault(measurements, "reflected_laser", np.random.default_rng(0)), Repair(reflected=True)
+    )
     for one, other in zip(mended, measurements, strict=True):
         ends, true = one.scan.beams(0.1, 20).ends[::-1], other.scan.beams(0.1, 20).ends
         assert np.hypot(*(ends - true).T).max() < 20 * np.pi / 180 * 1.01
@@ -60,7 +62,7 @@ def test_a_reflected_laser_sees_the_world_again():
 def test_a_skew_is_taken_out_by_the_odometry_of_the_right_time(skew):
     measurements = log(scans=200)[0]
     faulty = list(with_fault(measurements, "clock_skew", np.random.default_rng(0), skew))
-    mended = list(repaired(faulty, Repair(skew_s=skew)))
+    mended = list(repair_measurements(faulty, Repair(skew_s=skew)))
     assert [scan.stamp_ns for _, scan in mended] == [scan.stamp_ns for _, scan in faulty]
     true = {scan.ranges.tobytes(): odometry.pose for odometry, scan in measurements}
     off = [np.abs(between(true[scan.ranges.tobytes()], odometry.pose)) for odometry, scan in mended[3:-3]]
@@ -73,19 +75,19 @@ def test_reading_ahead_is_bounded():
     for skew, ahead in ((0.1, 1), (-0.5, 4)):
         read = []
         source = (read.append(measurement) or measurement for measurement in log(scans=40)[0])
-        next(repaired(source, Repair(skew_s=skew)))
+        next(repair_measurements(source, Repair(skew_s=skew)))
         assert len(read) == ahead
 
 
 def test_scans_without_odometry_pass():
     scans = [Measurement(None, scan) for _, scan in log(scans=5)[0]]
     for repair in (Repair(), Repair(scale=1.1), Repair(skew_s=0.1)):
-        assert [m.odometry for m in repaired(scans, repair)] == [None] * 5
+        assert [m.odometry for m in repair_measurements(scans, repair)] == [None] * 5
 
 
 @pytest.mark.parametrize(("name", "size"), [("reflected_laser", None), ("yaw_offset", np.pi), ("yaw_offset", -1.0)])
 def test_the_begin_of_a_log_tells_what_must_be_repaired(name, size):
-    repair = needed_repair(early_calibration(with_fault(log()[0], name, np.random.default_rng(0), size)))
+    repair = find_needed_repair(calibrate_early(with_fault(log()[0], name, np.random.default_rng(0), size)))
     assert repair.reflected == (name == "reflected_laser")
     assert abs(np.remainder(repair.yaw_rad - (size or 0.0) + np.pi, 2 * np.pi) - np.pi) < 0.03
 
@@ -93,21 +95,21 @@ def test_the_begin_of_a_log_tells_what_must_be_repaired(name, size):
 @pytest.mark.parametrize("name", [None, "clock_skew", "odometry_scale", "odometry_drift", "wheel_slip"])
 def test_what_matching_makes_up_for_is_not_repaired_unasked(name):
     measurements = log()[0] if name is None else with_fault(log()[0], name, np.random.default_rng(0))
-    assert not needed_repair(early_calibration(measurements))
+    assert not find_needed_repair(calibrate_early(measurements))
 
 
 def test_early_calibration_reads_no_more_than_it_needs():
     """Less than half of what a fault takes, where there is none."""
     clean, faulty = [], []
-    early_calibration(clean.append(measurement) or measurement for measurement in log()[0])
+    calibrate_early(clean.append(measurement) or measurement for measurement in log()[0])
     reflected = with_fault(log()[0], "reflected_laser", np.random.default_rng(0))
-    early_calibration(faulty.append(measurement) or measurement for measurement in reflected)
+    calibrate_early(faulty.append(measurement) or measurement for measurement in reflected)
     assert 2 * len(clean) < len(faulty) < 300
 
 
 def test_a_full_repair_takes_out_all_that_is_certain():
     found = calibrate(perfect(60.0, scale=1.1, turn_scale=0.95, skew_s=0.08, reflected=True))
-    repair = full_repair(found)
+    repair = find_full_repair(found)
     assert repair.reflected
     assert repair.scale == pytest.approx(1.1, abs=0.005)
     assert repair.turn_scale == pytest.approx(0.95, abs=0.005)
@@ -118,8 +120,8 @@ def test_a_full_repair_takes_out_all_that_is_certain():
 def test_the_map_of_a_reflected_log_is_right_once_it_is_repaired():
     measurements, truth = log(scans=300)
     faulty = tuple(with_fault(measurements, "reflected_laser", np.random.default_rng(0)))
-    repair = needed_repair(early_calibration(faulty))
-    clean, spoiled, mended = (error_m(m, truth) for m in (measurements, faulty, repaired(faulty, repair)))
+    repair = find_needed_repair(calibrate_early(faulty))
+    clean, spoiled, mended = (error_m(m, truth) for m in (measurements, faulty, repair_measurements(faulty, repair)))
     assert spoiled > 10 * clean
     assert mended < clean + 0.03
 
@@ -133,7 +135,7 @@ def error_m(measurements, truth):
 
 def test_the_second_look_finds_nothing_left():
     faulty = tuple(with_fault(log()[0], "odometry_scale", np.random.default_rng(0), 0.1))
-    mended = tuple(repaired(faulty, full_repair(calibrate(laser_motion(faulty)))))
+    mended = tuple(repair_measurements(faulty, find_full_repair(calibrate(laser_motion(faulty)))))
     assert calibrate(laser_motion(mended)).scale.value == pytest.approx(1.0, abs=0.005)
 
 
@@ -157,7 +159,7 @@ def test_what_a_repair_takes_out_is_told_before_the_first_measurement(tmp_path):
     told = []
     source = RepairedLog(open_log(tmp_path / "log.csv"), tell=told.append)
     first = next(iter(source))
-    assert [fault for repair in told for fault in repair.says()] == [next(source.repair.says())]
+    assert [fault for repair in told for fault in repair.describe()] == [next(source.repair.describe())]
     assert abs(source.repair.yaw_rad) == pytest.approx(np.pi, abs=0.1)
     assert first.scan.stamp_ns == measurements[0].scan.stamp_ns
-    assert not list(Repair().says())
+    assert not list(Repair().describe())

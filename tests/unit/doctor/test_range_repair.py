@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.repair import Repair, repaired
+from gridslam.doctor.repair import Repair, repair_measurements
 from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.io.csv_writer import write_csv_log
 from gridslam.io.log import open_log
@@ -66,7 +66,7 @@ def test_beams_that_hit_nothing_are_no_hits_once_the_log_is_repaired(tmp_path, k
     found, repair, said = mended(tmp_path, faulty, kind)
     assert repair.range_max_m == pytest.approx(REACH_M - MARGIN_M, abs=0.01)
     assert said == [repair]
-    assert [line for line in repair.says() if "8.13 m" in line and "no-return beams" in line]
+    assert [line for line in repair.describe() if "8.13 m" in line and "no-return beams" in line]
     lost = 0
     for one, wrong, true in zip(found, faulty, drive(), strict=True):
         assert one.scan.stamp_ns == wrong.scan.stamp_ns
@@ -144,7 +144,7 @@ def test_counting_does_not_depend_on_when_it_is_done():
 def test_only_the_laser_that_lies_is_limited():
     """The other's walls beyond 8 m stay hits, and beams that are no hits stay what they are."""
     pairs = [one for pair in zip(told(REACH_M)[:50], told(9.0, sensor="other")[:50], strict=True) for one in pair]
-    for wrong, one in zip(pairs, repaired(pairs, Repair(range_max_m=8.13)), strict=True):
+    for wrong, one in zip(pairs, repair_measurements(pairs, Repair(range_max_m=8.13)), strict=True):
         if wrong.scan.sensor == "other":
             assert one.scan is wrong.scan
         else:
@@ -158,7 +158,7 @@ def test_a_beam_that_is_no_hit_stays_what_it_is():
     ranges[:5] = [np.nan, np.inf, 8.2, 8.12, 9.0]
     scan = LaserScan.from_ranges(0, ranges, geometry, range_max_m=STATED_M)
     scan = replace(scan, status=np.where(ranges == 9.0, np.uint8(BeamStatus.INVALID), scan.status))
-    (one,) = repaired([Measurement(None, scan)], Repair(range_max_m=8.13))
+    (one,) = repair_measurements([Measurement(None, scan)], Repair(range_max_m=8.13))
     invalid, nothing, hit = BeamStatus.INVALID, BeamStatus.NO_RETURN, BeamStatus.HIT
     assert one.scan.status[:5].tolist() == [invalid, nothing, nothing, hit, invalid]
     np.testing.assert_array_equal(one.scan.ranges, ranges)

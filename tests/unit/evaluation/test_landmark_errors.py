@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.landmarks import landmark_errors, pair_by_name, pair_by_place
+from gridslam.evaluation.landmarks import landmark_errors, pair_by_name, pair_by_position
 from gridslam.geometry.se2 import inverse, transform_points
 
 TRUTH = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.3], [0.0, 5.0], [-3.0, 1.0]])
@@ -24,7 +24,7 @@ def test_pairs_by_place_are_found_from_a_near_guess_and_surplus_is_told(x, y, tu
     """0.2 m and 0.05 rad move no landmark by more than 0.6 m; the nearest two are 0.3 m apart."""
     map_from_true = np.array([x, y, turn])
     positions = np.concatenate([transform_points(map_from_true, TRUTH[[3, 2, 1, 4]]), [[20.0, 20.0]]])
-    ours, theirs = pair_by_place(positions, TRUTH, inverse(np.zeros(3)), reach_m=0.8)
+    ours, theirs = pair_by_position(positions, TRUTH, inverse(np.zeros(3)), reach_m=0.8)
     errors = landmark_errors(positions, TRUTH, (ours, theirs))
     assert (errors.found, errors.missing, errors.surplus) == (4, 1, 1)
     if np.hypot(x, y) + 5 * abs(turn) < 0.15:  # then each is nearest to its own
@@ -34,7 +34,7 @@ def test_pairs_by_place_are_found_from_a_near_guess_and_surplus_is_told(x, y, tu
 
 def test_a_doubled_landmark_is_one_too_many():
     positions = np.concatenate([TRUTH, TRUTH[:1] + np.array([0.1, 0.0])])
-    pairs = pair_by_place(positions, TRUTH, np.zeros(3))
+    pairs = pair_by_position(positions, TRUTH, np.zeros(3))
     errors = landmark_errors(positions, TRUTH, pairs)
     assert (errors.found, errors.missing, errors.surplus) == (5, 0, 1)
 
@@ -54,5 +54,5 @@ def test_without_a_pair_there_is_no_error():
     nothing = np.empty(0, np.int64)
     with pytest.raises(ArgumentError, match="at least one"):
         landmark_errors(TRUTH, TRUTH, (nothing, nothing))
-    assert [len(part) for part in pair_by_place(np.empty((0, 2)), TRUTH, np.zeros(3))] == [0, 0]
-    assert [len(part) for part in pair_by_place(TRUTH + 50, TRUTH, np.zeros(3))] == [0, 0]
+    assert [len(part) for part in pair_by_position(np.empty((0, 2)), TRUTH, np.zeros(3))] == [0, 0]
+    assert [len(part) for part in pair_by_position(TRUTH + 50, TRUTH, np.zeros(3))] == [0, 0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import circular_mean, shares, wrap
+from gridslam.geometry.angles import circular_mean, normalize_weights, wrap
 
 TURN = 2 * math.pi
 
@@ -52,14 +52,14 @@ def test_circular_mean_across_the_cut() -> None:
 
 
 def test_shares_sum_to_one_at_the_ends_of_the_number_range() -> None:
-    np.testing.assert_allclose(shares([1e308, 1e308, 0]), [0.5, 0.5, 0])
-    np.testing.assert_allclose(shares([5e-324, 1.5e-323]), [0.25, 0.75])
+    np.testing.assert_allclose(normalize_weights([1e308, 1e308, 0]), [0.5, 0.5, 0])
+    np.testing.assert_allclose(normalize_weights([5e-324, 1.5e-323]), [0.25, 0.75])
 
 
 @pytest.mark.parametrize("weights", [[], [0.0, 0.0], [1.0, -1.0], [1.0, math.nan], [1.0, math.inf], 1.0])
 def test_bad_weights_are_refused(weights: object) -> None:
     with pytest.raises(ArgumentError, match="weights"):
-        shares(weights)
+        normalize_weights(weights)
 
 
 def test_circular_mean_refuses_what_does_not_fit() -> None:

@@ -57,15 +57,15 @@ def test_known_is_what_the_rectangle_knows_and_nothing_outside_of_it(maps, row):
     inside = ((cells >= 0) & (cells < grid.known.shape)).all(axis=1)
     expected = np.zeros(len(points), bool)
     expected[inside] = grid.known[tuple(cells[inside].T)]
-    np.testing.assert_array_equal(maps.known(row, points), expected)
+    np.testing.assert_array_equal(maps.is_known(row, points), expected)
     assert 100 < expected.sum() < 0.5 * len(points)
     assert np.count_nonzero(~inside) > 1000
 
 
 def test_nothing_is_known_in_an_empty_map_and_no_point_asks_nothing(maps):
     empty = TileMaps(1, resolution_m=CELL, reach_cells=4.0, evidence=maps.evidence)
-    assert not empty.known(0, np.random.default_rng(0).normal(size=(50, 2))).any()
-    assert maps.known(0, np.zeros((0, 2))).shape == (0,)
+    assert not empty.is_known(0, np.random.default_rng(0).normal(size=(50, 2))).any()
+    assert maps.is_known(0, np.zeros((0, 2))).shape == (0,)
 
 
 @pytest.mark.parametrize("rows", [[1], [2, 0], [1, 1, 1, 1], [0, 1, 2]])

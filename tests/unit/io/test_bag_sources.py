@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gridslam.errors import InputError
 from gridslam.io.bag_ros1 import Ros1Bag
 from gridslam.io.bag_ros2 import Ros2Bag
-from gridslam.io.bag_source import in_order
+from gridslam.io.bag_source import merge_chunks
 from support import ros_bags
 
 FORMS = [
@@ -44,7 +44,7 @@ def test_messages_are_those_of_rosbags(tmp_path, kind, compression):
         assert [time_ns for time_ns, _, _ in bag.messages(topics)] == sorted(time_ns for time_ns, _, _ in expected)
     assert {name: topic.messages for name, topic in bag.topics.items()} == {"/scan": 400, "/odom": 801, "/tf_static": 1}
     assert bag.bytes_read == bag.total_bytes > 0
-    assert not bag.cut_off
+    assert not bag.is_truncated
 
 
 @pytest.mark.parametrize("kind", ["db3", "mcap"])
@@ -82,7 +82,7 @@ def test_chunks_are_merged_by_time_and_stay_in_order_within_one_time(chunks):
     messages = [[(time, f"{n}", b"") for time in times] for n, times in enumerate(chunks)]
     given_chunks = sorted(((min(each)[0], each) for each in messages), key=lambda chunk: chunk[0])
     expected = sorted((message for _, each in given_chunks for message in each), key=lambda message: message[0])
-    assert list(in_order(given_chunks)) == expected
+    assert list(merge_chunks(given_chunks)) == expected
 
 
 def test_the_index_of_a_ros1_bag_may_be_wrong(tmp_path):
@@ -95,12 +95,12 @@ def test_the_index_of_a_ros1_bag_may_be_wrong(tmp_path):
         Ros1Bag(path)
     found = Ros1Bag(path, keep_truncated=True)
     assert list(found.messages(found.topics)) == whole
-    assert found.cut_off
+    assert found.is_truncated
     place = data.index(b"chunk_pos=")
     path.write_bytes(data[: place + 10] + bytes(8) + data[place + 18 :])
     found = Ros1Bag(path)  # all of the file can be walked through: only the index is wrong
     assert list(found.messages(found.topics)) == whole
-    assert not found.cut_off
+    assert not found.is_truncated
 
 
 def test_a_ros1_bag_that_was_not_closed(tmp_path):
@@ -111,7 +111,7 @@ def test_a_ros1_bag_that_was_not_closed(tmp_path):
     with pytest.raises(InputError, match=r"not closed.*--keep-truncated"):
         Ros1Bag(path)
     bag = Ros1Bag(path, keep_truncated=True)
-    assert bag.cut_off
+    assert bag.is_truncated
     assert sum(1 for _ in bag.messages(bag.topics)) == 1202
 
 
@@ -148,7 +148,7 @@ def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kin
     kept = list(bag.messages({"/odom"}))
     assert kept == whole[: len(kept)]
     assert len(whole) / 3 < len(kept) < len(whole)
-    assert bag.cut_off
+    assert bag.is_truncated
 
 
 def test_an_mcap_file_that_rosbags_refuses_but_is_whole_is_read(tmp_path):
@@ -158,7 +158,7 @@ def test_an_mcap_file_that_rosbags_refuses_but_is_whole_is_read(tmp_path):
     path.write_bytes(data[:17].replace(b"\4\0\0\0ros2", b"\4\0\0\0????") + data[17:].replace(b"ros2", b"????", 1))
     bag = Ros2Bag(path)
     assert list(bag.messages({"/odom"})) == whole
-    assert not bag.cut_off
+    assert not bag.is_truncated
 
 
 def test_messages_that_sqlite_has_not_merged_are_not_lost_without_a_word(tmp_path):
@@ -166,7 +166,7 @@ def test_messages_that_sqlite_has_not_merged_are_not_lost_without_a_word(tmp_pat
     path.with_name(f"{path.name}-wal").write_bytes(b"messages")
     with pytest.raises(InputError, match="-wal"):
         Ros2Bag(path)
-    assert Ros2Bag(path, keep_truncated=True).cut_off
+    assert Ros2Bag(path, keep_truncated=True).is_truncated
 
 
 def test_a_database_that_is_no_bag(tmp_path):

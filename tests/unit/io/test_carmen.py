@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.carmen_lines import LineError, parse_stamp_ns
-from gridslam.io.text_source import sha256_of
+from gridslam.io.text_source import compute_sha256
 from gridslam.types import BeamStatus, LaserScan
 
 
@@ -78,13 +78,13 @@ def test_first_scan_of_intel_to_the_digit(data_dir):
 
 def test_digest_is_that_of_the_published_file(data_dir):
     expected = "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a"
-    assert sha256_of(data_dir / "intel.clf.bz2") == expected
+    assert compute_sha256(data_dir / "intel.clf.bz2") == expected
 
 
 def test_digest_is_of_the_bytes_on_disk(tmp_path):
     path = tmp_path / "file"
     path.write_bytes(b"gridslam" * 300_000)  # longer than one block
-    assert sha256_of(path) == hashlib.sha256(b"gridslam" * 300_000).hexdigest()
+    assert compute_sha256(path) == hashlib.sha256(b"gridslam" * 300_000).hexdigest()
 
 
 @pytest.mark.parametrize("compress", [lambda data: data, gzip.compress, bz2.compress])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen import CarmenLog
-from gridslam.io.carmen_form import carmen_form
+from gridslam.io.carmen_form import to_carmen_form
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.csv_columns import rotation_of_angles
 from gridslam.io.measurement import Measurement
@@ -30,7 +30,7 @@ def mounted(bearings, roll=0.0, pitch=0.0, yaw=0.0, place=(0.0, 0.0, 0.0)) -> Sc
 
 def taken(*measurements):
     lost: Counter[str] = Counter()
-    return list(carmen_form(measurements, lost)), {what: count for what, count in lost.items() if count}
+    return list(to_carmen_form(measurements, lost)), {what: count for what, count in lost.items() if count}
 
 
 @settings(deadline=None, max_examples=80)

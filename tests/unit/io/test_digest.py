@@ -9,13 +9,13 @@ import subprocess
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 
 
 def test_a_file(tmp_path):
     path = tmp_path / "log"
     path.write_bytes(b"abc")
-    assert digest_of(path) == hashlib.sha256(b"abc").hexdigest()
+    assert compute_digest(path) == hashlib.sha256(b"abc").hexdigest()
 
 
 def test_a_folder_is_what_sha256sum_says_of_its_files(tmp_path):
@@ -26,13 +26,13 @@ def test_a_folder_is_what_sha256sum_says_of_its_files(tmp_path):
     said = subprocess.run(
         ["sha256sum", "b.db3", "below/a", "metadata.yaml"], cwd=folder, capture_output=True, check=True
     ).stdout
-    assert digest_of(folder) == hashlib.sha256(said).hexdigest()
+    assert compute_digest(folder) == hashlib.sha256(said).hexdigest()
     moved = shutil.copytree(folder, tmp_path / "elsewhere")
-    assert digest_of(moved) == digest_of(folder)
+    assert compute_digest(moved) == compute_digest(folder)
     (moved / "b.db3").rename(moved / "c.db3")
-    assert digest_of(moved) != digest_of(folder)
+    assert compute_digest(moved) != compute_digest(folder)
 
 
 def test_nothing_there(tmp_path):
     with pytest.raises(InputError, match="no such file"):
-        digest_of(tmp_path / "none")
+        compute_digest(tmp_path / "none")

@@ -21,7 +21,7 @@ def test_what_is_written_is_read(tmp_path, count):
     write_landmarks(tmp_path / "a.csv", told)
     found = read_landmarks(tmp_path / "a.csv")
     assert found.names.tolist() == told.names.tolist()
-    assert found.sightings.tolist() == told.sightings.tolist()
+    assert found.observations.tolist() == told.observations.tolist()
     np.testing.assert_allclose(found.positions, told.positions, atol=1e-9)
     np.testing.assert_allclose(found.covariances, told.covariances, rtol=1e-8)
     assert len(found) == count

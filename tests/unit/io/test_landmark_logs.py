@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import compose
 from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
 from gridslam.io.mrclam import MrclamLog
 from gridslam.io.victoria_park import VictoriaParkLog
-from gridslam.models.sightings import SightingKind, Sightings
+from gridslam.models.landmark_observations import LandmarkObservations, ObservationKind
 
 ODOMETRY = "# Time v omega\n10.0 1.0 0.0\n10.1 1.0 0.0\n10.2 0.0 2.0\n10.3 0.0 0.0\n10.9 0.0 0.0\n"
 MEASUREMENT = "# Time barcode range bearing\n10.05 14 1.5 0.25\n10.05 63 2.0 -0.5\n10.25 7 3.0 0.5\n10.25 99 3.0 0.5\n"
@@ -52,7 +52,7 @@ def test_steps_of_mrclam_end_where_landmarks_are_seen(mrclam):
     assert isinstance(open_landmark_log(mrclam()), MrclamLog)
     log = MrclamLog(mrclam(), delay_ns=0)
     assert isinstance(log, LandmarkLog)
-    assert (log.kind, log.stamped) == (SightingKind.DEPTH_BEARING, True)
+    assert (log.kind, log.stamped) == (ObservationKind.DEPTH_BEARING, True)
     for _ in range(2):  # each iteration reads anew
         steps = list(log)
         # The robot drives 1 m/s for 0.2 s and then turns at 2 rad/s for 0.1 s; the last step ends 0.25 s later at most.
@@ -60,11 +60,11 @@ def test_steps_of_mrclam_end_where_landmarks_are_seen(mrclam):
         np.testing.assert_allclose(steps[0].increment, [0.05, 0, 0], atol=1e-12)
         np.testing.assert_allclose(steps[1].increment, [0.15, 0, 0.1], atol=1e-12)
         np.testing.assert_allclose(steps[2].increment, [0, 0, 0.1], atol=1e-12)
-        assert [step.sightings.landmarks.tolist() for step in steps] == [[6], [8], []]
-        assert steps[0].sightings.values.tolist() == [[2.0 / 1.03, -0.5]]  # the cameras read 3 % too much
+        assert [step.observations.landmarks.tolist() for step in steps] == [[6], [8], []]
+        assert steps[0].observations.values.tolist() == [[2.0 / 1.03, -0.5]]  # the cameras read 3 % too much
         assert all(step.covariance is None for step in steps)
         found = log.statistics
-        assert (found.odometry, found.steps, found.sightings, found.robots, found.unknown) == (5, 3, 2, 1, 1)
+        assert (found.odometry, found.steps, found.observations, found.robots, found.unknown) == (5, 3, 2, 1, 1)
         assert found.duration_s == pytest.approx(0.85)
     assert log.truth.landmarks.tolist() == [6, 8]
     assert log.truth.positions.tolist() == [[1, 2], [3, 4]]
@@ -146,18 +146,18 @@ def test_steps_of_victoria_park(park):
     log = open_landmark_log(path)
     assert isinstance(log, VictoriaParkLog)
     assert isinstance(log, LandmarkLog)
-    assert (log.kind, log.stamped, log.truth) == (SightingKind.POSITION, False, None)
+    assert (log.kind, log.stamped, log.truth) == (ObservationKind.POSITION, False, None)
     first, second, third = log
     assert [step.stamp_ns for step in (first, second, third)] == [0, 10**9, 2 * 10**9]
     assert first.increment.tolist() == [0, 0, 0]
-    assert first.sightings.landmarks.tolist() == [9]
-    assert first.sightings.covariances.tolist() == [[[0.5, 0.1], [0.1, 0.6]]]
+    assert first.observations.landmarks.tolist() == [9]
+    assert first.observations.covariances.tolist() == [[[0.5, 0.1], [0.1, 0.6]]]
     assert second.increment.tolist() == [1, 0.1, 0.2]
     assert second.covariance.tolist() == [[1, 0.1, 0.2], [0.1, 2, 0.3], [0.2, 0.3, 3]]
-    assert len(second.sightings) == 0
-    assert third.sightings.landmarks.tolist() == [7, 9]
-    assert third.sightings.values.tolist() == [[3, 4], [5, 6]]
-    assert (log.statistics.odometry, log.statistics.steps, log.statistics.sightings) == (2, 3, 3)
+    assert len(second.observations) == 0
+    assert third.observations.landmarks.tolist() == [7, 9]
+    assert third.observations.values.tolist() == [[3, 4], [5, 6]]
+    assert (log.statistics.odometry, log.statistics.steps, log.statistics.observations) == (2, 3, 3)
 
 
 @pytest.mark.parametrize(
@@ -192,19 +192,23 @@ def test_what_is_no_log_of_landmarks(park, tmp_path):
 
 def test_sightings_are_checked():
     with pytest.raises(ArgumentError, match="each landmark once"):
-        Sightings.of([[1, 2], [3, 4]], [5, 5])
+        LandmarkObservations.of([[1, 2], [3, 4]], [5, 5])
     with pytest.raises(ArgumentError, match="finite"):
-        Sightings.of([[1, np.nan]])
+        LandmarkObservations.of([[1, np.nan]])
     with pytest.raises(ArgumentError, match="covariances"):
-        Sightings.of([[1, 2]], covariances=[[1, 2]])
-    assert Sightings.of([[1, 2]], [3]).anonymous().landmarks is None
+        LandmarkObservations.of([[1, 2]], covariances=[[1, 2]])
+    assert LandmarkObservations.of([[1, 2]], [3]).drop_correspondences().landmarks is None
 
 
-@pytest.mark.parametrize(("robot", "sightings", "robots", "unknown"), [(1, 1534, 407, 1), (3, 4348, 1277, 2)])
-def test_real_mrclam(data_dir, robot, sightings, robots, unknown):
+@pytest.mark.parametrize(("robot", "observations", "robots", "unknown"), [(1, 1534, 407, 1), (3, 4348, 1277, 2)])
+def test_real_mrclam(data_dir, robot, observations, robots, unknown):
     log = open_landmark_log(data_dir / "landmarks" / f"mrclam6_Robot{robot}_Odometry.dat.gz")
-    seen = np.concatenate([step.sightings.landmarks for step in log])
-    assert (log.statistics.sightings, log.statistics.robots, log.statistics.unknown) == (sightings, robots, unknown)
+    seen = np.concatenate([step.observations.landmarks for step in log])
+    assert (log.statistics.observations, log.statistics.robots, log.statistics.unknown) == (
+        observations,
+        robots,
+        unknown,
+    )
     assert np.unique(seen).tolist() == log.truth.landmarks.tolist() == list(range(6, 21))
     assert 880 < log.statistics.duration_s < 890
 
@@ -212,7 +216,7 @@ def test_real_mrclam(data_dir, robot, sightings, robots, unknown):
 def test_real_victoria_park(data_dir):
     log = open_landmark_log(data_dir / "landmarks" / "victoria_park.txt.gz")
     steps = list(log)
-    assert (log.statistics.odometry, log.statistics.sightings, len(steps)) == (6968, 3640, 6969)
-    assert len(np.unique(np.concatenate([step.sightings.landmarks for step in steps]))) == 151
+    assert (log.statistics.odometry, log.statistics.observations, len(steps)) == (6968, 3640, 6969)
+    assert len(np.unique(np.concatenate([step.observations.landmarks for step in steps]))) == 151
     driven = sum(math.hypot(*step.increment[:2]) for step in steps)
     assert driven == pytest.approx(4026.6, abs=0.1)

@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.errors import ConsumedStateError, InputError
 from gridslam.io.localization_state import SavedLocalization, read_localization, write_localization
-from gridslam.localization import KnownMap, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.pipeline import run
 from support.localization_world import drive, flat_map
 
@@ -30,18 +30,18 @@ def went_on(measurements, mcl, state, rng):
         told.append((report.pose.tobytes(), report.covariance.tobytes(), report.lost_probability))
 
     end = run(measurements, mcl, rng=rng, state=state, observers=[observe])
-    return told, end.poses.tobytes(), end.rivals.log_odds.tobytes(), end.updates
+    return told, end.poses.tobytes(), end.hypotheses.log_odds.tobytes(), end.updates
 
 
 @pytest.mark.parametrize("scans", [0, 1, 3, 25])  # nothing known, one scan, rivals about, found
 def test_goes_on_to_the_same_bytes(known, measurements, tmp_path, scans):
-    parts = MonteCarloParts(max_beams=60)
-    mcl, rng = MonteCarloLocalization(known, parts), np.random.default_rng(5)
+    configuration = MonteCarloConfiguration(max_beams=60)
+    mcl, rng = MonteCarloLocalization(known, configuration), np.random.default_rng(5)
     state = run(measurements[:scans], mcl, rng=rng, state=mcl.init())
-    write_localization(tmp_path / "saved.npz", SavedLocalization(parts, state, rng))
+    write_localization(tmp_path / "saved.npz", SavedLocalization(configuration, state, rng))
     saved = read_localization(tmp_path / "saved.npz")
-    assert saved.parts == parts
-    resumed = MonteCarloLocalization(known, saved.parts)
+    assert saved.configuration == configuration
+    resumed = MonteCarloLocalization(known, saved.configuration)
     rest = measurements[scans:]
     assert went_on(rest, mcl, state, rng) == went_on(rest, resumed, saved.state, saved.rng)
 
@@ -50,11 +50,12 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
     path, rng = tmp_path / "saved.npz", np.random.default_rng(0)
     mcl = MonteCarloLocalization(known)
     state = run(measurements[:2], mcl, rng=rng, state=mcl.init())
-    write_localization(path, SavedLocalization(mcl.parts, state, rng))
+    write_localization(path, SavedLocalization(mcl.configuration, state, rng))
     whole = dict(np.load(path))
     for name, wrong in (
-        ("state.poses", np.zeros((4, 2))), ("state.log_weights", np.zeros(3)), ("state.rivals.log_odds", np.zeros(99)),
-        ("generator", np.array("{}")), ("parts", np.array('{"max_beams": 0}')), ("schema", np.array("other/1")),
+        ("state.poses", np.zeros((4, 2))), ("state.log_weights", np.zeros(3)),
+        ("state.hypotheses.log_odds", np.zeros(99)),
+        ("generator", np.array("{}")), ("configuration", np.array('{"max_beams": 0}')), ("schema", np.array("other/1")),
     ):  # fmt: skip
         np.savez(path, **{**whole, name: wrong})
         with pytest.raises(InputError, match=r"saved\.npz"):
@@ -64,4 +65,4 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
             read_localization(path)
     mcl.step(state, *measurements[2], rng)
     with pytest.raises(ConsumedStateError):
-        write_localization(path, SavedLocalization(mcl.parts, state, rng))
+        write_localization(path, SavedLocalization(mcl.configuration, state, rng))

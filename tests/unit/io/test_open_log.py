@@ -10,9 +10,9 @@ import pytest
 from gridslam.errors import InputError
 from gridslam.io.carmen import CarmenLog
 from gridslam.io.csv_log import CsvLog
-from gridslam.io.digest import digest_of
+from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.log_format import LogFormat, log_format_of
+from gridslam.io.log_format import LogFormat, detect_log_format
 from gridslam.io.selection import SelectedLog
 from gridslam.io.trajectory import CSV_HEADER
 
@@ -35,19 +35,19 @@ CSV = b"# a drive\n\nstamp_s,angle_min_rad,angle_increment_rad,ranges_m\n"
 def test_text_whatever_its_name_is(tmp_path, content, form, compress):
     path = tmp_path / "log.bag"
     path.write_bytes(compress(content))
-    assert log_format_of(path) is form
+    assert detect_log_format(path) is form
 
 
 @pytest.mark.parametrize("head", [b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\x00", b"\x28\xb5\x2f\xfd"])
 def test_bags(tmp_path, head):
     (tmp_path / "log.txt").write_bytes(head + bytes(100))
-    assert log_format_of(tmp_path / "log.txt") is LogFormat.BAG
+    assert detect_log_format(tmp_path / "log.txt") is LogFormat.BAG
 
 
 @pytest.mark.parametrize("name", ["metadata.yaml", "a_0.db3", "a_0.mcap", "a_0.db3.zstd"])
 def test_folders_of_bags(tmp_path, name):
     (tmp_path / name).touch()
-    assert log_format_of(tmp_path) is LogFormat.BAG
+    assert detect_log_format(tmp_path) is LogFormat.BAG
 
 
 @pytest.mark.parametrize(
@@ -111,4 +111,4 @@ def test_the_digest_of_a_folder_is_that_of_its_list(tmp_path):
         (tmp_path / name).write_text(f"{name} holds this")
     command = "LC_ALL=C; sha256sum * | sha256sum"
     told = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    assert digest_of(tmp_path) == told.split()[0]
+    assert compute_digest(tmp_path) == told.split()[0]

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.output import OutputFolder, written_aside
+from gridslam.io.output import OutputFolder, write_atomically
 
 
 def listing(folder):
@@ -127,11 +127,11 @@ def test_written_aside(tmp_path):
     target = tmp_path / "file"
 
     def fail():
-        with written_aside(target) as path:
+        with write_atomically(target) as path:
             path.write_text("half")
             raise KeyError
 
-    with written_aside(target) as path:
+    with write_atomically(target) as path:
         path.write_text("whole")
         assert not target.exists()
     with pytest.raises(KeyError):

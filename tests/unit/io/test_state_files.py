@@ -24,7 +24,7 @@ def measurements():
 
 
 def begun(name="default"):
-    config = override(preset(name), "particles=5", "when_to_resample.kind=Always")
+    config = override(preset(name), "particles=5", "when_to_resample.kind=AlwaysResample")
     return SavedRun(config, None, np.random.default_rng(7))
 
 

@@ -64,12 +64,12 @@ def test_a_localization_is_shown_at_each_scan(place):
         np.testing.assert_allclose(status["covariance"], report.covariance, rtol=1e-6, atol=1e-12)
         assert (status["lost"], status["particles"]) == (report.lost, report.particles)
         assert status["doubt"] == pytest.approx(report.lost_probability, abs=1e-5)
-        assert status["agreement"] == pytest.approx(report.agreement, abs=1e-4)
+        assert status["agreement"] == pytest.approx(report.inlier_ratio, abs=1e-4)
         assert (status["scans"], len(onlooker.path)) == (at + 1, at + 1)
         np.testing.assert_array_equal(np.isnan(onlooker.path[:, 0]), result.lost[: at + 1])
 
 
-def changed(out, tmp_path, name, text):
+def replace_parameters(out, tmp_path, name, text):
     folder = tmp_path / "changed"
     shutil.copytree(out, folder)
     (folder / name).write_text(text)
@@ -80,7 +80,7 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
     folder, _ = place
     document = json.loads((folder / "out" / "run.json").read_text())
     document["input"]["map"] = str(tmp_path / "gone.yaml")
-    replay = Replay(changed(folder / "out", tmp_path, "run.json", json.dumps(document)))
+    replay = Replay(replace_parameters(folder / "out", tmp_path, "run.json", json.dumps(document)))
     _, onlooker = looking(replay)
     assert "gone.yaml" in replay.lacks
     assert onlooker.status["says"] == replay.lacks
@@ -101,7 +101,7 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
 )
 def test_a_belief_that_is_none_is_told(place, tmp_path, text, says):
     with pytest.raises(InputError, match=says):
-        Replay(changed(place[0] / "out", tmp_path, "belief.csv", text))
+        Replay(replace_parameters(place[0] / "out", tmp_path, "belief.csv", text))
 
 
 def test_landmarks_are_shown_with_the_way(tmp_path):
@@ -112,7 +112,7 @@ def test_landmarks_are_shown_with_the_way(tmp_path):
     found = LandmarkMap(np.arange(10), landmarks, spread, np.ones(10, np.int64))
     trajectory = Trajectory(np.arange(50) * 10**9, truth)
     write_trajectory_csv(tmp_path / "trajectory.csv", trajectory, covariances)
-    (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.landmarks/1", "input": {"path": "a/park.txt"}}))
+    (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.landmarks/2", "input": {"path": "a/park.txt"}}))
     viewer, onlooker = looking(Replay(tmp_path))  # of landmarks that were known none are written
     assert onlooker.hello["shows"] == ["path"]
     write_landmarks(tmp_path / "landmarks.csv", found)

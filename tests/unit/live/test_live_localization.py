@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.api.localization import localize
-from gridslam.api.localization_parameters import override_parts
+from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.live.cloud_sight import CloudSight
@@ -16,7 +16,7 @@ from gridslam.live.control import Control
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.live.sight import LOST
-from gridslam.localization import MonteCarloParts
+from gridslam.localization import MonteCarloConfiguration
 from gridslam.sim import OdometryNoise
 from gridslam.types import OccupancyGrid
 from support.localization_world import drive, flat_map
@@ -94,7 +94,7 @@ def test_the_belief_is_seen_as_it_is(grid, log):
         status = onlooker.status
         assert status["pose"] == report.pose.tolist()
         assert (status["lost"], status["doubt"]) == (report.lost, report.lost_probability)
-        assert (status["agreement"], status["particles"]) == (report.agreement, report.particles)
+        assert (status["agreement"], status["particles"]) == (report.inlier_ratio, report.particles)
         if report.skipped is None:
             way.append(np.full(2, np.nan) if report.lost else report.pose[:2])
             lost.append(report.lost)
@@ -120,7 +120,9 @@ def test_the_filter_gives_the_same_bytes_with_and_without(grid, log):
 def test_many_particles_do_not_flood_the_line(grid, log):
     """Of 10,000 a thousand are shown: ten messages a second are at most a tenth of what a viewer is sent."""
     sight, sizes, seen = Sight(grid), [], []
-    most = override_parts(MonteCarloParts(), ["kld.particles_min=10000", "kld.particles_max=10000"]).parts
+    most = override_configuration(
+        MonteCarloConfiguration(), ["kld.particles_min=10000", "kld.particles_max=10000"]
+    ).configuration
 
     def told(report, state, seconds):
         before = sight.onlooker.bytes
@@ -128,7 +130,7 @@ def test_many_particles_do_not_flood_the_line(grid, log):
         sizes.append(sight.onlooker.bytes - before)
         seen.append(len(state.poses))
 
-    localize(log, grid, parts=most, observers=[sight.observer, told], gate=lambda source: list(source)[:40])
+    localize(log, grid, configuration=most, observers=[sight.observer, told], gate=lambda source: list(source)[:40])
     assert min(seen) == 10_000
     assert max(sizes) < 10_000
 

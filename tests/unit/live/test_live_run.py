@@ -13,7 +13,7 @@ from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.live.sight import CORRECTED
 from gridslam.pipeline import run
-from gridslam.scan import EndPoints
+from gridslam.scan import StoredScan
 from support.loops import PROVOKED, loop_drive
 from support.onlookers import Onlooker
 
@@ -184,7 +184,7 @@ def test_final_refinement_replaces_what_was_seen(drive):
     other = build(RESAMPLING).mapper.empty(1)
     poses = state.ancestry.trajectory(0)
     far = np.array([[9.0, 9.0, 0.0]])
-    other.update(np.zeros(1, np.int32), far, EndPoints(np.array([[1.0, 1.0]]), np.zeros(2)))
+    other.update(np.zeros(1, np.int32), far, StoredScan(np.array([[1.0, 1.0]]), np.zeros(2)))
     sight.live.finish(other.occupancy(0), poses + 1.0, np.array([[0.0, 0.0, 1.0, 1.0]]))
     onlooker.catch_up(viewer)
     assert onlooker.sees(other.occupancy(0))

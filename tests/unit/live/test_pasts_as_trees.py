@@ -83,10 +83,10 @@ def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
 
 
 def test_pasts_shared_by_all_are_no_tree():
-    trunk, tree = tree_of(Ancestry.along(np.arange(9.0).reshape(3, 3), 4))
+    trunk, tree = tree_of(Ancestry.from_trajectory(np.arange(9.0).reshape(3, 3), 4))
     assert trunk.tolist() == [[0, 1], [3, 4], [6, 7]]
     assert tree.leaves.tolist() == [-1] * 4
-    assert rooted(Ancestry.along(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
+    assert rooted(Ancestry.from_trajectory(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
 
 
 @settings(max_examples=25, deadline=None)

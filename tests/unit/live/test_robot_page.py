@@ -17,7 +17,7 @@ from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.run import LiveRun
-from gridslam.localization import KnownMap, MonteCarloParts
+from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.localization import Localization
@@ -118,7 +118,7 @@ def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     """Placed by people meanwhile, it stays one session."""
     pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
     log, heard, seen = localized_drive(3), Heard(), Onlooker()
-    known = Localization(KnownMap(flat_map()), MonteCarloParts())
+    known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
     core = NodeCore(NodeSettings(queue_s=60.0), known, heard)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
     with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):

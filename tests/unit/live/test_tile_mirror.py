@@ -12,7 +12,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
 from gridslam.live.tiles import NOWHERE, Box, TileChanges, TileMirror, TileWatch, tiles_of
-from gridslam.scan import EndPoints
+from gridslam.scan import StoredScan
 from gridslam.types import OccupancyGrid
 
 SIDE_M = 0.05
@@ -29,7 +29,7 @@ def write(maps, rng, centre, spread_m=0.3, reach_m=2.0):
     """Insert a scan into every map; returns where that can have written."""
     poses = np.column_stack([centre + rng.normal(0, spread_m, (len(maps), 2)), rng.uniform(-3, 3, len(maps))])
     ends = rng.uniform(-1, 1, (20, 2)) * reach_m / np.sqrt(2)
-    maps.update(np.arange(len(maps), dtype=np.int32), poses, EndPoints(ends, np.zeros(2)))
+    maps.update(np.arange(len(maps), dtype=np.int32), poses, StoredScan(ends, np.zeros(2)))
     return poses
 
 

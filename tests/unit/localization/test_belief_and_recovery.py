@@ -9,8 +9,8 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap
-from gridslam.localization.belief import estimate, moved_covariance
-from gridslam.localization.recovery import AugmentedRecovery, Averages, MeasurementProposal
+from gridslam.localization.belief import estimate_pose, propagate_covariance
+from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
 from gridslam.models.likelihood_field import LikelihoodField
 from support.localization_world import drive, flat_map
 
@@ -27,7 +27,7 @@ def cloud(rng: np.random.Generator, mean: np.ndarray, count: int = 4000) -> np.n
 def test_one_cluster(theta):
     mean = np.array([3.0, -2.0, theta])
     poses = cloud(np.random.default_rng(0), mean)
-    told = estimate(poses, np.full(4000, 1 / 4000))
+    told = estimate_pose(poses, np.full(4000, 1 / 4000))
     away = told.pose - mean
     away[2] = wrap(away[2])
     # Mean of 4000: its deviation is 0.14 m / 63.
@@ -41,7 +41,7 @@ def test_the_heavier_of_two_clusters_is_told():
     rng = np.random.default_rng(1)
     poses = np.concatenate([cloud(rng, np.array([0.0, 0, 0]), 3000), cloud(rng, np.array([9.0, 4, 1]), 1000)])
     weights = np.r_[np.full(3000, 0.3 / 3000), np.full(1000, 0.7 / 1000)]
-    told = estimate(poses, weights)
+    told = estimate_pose(poses, weights)
     np.testing.assert_allclose(told.pose, [9, 4, 1], atol=0.05)
     assert told.mass == pytest.approx(0.7, abs=0.01)
     np.testing.assert_allclose(told.covariance, TRUE, atol=0.004)
@@ -51,7 +51,7 @@ def test_where_no_cluster_has_half_of_all_the_covariance_is_that_of_all():
     rng = np.random.default_rng(2)
     centres = np.array([[0.0, 0, 0], [9.0, 0, 0], [0.0, 9, 0], [9.0, 9, 0]])
     poses = np.concatenate([cloud(rng, centre, 500) for centre in centres])
-    told = estimate(poses, np.full(2000, 1 / 2000))
+    told = estimate_pose(poses, np.full(2000, 1 / 2000))
     assert told.mass < 0.5
     assert min(told.covariance[0, 0], told.covariance[1, 1]) > 30  # half of all are 9 m away: 40.5 m^2
 
@@ -61,7 +61,7 @@ def test_the_information_of_few_particles_is_unbiased():
     rng, found = np.random.default_rng(3), []
     for _ in range(1500):
         poses = rng.multivariate_normal([0, 0, 0], 0.1 * TRUE, 40)
-        found.append(np.linalg.inv(estimate(poses, np.full(40, 1 / 40)).covariance))
+        found.append(np.linalg.inv(estimate_pose(poses, np.full(40, 1 / 40)).covariance))
     # A diagonal entry from 40 has a deviation of about sqrt(2 / 35) of itself; its mean over 1500 of 0.6 %.
     np.testing.assert_allclose(
         np.diag(np.mean(found, axis=0)), np.diag(np.linalg.inv(0.1 * TRUE)), rtol=5 * 0.006
@@ -72,7 +72,7 @@ def test_where_one_particle_has_all_weight_the_spread_is_that_of_all():
     poses = cloud(np.random.default_rng(4), np.zeros(3))
     weights = np.full(4000, 1e-12)
     weights[7] = 1 - weights.sum() + 1e-12
-    told = estimate(poses, weights)
+    told = estimate_pose(poses, weights)
     np.testing.assert_allclose(told.pose, poses[7], atol=1e-6)
     assert np.linalg.eigvalsh(told.covariance)[0] > 0.5 * np.linalg.eigvalsh(TRUE)[0]
 
@@ -89,17 +89,17 @@ def test_moved_covariance_by_finite_differences():
     start, step = np.array([0.0, 0.0, heading]), 1e-6
     jacobian = np.column_stack([(end(start + step * e) - end(start - step * e)) / (2 * step) for e in np.eye(3)])
     expected = jacobian @ TRUE @ jacobian.T + 0.1 * np.eye(3)
-    np.testing.assert_allclose(moved_covariance(TRUE, way, 0.1 * np.eye(3)), expected, atol=1e-9)
+    np.testing.assert_allclose(propagate_covariance(TRUE, way, 0.1 * np.eye(3)), expected, atol=1e-9)
 
 
 def test_averages_are_those_of_the_table():
     recovery = AugmentedRecovery(alpha_slow=0.01, alpha_fast=0.2, expected=0.6)
     averages = recovery.begin()
     slow = fast = 0.6
-    for agreement in (0.9, 0.8, 0.1, 0.1, 0.1):
-        averages, share = recovery(averages, agreement)
-        slow, fast = slow + 0.01 * (agreement - slow), fast + 0.2 * (agreement - fast)
-        assert averages == pytest.approx(Averages(slow, fast))
+    for inlier_ratio in (0.9, 0.8, 0.1, 0.1, 0.1):
+        averages, share = recovery(averages, inlier_ratio)
+        slow, fast = slow + 0.01 * (inlier_ratio - slow), fast + 0.2 * (inlier_ratio - fast)
+        assert averages == pytest.approx(InlierRatioAverages(slow, fast))
         assert share == pytest.approx(max(0, 1 - fast / slow))
     assert share > 0.3
 
@@ -116,11 +116,11 @@ def test_weights_of_drawn_poses_add_up_to_the_evidence():
     """Their sum is the mean of p(z | x) over the free space, whatever they were drawn with: 40 draws against a grid."""
     known, log = KnownMap(flat_map()), drive(1)
     beams = log.measurements[10].scan.beams(0.05, 30.0)
-    weigh = known.weigher(LikelihoodField(tempering=0.003), beams)
-    exact = np.exp(weigh(known.draw(400_000, np.random.default_rng(0)))).mean()
+    weigh = known.condition(LikelihoodField(tempering=0.003), beams)
+    exact = np.exp(weigh(known.sample_poses(400_000, np.random.default_rng(0)))).mean()
     for concentration in (0.0, 5.0):
         proposal = MeasurementProposal(
-            concentration=concentration, draws=2000, poses_per_m2=200, jitter_m=0, jitter_rad=0
+            concentration=concentration, draws=2000, samples_per_m2=200, jitter_m=0, jitter_rad=0
         )  # fmt: skip
         sums = []
         for seed in range(40):
@@ -133,7 +133,7 @@ def test_weights_of_drawn_poses_add_up_to_the_evidence():
 def test_drawn_poses_are_on_free_cells():
     known, log = KnownMap(flat_map()), drive(1)
     beams = log.measurements[0].scan.beams(0.05, 30.0)
-    weigh = known.weigher(LikelihoodField(), beams)
+    weigh = known.condition(LikelihoodField(), beams)
     poses, _ = MeasurementProposal(jitter_m=0.5)(known, beams, weigh, 0.2, np.random.default_rng(0))
     assert len(poses) == 10_000
     assert known.is_free(poses).all()

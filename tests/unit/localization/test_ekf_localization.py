@@ -12,23 +12,23 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
-from gridslam.models.association import AMBIGUOUS, NEW, MaximumLikelihood, Told
+from gridslam.models.association import AMBIGUOUS, NEW, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import DepthBearing, RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.models.velocity import VelocityMotion
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
 RING = KnownLandmarks.of(np.arange(100, 112), ring(12))
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 SOME = np.array([[0.04, 0.01, 0.005], [0.01, 0.09, -0.01], [0.005, -0.01, 0.02]])
 
 
 def test_it_is_the_kalman_filter_where_all_is_linear():
     """A robot that cannot turn, and sees positions: textbook equations over [x, y], sighting by sighting."""
     rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
-    motion = GaussianIncrement.around(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
+    motion = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
     places = np.array([[3.0, 1.0], [2.0, -2.0]])
     ekf = EkfLocalization(KnownLandmarks.of([7, 8], places), RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
     mean, P, likelihood = np.array([0.2, -0.1]), np.diag([0.3, 0.2]), 0.0
@@ -36,7 +36,7 @@ def test_it_is_the_kalman_filter_where_all_is_linear():
     for k in range(12):
         seen = [[0, 1], [1], [0], []][k % 4]
         z = rng.normal(places[seen] - mean, 0.5)
-        belief, report = ekf.step(belief, motion, Sightings.of(z.reshape(-1, 2), np.array(seen, int) + 7))
+        belief, report = ekf.step(belief, motion, LandmarkObservations.of(z.reshape(-1, 2), np.array(seen, int) + 7))
         told += report.log_likelihood
         mean, P = mean + np.array([0.5, 0.1]), P + R
         for j, value in zip(seen, z, strict=True):
@@ -73,7 +73,7 @@ def test_the_prediction_has_the_jacobian_of_the_motion(theta, v, omega):
 
     G = differences(successor, pose)
     ekf = EkfLocalization(RING, SENSOR)
-    belief, _ = ekf.step(ekf.init(pose, SOME), motion, NOTHING_SEEN)
+    belief, _ = ekf.step(ekf.init(pose, SOME), motion, NO_OBSERVATIONS)
     np.testing.assert_allclose(belief.covariance, G @ SOME @ G.T, atol=1e-8)
     np.testing.assert_allclose(belief.pose[:2], successor(pose)[:2], atol=1e-12)
 
@@ -88,7 +88,7 @@ def test_the_correction_has_the_jacobian_of_the_sensor(sensor, theta, x, y):
     ekf = EkfLocalization(RING, sensor)
     expected = sensor.linearize(pose, RING.positions[3])[0]
     error = np.array([0.05, 0.01])
-    z = Sightings.of([expected + error], [103])
+    z = LandmarkObservations.of([expected + error], [103])
     H = differences(lambda at: sensor.residual(sensor.linearize(at, RING.positions[3])[0], expected), pose)
     K = SOME @ H.T @ np.linalg.inv(H @ SOME @ H.T + sensor.noise(z)[0])
     belief, _ = ekf.step(ekf.init(pose, SOME), STILL, z)
@@ -101,7 +101,7 @@ def test_the_correction_has_the_jacobian_of_the_sensor(sensor, theta, x, y):
 def run(ekf, steps, known=True):
     belief, reports = ekf.init(np.zeros(3), np.diag([0.01, 0.01, 0.01])), []
     for step in steps:
-        seen = step.sightings if known else step.sightings.anonymous()
+        seen = step.observations if known else step.observations.drop_correspondences()
         belief, report = ekf.step(belief, MOTION(step.increment), seen)
         reports.append(report)
     return reports
@@ -110,7 +110,7 @@ def run(ekf, steps, known=True):
 def test_what_is_found_is_what_would_have_been_told_where_landmarks_are_far_apart():
     steps, truth = drive(ring(12), 150, np.random.default_rng(2), SENSOR)
     told = run(EkfLocalization(RING, SENSOR), steps)
-    found = run(EkfLocalization(RING, SENSOR, MaximumLikelihood(same=100.0, other=100.0)), steps, known=False)
+    found = run(EkfLocalization(RING, SENSOR, MaximumLikelihood(match_gate=100.0, new_gate=100.0)), steps, known=False)
     for ours, theirs in zip(told, found, strict=True):
         np.testing.assert_array_equal(ours.landmarks, theirs.landmarks)
         np.testing.assert_array_equal(ours.pose, theirs.pose)
@@ -124,8 +124,8 @@ def test_sightings_do_not_make_it_less_certain():
     ekf = EkfLocalization(RING, SENSOR)
     belief = ekf.init(np.zeros(3), SOME)
     for step in steps:
-        blind, _ = ekf.step(belief, MOTION(step.increment), NOTHING_SEEN)
-        belief, _ = ekf.step(belief, MOTION(step.increment), step.sightings)
+        blind, _ = ekf.step(belief, MOTION(step.increment), NO_OBSERVATIONS)
+        belief, _ = ekf.step(belief, MOTION(step.increment), step.observations)
         assert np.linalg.eigvalsh(blind.covariance - belief.covariance)[0] > -1e-12
         assert np.linalg.eigvalsh(belief.covariance)[0] > 0
 
@@ -136,21 +136,23 @@ def exact(pose, *places):
 
 def test_the_order_of_the_sightings_does_not_matter():
     ekf, z = EkfLocalization(RING, SENSOR), exact(np.zeros(3), 1, 4, 9) + 0.03
-    first, one = ekf.step(ekf.init(np.zeros(3), SOME), STILL, Sightings.of(z, [101, 104, 109]))
-    second, other = ekf.step(ekf.init(np.zeros(3), SOME), STILL, Sightings.of(z[[2, 0, 1]], [109, 101, 104]))
+    first, one = ekf.step(ekf.init(np.zeros(3), SOME), STILL, LandmarkObservations.of(z, [101, 104, 109]))
+    second, other = ekf.step(ekf.init(np.zeros(3), SOME), STILL, LandmarkObservations.of(z[[2, 0, 1]], [109, 101, 104]))
     np.testing.assert_allclose(first.pose, second.pose, atol=1e-12)
     np.testing.assert_allclose(first.covariance, second.covariance, atol=1e-14)
     assert one.log_likelihood == pytest.approx(other.log_likelihood)
 
 
-@pytest.mark.parametrize("association", [Told(believed=16.0), MaximumLikelihood(same=16.0, other=25.0)])
+@pytest.mark.parametrize(
+    "association", [KnownCorrespondence(gate=16.0), MaximumLikelihood(match_gate=16.0, new_gate=25.0)]
+)
 def test_what_does_not_fit_is_not_believed(association):
     """20 sigma off in bearing: nothing is learned, and the pose is as without it."""
     ekf, tight = EkfLocalization(RING, SENSOR, association), np.diag([1e-6, 1e-6, 1e-6])
     z = exact(np.zeros(3), 1, 4)
     z[1, 1] += 0.1
-    belief, report = ekf.step(ekf.init(np.zeros(3), tight), STILL, Sightings.of(z, [101, 104]))
-    alone, _ = ekf.step(ekf.init(np.zeros(3), tight), STILL, Sightings.of(z[:1], [101]))
+    belief, report = ekf.step(ekf.init(np.zeros(3), tight), STILL, LandmarkObservations.of(z, [101, 104]))
+    alone, _ = ekf.step(ekf.init(np.zeros(3), tight), STILL, LandmarkObservations.of(z[:1], [101]))
     assert report.landmarks[0] == 101
     assert report.landmarks[1] in (AMBIGUOUS, NEW)
     np.testing.assert_array_equal(belief.pose, alone.pose)
@@ -160,16 +162,16 @@ def test_what_does_not_fit_is_not_believed(association):
 def test_a_landmark_that_is_not_in_the_map_is_new():
     ekf = EkfLocalization(RING, SENSOR)
     start = ekf.init(np.zeros(3), SOME)
-    belief, report = ekf.step(start, STILL, Sightings.of(exact(np.zeros(3), 1), [999]))
+    belief, report = ekf.step(start, STILL, LandmarkObservations.of(exact(np.zeros(3), 1), [999]))
     assert report.landmarks.tolist() == [NEW]
     assert report.log_likelihood == 0.0
     np.testing.assert_array_equal(belief.covariance, start.covariance)
 
 
 def test_a_landmark_is_taken_once_at_a_time():
-    ekf = EkfLocalization(RING, SENSOR, MaximumLikelihood(same=100.0, other=100.0))
+    ekf = EkfLocalization(RING, SENSOR, MaximumLikelihood(match_gate=100.0, new_gate=100.0))
     z = exact(np.zeros(3), 1, 1) + np.array([[0.0, 0.0], [0.05, 0.0]])
-    _, report = ekf.step(ekf.init(np.zeros(3), 0.01 * SOME), STILL, Sightings.of(z))
+    _, report = ekf.step(ekf.init(np.zeros(3), 0.01 * SOME), STILL, LandmarkObservations.of(z))
     assert report.landmarks[0] == 101
     assert report.landmarks[1] in (AMBIGUOUS, NEW)
 
@@ -177,7 +179,7 @@ def test_a_landmark_is_taken_once_at_a_time():
 def test_a_heading_beyond_pi_comes_round():
     ekf, pose = EkfLocalization(RING, SENSOR), np.array([0.0, 0.0, np.pi - 0.01])
     z = exact(pose + np.array([0, 0, 0.05]), 2, 5, 8)
-    belief, _ = ekf.step(ekf.init(pose, np.diag([1e-6, 1e-6, 1.0])), STILL, Sightings.of(z, [102, 105, 108]))
+    belief, _ = ekf.step(ekf.init(pose, np.diag([1e-6, 1e-6, 1.0])), STILL, LandmarkObservations.of(z, [102, 105, 108]))
     assert belief.pose[2] == pytest.approx(-np.pi + 0.04, abs=1e-3)
 
 
@@ -196,4 +198,4 @@ def test_arguments():
     with pytest.raises(ArgumentError, match="at least one landmark"):
         KnownLandmarks.of([], np.empty((0, 2)))
     with pytest.raises(ArgumentError, match="known correspondences"):
-        ekf.step(ekf.init(np.zeros(3), SOME), MOTION(INCREMENT), Sightings.of([[1.0, 0.0]]))
+        ekf.step(ekf.init(np.zeros(3), SOME), MOTION(INCREMENT), LandmarkObservations.of([[1.0, 0.0]]))

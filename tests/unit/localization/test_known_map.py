@@ -15,7 +15,7 @@ from gridslam.localization import KnownMap
 from gridslam.localization.distance_transform import distance_transform
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyAgreement
+from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
 
@@ -76,7 +76,7 @@ def test_rays_meet_the_walls():
     np.testing.assert_allclose(ranges[0], [1.65, 1.95, 1.45, 2.15], atol=1e-6)
 
 
-@pytest.mark.parametrize("sensor", [LikelihoodField(tempering=0.3), CauchyAgreement(tempering=0.2)])
+@pytest.mark.parametrize("sensor", [LikelihoodField(tempering=0.3), CauchyEndPoint(tempering=0.2)])
 def test_a_tabulated_model_says_what_the_model_says(sensor):
     known, rng = KnownMap(grid_of(room())), np.random.default_rng(1)
     beams = scan_of(rng.uniform(-2, 2, (50, 2))).beams(0.01, 29.0)
@@ -85,19 +85,19 @@ def test_a_tabulated_model_says_what_the_model_says(sensor):
     if isinstance(sensor, LikelihoodField):  # the map's rounding to cells is noise, too
         blurred = replace(sensor, sigma_hit_m=math.hypot(sensor.sigma_hit_m, CELL / math.sqrt(12)))
     exact = blurred(beams)(known, np.zeros(200, np.int32), poses)
-    tabulated = known.weigher(sensor, beams)(poses)
+    tabulated = known.condition(sensor, beams)(poses)
     # One interpolates the distance, the other what it means: they differ between centres, not in the mean.
     assert np.corrcoef(exact, tabulated)[0, 1] > 0.98
     assert abs(np.mean(exact - tabulated)) < 0.1 * sensor.tempering * 50
 
 
 def test_at_centres_of_cells_both_agree_exactly():
-    known, sensor = KnownMap(grid_of(room())), CauchyAgreement(tempering=1.0)
+    known, sensor = KnownMap(grid_of(room())), CauchyEndPoint(tempering=1.0)
     beams = scan_of(np.array([[0.3, 0.2], [-0.5, 0.1], [1.0, -0.7]])).beams(0.01, 29.0)
     poses = np.array([[1.05, 3.05, 0.0], [2.35, 4.75, 0.0]])
     exact = sensor(beams)(known, np.zeros(2, np.int32), poses)
     # Both are kept in 255 steps: distances of 1 m, by which agreement changes 6.5 times as fast at most, and agreement.
-    np.testing.assert_allclose(known.weigher(sensor, beams)(poses), exact, atol=3 * 0.5 * (6.5 + 1) / 255)
+    np.testing.assert_allclose(known.condition(sensor, beams)(poses), exact, atol=3 * 0.5 * (6.5 + 1) / 255)
 
 
 def test_the_beam_model_prefers_the_true_pose():
@@ -107,7 +107,7 @@ def test_the_beam_model_prefers_the_true_pose():
     ranges = known.cast_rays(np.zeros(1), truth[None], np.zeros(2), directions, 30.0)[0]
     beams = LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
     poses = truth + np.array([[0, 0, 0], [0.3, 0, 0], [0, -0.3, 0], [0, 0, 0.2]])
-    assert known.weigher(BeamRangeFinder(), beams)(poses).argmax() == 0
+    assert known.condition(BeamRangeFinder(), beams)(poses).argmax() == 0
 
 
 def seen_from(known: KnownMap, pose: np.ndarray) -> Beams:
@@ -118,7 +118,7 @@ def seen_from(known: KnownMap, pose: np.ndarray) -> Beams:
     return LaserScan.from_ranges(0, ranges, ScanGeometry(bearings)).beams(0.01, 29.0)
 
 
-LINES = GaussNewton(sparse_m=0.0)
+LINES = GaussNewton(dense_spacing_m=0.0)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -138,7 +138,7 @@ def test_who_is_sure_of_the_guess_keeps_it():
     np.testing.assert_allclose(known.match(LINES, guess, 1e9 * np.eye(3), beams), guess, atol=1e-6)
     none = replace(beams, indices=beams.indices[:0], ends=beams.ends[:0])
     np.testing.assert_allclose(known.match(LINES, guess, np.zeros((3, 3)), none), guess, atol=1e-12)
-    off = known.match(GaussNewton(max_passes=0), guess, np.zeros((3, 3)), beams)
+    off = known.match(GaussNewton(max_iterations=0), guess, np.zeros((3, 3)), beams)
     np.testing.assert_allclose(off, guess, atol=1e-12)
 
 
@@ -155,7 +155,7 @@ def test_a_match_does_not_depend_on_where_the_map_lies():
 def test_free_space_is_only_what_is_known_to_be_free():
     cells = room()
     known, rng = KnownMap(grid_of(cells)), np.random.default_rng(2)
-    poses = known.draw(20_000, rng)
+    poses = known.sample_poses(20_000, rng)
     assert known.is_free(poses).all()
     column, row = np.floor((poses[:, :2] - ORIGIN) / CELL).astype(int).T
     assert (cells[row, column] == 0).all()
@@ -197,6 +197,6 @@ def test_spread_about_a_pose_is_that_of_poses_drawn_from_the_map():
     cells = np.where(free, -4, 4).astype(np.float32)
     known = KnownMap(OccupancyGrid(cells, np.ones(free.shape, bool), 0.1, (-2.0, 1.0)))
     pose = np.array([0.5, 2.0, 0.0])
-    away = known.draw(200_000, np.random.default_rng(0)) - pose
+    away = known.sample_poses(200_000, np.random.default_rng(0)) - pose
     # Cells count by their centres: they leave out the 0.1^2 / 12 that a cell is wide.
     np.testing.assert_allclose(known.spread_about(pose), away.T @ away / len(away), atol=0.03)

@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.localization import KnownMap, LocalizationSkip, MonteCarloLocalization, MonteCarloParts
+from gridslam.localization import KnownMap, LocalizationSkip, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
@@ -35,7 +35,7 @@ def log():
 def follow(mcl, measurements, seed, pose=None):
     """All reports, and the last state."""
     rng = np.random.default_rng(seed)
-    state, reports = mcl.init() if pose is None else mcl.around(pose, SPREAD, rng), []
+    state, reports = mcl.init() if pose is None else mcl.init_gaussian(pose, SPREAD, rng), []
     for odometry, scan in measurements:
         state, report = mcl.step(state, odometry, scan, rng)
         reports.append(report)
@@ -64,7 +64,7 @@ def test_is_found_from_nothing(known, log, seed):
     way = np.hypot(*np.diff(log.truth.poses[: found + 1, :2], axis=0).T).sum()
     assert way < 4
     assert metres[found:].max() < 0.3
-    assert reports[0].augmented == 1
+    assert reports[0].injection_ratio == 1
     assert reports[0].lost_probability > 0.9
 
 
@@ -76,20 +76,20 @@ def test_a_kidnapped_robot_is_missed_and_found(known):
     assert np.hypot(*(truth[51] - truth[50])[:2]) > 2
     assert any(report.lost for report in reports[51:])
     assert metres[-5:].max() < 0.3
-    assert sum(report.augmented > 0 for report in reports[51:]) >= 1
+    assert sum(report.injection_ratio > 0 for report in reports[51:]) >= 1
 
 
 def test_a_wrong_first_pose_is_put_right(known, log):
     wrong = np.array([10.5, 5.6, 2.0])
     reports, _ = follow(MonteCarloLocalization(known), log.measurements, 1, wrong)
     metres, _ = errors(reports, log.truth.poses)
-    assert reports[0].augmented > 0
+    assert reports[0].injection_ratio > 0
     assert metres[-20:].max() < 0.3
 
 
 def test_by_the_beam_model(known, log):
     kld = KldSampling(particles_min=100, particles_max=300)
-    parts = MonteCarloParts(sensor=BeamRangeFinder(tempering=0.1), max_beams=20, kld=kld)
+    parts = MonteCarloConfiguration(sensor=BeamRangeFinder(tempering=0.1), max_beams=20, kld=kld)
     reports, _ = follow(MonteCarloLocalization(known, parts), log.measurements[:40], 0, log.truth.poses[0])
     assert errors(reports, log.truth.poses[:40])[0][5:].max() < 0.2
 
@@ -127,14 +127,14 @@ def test_resampling_changes_no_expectation(known, log):
 def test_weights_are_those_of_the_sensor(known, log):
     """log w = log p(z | x) up to a constant where all were equal, less what it costs to stand on no free cell."""
     mcl = MonteCarloLocalization(known)
-    poses = np.concatenate([known.draw(200, np.random.default_rng(0)), [[-3.0, -3.0, 0.0], [0.05, 0.05, 1.0]]])
+    poses = np.concatenate([known.sample_poses(200, np.random.default_rng(0)), [[-3.0, -3.0, 0.0], [0.05, 0.05, 1.0]]])
     odometry, scan = log.measurements[0]
     _, report = mcl.step(mcl.init(poses), odometry, scan, np.random.default_rng(0))
     beams = scan.beams(0.05, 30.0)
     thinned = replace(beams, indices=beams.indices[np.arange(120) * len(beams) // 120],
                       ends=beams.ends[np.arange(120) * len(beams) // 120])  # fmt: skip
     at = report.poses[: len(poses)]
-    expected = known.weigher(mcl.parts.sensor, thinned)(at) + np.where(known.is_free(at), 0, math.log(0.01))
+    expected = known.condition(mcl.configuration.sensor, thinned)(at) + np.where(known.is_free(at), 0, math.log(0.01))
     found = report.log_weights[: len(poses)]
     np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-6)
 
@@ -190,7 +190,7 @@ def test_between_updates_the_pose_goes_on_by_odometry_and_grows_less_sure(known,
         assert np.linalg.eigvalsh(reports[k + 2].covariance)[0] > 0
 
 
-MEAN = MonteCarloParts(matcher=GaussNewton(max_passes=0))
+MEAN = MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))
 """Tells the mean of the particles."""
 
 
@@ -228,10 +228,10 @@ def test_odometry_that_is_told_late_does_not_turn_the_pose(known):
 def test_particles_that_are_all_one_are_told_as_they_are(known, log):
     """A belief without any spread is surer than any scan."""
     pose = log.truth.poses[0] + np.array([0.05, -0.03, 0.02])
-    still = MonteCarloParts(motion=OdometryMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0))
+    still = MonteCarloConfiguration(motion=OdometryMotion(alpha1=0, alpha2=0, alpha3=0, alpha4=0))
     mcl = MonteCarloLocalization(known, still)
     _, report = mcl.step(mcl.init(np.repeat(pose[None], 50, axis=0)), *log.measurements[0], np.random.default_rng(0))
-    assert report.augmented == 0
+    assert report.injection_ratio == 0
     np.testing.assert_allclose(report.pose, pose, atol=0.005)
 
 
@@ -249,13 +249,13 @@ def test_states(known, log):
         with pytest.raises(ArgumentError, match="particles"):
             mcl.init(wrong)
     with pytest.raises(ArgumentError, match="covariance"):
-        mcl.around(np.zeros(3), -np.eye(3), rng)
+        mcl.init_gaussian(np.zeros(3), -np.eye(3), rng)
 
 
 def test_another_motion_model(known, log):
     alphas = dict.fromkeys(("alpha1", "alpha2", "alpha3", "alpha4"), 0.05)
     for mcl in (
-        MonteCarloLocalization(known, MonteCarloParts(motion=OdometryMotion(**alphas))),
+        MonteCarloLocalization(known, MonteCarloConfiguration(motion=OdometryMotion(**alphas))),
         MonteCarloLocalization(known, motion=RandomWalk()),
     ):
         reports, _ = follow(mcl, drive(1).measurements, 0, log.truth.poses[0])

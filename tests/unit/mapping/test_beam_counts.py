@@ -13,7 +13,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.mapping.beam_counts import BeamCounts
 from gridslam.mapping.counted_map import bayes_map, counting_map
 from gridslam.models import InverseSensorModel
-from gridslam.types import EndPoints
+from gridslam.types import StoredScan
 from support.same_map import assert_same_map
 
 WIDE = InverseSensorModel.from_log_odds(2.4, -0.4, log_odds_min=-150.0, log_odds_max=150.0)
@@ -24,7 +24,7 @@ def drawn(seed: int, scans: int, beams: int = 40):
     """Scans of an imagined world: poses (scans, 3) and ends; some end beyond the first tiles, in all directions."""
     rng = np.random.default_rng(seed)
     poses = rng.uniform([-3, -3, -np.pi], [3, 3, np.pi], (scans, 3))
-    return [(pose, EndPoints(rng.uniform(-4, 4, (beams, 2)), np.array([0.1, 0.0]))) for pose in poses]
+    return [(pose, StoredScan(rng.uniform(-4, 4, (beams, 2)), np.array([0.1, 0.0]))) for pose in poses]
 
 
 def counted(scans, **how) -> BeamCounts:
@@ -96,8 +96,8 @@ def test_the_counting_model_in_closed_form():
     assert {0.0, 1.0} <= set(np.rint(1e6 * grid.probability[seen]) / 1e6)  # what was never, and always reflected
 
 
-def straight(*ranges: float) -> EndPoints:
-    return EndPoints(np.array([[r, 0.0] for r in ranges]), np.zeros(2))
+def straight(*ranges: float) -> StoredScan:
+    return StoredScan(np.array([[r, 0.0] for r in ranges]), np.zeros(2))
 
 
 def near(counts: BeamCounts, x: float) -> tuple[float, float]:
@@ -156,7 +156,7 @@ def test_the_counts_may_grow_in_all_directions():
 
 def test_nothing_counted_is_nothing_known():
     empty = BeamCounts(0.1)
-    empty.add(POSE, EndPoints(np.empty((0, 2)), np.zeros(2)))
+    empty.add(POSE, StoredScan(np.empty((0, 2)), np.zeros(2)))
     assert not bayes_map(empty, InverseSensorModel()).known.any()
     assert not counting_map(empty).known.any()
 

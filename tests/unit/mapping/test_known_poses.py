@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError
 from gridslam.evaluation import interpolate
 from gridslam.geometry.se2 import compose, exp, inverse, transform_points
-from gridslam.mapping.known_poses import KnownPoses, Unplaced
+from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.types import LaserScan, ScanGeometry, Trajectory
 
 S = 1_000_000_000
@@ -40,9 +40,9 @@ def test_they_are_those_that_evaluation_takes(stamps, seed):
 
 def test_nothing_is_extrapolated():
     known = KnownPoses(way((10, 0, 0, 0), (10.5, 1, 0, 0)))
-    assert known.at(9 * S) is Unplaced.OUTSIDE
-    assert known.at(10 * S - 1_000_001) is Unplaced.OUTSIDE
-    assert known.at(round(10.5 * S) + 1_000_001) is Unplaced.OUTSIDE
+    assert known.at(9 * S) is NoPoseReason.OUTSIDE
+    assert known.at(10 * S - 1_000_001) is NoPoseReason.OUTSIDE
+    assert known.at(round(10.5 * S) + 1_000_001) is NoPoseReason.OUTSIDE
     assert known.span_ns == (10 * S, round(10.5 * S))
 
 
@@ -54,7 +54,7 @@ def test_a_rounded_stamp_is_the_poses_own():
 
 def test_gaps_are_not_bridged():
     trajectory = way((0, 0, 0, 0), (1, 1, 0, 0), (3, 5, 0, 0))
-    assert KnownPoses(trajectory).at(2 * S) is Unplaced.GAP
+    assert KnownPoses(trajectory).at(2 * S) is NoPoseReason.GAP
     np.testing.assert_allclose(KnownPoses(trajectory).at(S + 500_000), [1.001, 0, 0])  # 0.5 ms past a pose
     np.testing.assert_allclose(KnownPoses(trajectory, max_gap_s=2.0).at(2 * S), [3, 0, 0])
 
@@ -68,7 +68,7 @@ def test_a_stamp_that_is_there_twice_gives_both_poses_in_their_order():
 def test_one_pose_is_a_trajectory():
     known = KnownPoses(way((1, 4, 5, 6)))
     np.testing.assert_array_equal(known.at(S), [4, 5, 6])
-    assert known.at(2 * S) is Unplaced.OUTSIDE
+    assert known.at(2 * S) is NoPoseReason.OUTSIDE
 
 
 def test_a_scan_in_motion_is_sharpened():
@@ -85,7 +85,7 @@ def test_a_scan_in_motion_is_sharpened():
     seen = np.stack([transform_points(inverse(pose), wall) for pose, wall in zip(at, walls, strict=True)])
     geometry = ScanGeometry(np.arctan2(seen[:, 1], seen[:, 0]))
     scan = LaserScan.from_ranges(S, np.hypot(*seen.T), geometry, beam_times_s=times)
-    sharp = known.sharpened(scan.beams(0.05, 30.0))
+    sharp = known.deskew(scan.beams(0.05, 30.0))
     np.testing.assert_allclose(transform_points(known.at(S), sharp.ends), walls, atol=1e-5)
     assert np.abs(transform_points(known.at(S), scan.beams(0.05, 30.0).ends) - walls).max() > 0.1
 
@@ -93,7 +93,7 @@ def test_a_scan_in_motion_is_sharpened():
 def test_a_scan_without_times_stays():
     known = KnownPoses(way((0, 0, 0, 0), (1, 1, 0, 1)))
     beams = LaserScan.from_ranges(S // 2, [1.0, 2.0], ScanGeometry([0.0, 0.1])).beams(0.05, 30.0)
-    assert known.sharpened(beams) is beams
+    assert known.deskew(beams) is beams
 
 
 def test_arguments():

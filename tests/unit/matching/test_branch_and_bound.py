@@ -15,7 +15,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.grid import cells_of
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.matching import BranchAndBound, GaussNewton, Pyramid, thinned
+from gridslam.matching import BranchAndBound, GaussNewton, Pyramid, thin_points
 from gridslam.scan import Thinning
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -87,11 +87,13 @@ def test_a_place_is_found_from_anywhere_in_the_window(pyramid, seed):
     rng = np.random.default_rng(seed)
     truth = TRUTH + rng.uniform(-1, 1, 3) * [0.5, 0.5, 3.0]
     guess = truth + rng.uniform(-1, 1, 3) * [14.0, 14.0, 3.1]
-    found = BranchAndBound(window_rad=math.pi, rival=0.7).search(pyramid, guess, None, beams_at(ROOM, truth).ends)
+    found = BranchAndBound(window_rad=math.pi, min_runner_up_ratio=0.7).search(
+        pyramid, guess, None, beams_at(ROOM, truth).ends
+    )
     assert_near(found.pose, truth)
-    assert found.share > 0.8
-    assert found.other_pose is None
-    assert found.other_share == 0
+    assert found.score > 0.8
+    assert found.runner_up_pose is None
+    assert found.runner_up_score == 0
     assert -math.pi <= found.pose[2] < math.pi
 
 
@@ -103,12 +105,12 @@ def test_the_share_is_what_the_matcher_says_of_the_same_pose(room, pyramid):
     """
     beams = beams_at(ROOM, TRUTH)
     found = BranchAndBound().search(pyramid, TRUTH, None, beams.ends)
-    even = thinned(beams.ends, BranchAndBound().points, CELL)
+    even = thin_points(beams.ends, BranchAndBound().max_points, CELL)
     few = replace(beams, indices=np.arange(len(even)), ends=even)
-    match = GaussNewton(max_passes=0)(room, ROW, found.pose[None], np.zeros((1, 3, 3)), few)
-    assert found.share == pytest.approx(match.score[0] / len(even), abs=0.71 * 0.325)
+    match = GaussNewton(max_iterations=0)(room, ROW, found.pose[None], np.zeros((1, 3, 3)), few)
+    assert found.score == pytest.approx(match.score[0] / len(even), abs=0.71 * 0.325)
     refined = GaussNewton()(room, ROW, found.pose[None], np.zeros((1, 3, 3)), beams)
-    assert refined.score[0] / len(beams) > found.share
+    assert refined.score[0] / len(beams) > found.score
     assert_near(refined.poses[0], TRUTH, 1.0)
 
 
@@ -118,14 +120,14 @@ def test_a_rectangle_looks_the_same_after_half_a_turn():
     pose = np.array([1.2, 0.7, 0.4])
     ends = beams_at(walls, pose).ends
     found = BranchAndBound(window_rad=math.pi).search(pyramid, np.zeros(3), None, ends)
-    places = found.pose, found.other_pose
-    here = int(math.hypot(*(found.other_pose - pose)[:2]) < 0.5)
+    places = found.pose, found.runner_up_pose
+    here = int(math.hypot(*(found.runner_up_pose - pose)[:2]) < 0.5)
     assert_near(places[here], pose)
     assert_near(places[1 - here], [-1.2, -0.7, 0.4 - math.pi])
-    assert found.share >= found.other_share > 0.95 * found.share
+    assert found.score >= found.runner_up_score > 0.95 * found.score
     within = BranchAndBound(window_rad=0.6).search(pyramid, off(pose, 0.5, 0.5, 0.1), None, ends)
     assert_near(within.pose, pose)
-    assert within.other_share < 0.8 * within.share
+    assert within.runner_up_score < 0.8 * within.score
 
 
 def test_of_equal_rooms_each_is_told_unless_the_covariance_rules_it_out():
@@ -136,10 +138,10 @@ def test_of_equal_rooms_each_is_told_unless_the_covariance_rules_it_out():
     ends, shift = beams_at(walls, TRUTH).ends, np.array([9.0, 1.0, 0.0])
     search, guess = BranchAndBound(), off(TRUTH, 3.9, 0.3, 0.1)
     found = search.search(pyramid, guess, None, ends)
-    first, second = sorted([found.pose, found.other_pose], key=lambda pose: pose[0])
+    first, second = sorted([found.pose, found.runner_up_pose], key=lambda pose: pose[0])
     assert_near(first, TRUTH)
     assert_near(second, TRUTH + shift)
-    assert found.other_share > 0.9 * found.share
+    assert found.runner_up_score > 0.9 * found.score
     # Certain to 0.3 m across the way between them, and to 1.6 m along it: 3.9 m are within the gate, 5.1 m are not
     turn = math.atan2(1, 9)
     c, s = math.cos(turn), math.sin(turn)
@@ -147,7 +149,7 @@ def test_of_equal_rooms_each_is_told_unless_the_covariance_rules_it_out():
     covariance = rotation @ np.diag([1.6, 0.3, 0.1]) ** 2 @ rotation.T
     gated = search.search(pyramid, guess, covariance, ends)
     assert_near(gated.pose, TRUTH)
-    assert gated.other_share < 0.8 * gated.share
+    assert gated.runner_up_score < 0.8 * gated.score
     gated = search.search(pyramid, off(guess, 1.2, 0.1, 0.0), covariance, ends)
     assert_near(gated.pose, TRUTH + shift)
     assert search.search(pyramid, off(guess, 0.3, -1.5, 0.0), covariance, ends) is None
@@ -160,9 +162,9 @@ def test_along_a_bare_corridor_the_next_part_is_another_place():
     search = BranchAndBound(window_m=3.0)
     found = search.search(pyramid, np.array([0.3, 0.2, 0.1]), None, beams_at(walls, (0.0, 0.0, 0.0), 5.0).ends)
     assert abs(found.pose[1]) < 2 * CELL
-    assert abs(found.other_pose[1]) < 2 * CELL
-    assert found.other_share > 0.95 * found.share
-    assert abs(found.other_pose[0] - found.pose[0]) > search.other_place_m - CELL
+    assert abs(found.runner_up_pose[1]) < 2 * CELL
+    assert found.runner_up_score > 0.95 * found.score
+    assert abs(found.runner_up_pose[0] - found.pose[0]) > search.runner_up_distance_m - CELL
 
 
 def test_where_nothing_fits_nothing_is_found(pyramid):
@@ -171,7 +173,7 @@ def test_where_nothing_fits_nothing_is_found(pyramid):
     assert search.search(pyramid, TRUTH, None, ends[:0]) is None
     assert search.search(pyramid, TRUTH, None, 3 * ends) is None
     assert search.search(Pyramid.of(OccupancyGridMapping().empty(1), 0), TRUTH, None, ends) is None
-    assert BranchAndBound(floor=1.0).search(pyramid, TRUTH, None, ends) is None
+    assert BranchAndBound(min_score=1.0).search(pyramid, TRUTH, None, ends) is None
 
 
 def test_a_certain_guess_is_only_looked_up(pyramid):
@@ -180,9 +182,9 @@ def test_a_certain_guess_is_only_looked_up(pyramid):
     for covariance in (np.zeros((3, 3)), 1e-12 * np.eye(3), np.diag([0.0, 0.0, 1e-6])):
         assert_near(BranchAndBound().search(pyramid, TRUTH, covariance, ends).pose, TRUTH)
         away = off(TRUTH, 0.4, 0.2)
-        found = BranchAndBound(floor=0.1).search(pyramid, away, covariance, ends)
+        found = BranchAndBound(min_score=0.1).search(pyramid, away, covariance, ends)
         assert_near(found.pose, away)
-        assert found.share < 0.6
+        assert found.score < 0.6
     unbounded = BranchAndBound().search(pyramid, off(TRUTH, 5.0, 3.0, 0.2), 1e9 * np.eye(3), ends)
     assert_near(unbounded.pose, TRUTH)
 
@@ -234,7 +236,7 @@ def test_thinned_points_are_few_even_and_from_among_the_given(seed, most, count)
     """One in each square of a grid that leaves few enough, while the next finer one does not."""
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, 2)) * rng.choice([0.02, 1.0, 30.0], (count, 1))
-    few = thinned(points, most)
+    few = thin_points(points, most)
     assert len(few) <= most
     indices = [int(np.flatnonzero((points == point).all(axis=1))[0]) for point in few]
     assert indices == sorted(set(indices))
@@ -246,8 +248,8 @@ def test_thinned_points_are_few_even_and_from_among_the_given(seed, most, count)
 
 def test_few_points_are_all_kept():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-0.3, 0.2], [5.0, 5.0]])
-    np.testing.assert_array_equal(thinned(points, 5), points)
-    assert thinned(points[:0], 5).shape == (0, 2)
+    np.testing.assert_array_equal(thin_points(points, 5), points)
+    assert thin_points(points[:0], 5).shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +268,7 @@ def test_bad_arguments_are_named(pyramid, argument, change):
         BranchAndBound().search(pyramid, **{**good, **change})
 
 
-@pytest.mark.parametrize("bad", [{"points": 257}, {"floor": 0.0}, {"window_rad": 4.0}, {"step": 1}])
+@pytest.mark.parametrize("bad", [{"max_points": 257}, {"min_score": 0.0}, {"window_rad": 4.0}, {"step": 1}])
 def test_bad_parameters_are_refused(bad):
     with pytest.raises((ValidationError, TypeError)):
         BranchAndBound(**bad)

@@ -10,7 +10,7 @@ import pytest
 from gridslam.geometry.se2 import compose
 from gridslam.grid import Evidence, TileMaps
 from gridslam.matching import GaussNewton
-from gridslam.matching.gauss_newton import undetermined
+from gridslam.matching.gauss_newton import degenerate_direction
 from gridslam.types import LaserScan, ScanGeometry
 
 CELL = 0.05
@@ -143,7 +143,7 @@ def test_a_corridor_keeps_the_guess_along_its_axis_and_says_so(corridor):
     assert match.poses[0, 1] == pytest.approx(truth[1], abs=0.01)
     assert match.poses[0, 2] == pytest.approx(truth[2], abs=0.003)
     assert match.poses[0, 0] == pytest.approx(guess[0], abs=0.003)
-    axis = undetermined(match.information[0], float(match.score[0]))
+    axis = degenerate_direction(match.information[0], float(match.score[0]))
     assert axis is not None
     assert abs(axis[0]) > 0.999
     assert np.linalg.norm(axis) == pytest.approx(1.0)
@@ -163,17 +163,17 @@ def test_a_direction_in_which_the_guess_was_kept_is_undetermined(corridor):
     match = GaussNewton()(corridor, ROW, guess, prior(), seen)
     assert match.information[0, 0, 0] > 0
     assert match.poses[0, 0] == pytest.approx(0.1, abs=0.001)
-    axis = undetermined(match.information[0], float(match.score[0]))
+    axis = degenerate_direction(match.information[0], float(match.score[0]))
     assert axis is not None
     assert abs(axis[0]) > 0.99
     free = GaussNewton(min_information=0.0)(corridor, ROW, guess, prior(), seen)
     assert free.poses[0, 0] == pytest.approx(0.0, abs=0.03)
-    assert undetermined(free.information[0], float(free.score[0]), 0.0) is None
+    assert degenerate_direction(free.information[0], float(free.score[0]), 0.0) is None
 
 
 def test_a_room_determines_every_direction(room):
     match = GaussNewton()(room, ROW, np.zeros((1, 3)), prior(), scan_of_room(np.zeros(3)))
-    assert undetermined(match.information[0], float(match.score[0])) is None
+    assert degenerate_direction(match.information[0], float(match.score[0])) is None
 
 
 def test_without_beams_the_guess_stands(room):
@@ -200,7 +200,7 @@ def test_where_the_map_is_empty_the_guess_stands(room):
 def test_steps_are_clipped(room):
     """One pass moves at most max_step_m and max_step_rad, however far the linearization points."""
     truth, guess = np.zeros(3), np.array([0.3, 0.25, 0.0])
-    matcher = GaussNewton(max_passes=1, max_step_m=0.02, max_step_rad=0.001)
+    matcher = GaussNewton(max_iterations=1, max_step_m=0.02, max_step_rad=0.001)
     match = matcher(room, ROW, guess[None], prior(), scan_of_room(truth))
     moved = match.poses[0] - guess
     assert np.hypot(*moved[:2]) == pytest.approx(0.02, rel=1e-6)
@@ -226,16 +226,17 @@ def test_ends_seen_sparsely_on_a_wall_say_nothing_along_it(turn):
     pose = np.array([0.0, 0.0, turn])
     maps, seen = dotted(pose)
     counted = [
-        GaussNewton(max_passes=0, sparse_m=sparse)(maps, ROW, pose[None], prior(), seen) for sparse in (0.0, 0.04)
+        GaussNewton(max_iterations=0, dense_spacing_m=sparse)(maps, ROW, pose[None], prior(), seen)
+        for sparse in (0.0, 0.04)
     ]
     along, across = ([match.information[0, i, i] for match in counted] for i in (0, 1))
     assert along[0] > 0.1 * counted[0].score[0]
     assert along[1] < 0.002 * counted[1].score[0]
     assert across[1] > 0.5 * across[0]
     assert counted[0].score[0] == counted[1].score[0]  # they agree or not as before
-    axis = undetermined(counted[1].information[0], float(counted[1].score[0]))
+    axis = degenerate_direction(counted[1].information[0], float(counted[1].score[0]))
     assert abs(axis[0]) > 0.999
-    assert undetermined(counted[0].information[0], float(counted[0].score[0])) is None
+    assert degenerate_direction(counted[0].information[0], float(counted[0].score[0])) is None
 
 
 @pytest.mark.parametrize("moved_m", [0.05, 0.1, 0.2])
@@ -245,7 +246,7 @@ def test_dots_do_not_hold_a_robot_that_moves_along_its_corridor(moved_m):
     truth = np.array([moved_m, 0.0, 0.0])
     seen = every_third(scan_of_room(truth, CORRIDOR, max_m=6.0))
     held, free = (
-        GaussNewton(sparse_m=sparse)(maps, ROW, truth[None], prior(), seen).poses[0] for sparse in (0.0, 0.04)
+        GaussNewton(dense_spacing_m=sparse)(maps, ROW, truth[None], prior(), seen).poses[0] for sparse in (0.0, 0.04)
     )
     assert held[0] < truth[0] - 0.02
     assert free[0] == pytest.approx(truth[0], abs=0.005)
@@ -260,7 +261,7 @@ def test_where_no_three_ends_follow_one_another_nothing_changes():
     maps = TileMaps(1, resolution_m=CELL, reach_cells=10.5, evidence=Evidence(2.4, -0.4, -16, 32, 2.0))
     maps.update(ROW, np.zeros((1, 3)), beams)
     guess = np.array([[0.03, -0.02, 0.01]])
-    one, other = (GaussNewton(sparse_m=sparse)(maps, ROW, guess, prior(), beams) for sparse in (0.0, 0.06))
+    one, other = (GaussNewton(dense_spacing_m=sparse)(maps, ROW, guess, prior(), beams) for sparse in (0.0, 0.06))
     np.testing.assert_array_equal(one.poses, other.poses)
     np.testing.assert_array_equal(one.information, other.information)
 
@@ -286,7 +287,9 @@ def test_a_wall_goes_on_where_it_is_not_mapped_yet(half):
     maps, truth = map_of_nothing(), [0.0, 0.0, -0.2]
     maps.update(ROW, np.zeros((1, 3)), half_seen(np.zeros(3), half))
     drawn, free = (
-        GaussNewton(sparse_m=sparse)(maps, ROW, np.array([truth]), prior(), half_seen(np.array(truth), half)).poses[0]
+        GaussNewton(dense_spacing_m=sparse)(
+            maps, ROW, np.array([truth]), prior(), half_seen(np.array(truth), half)
+        ).poses[0]
         - truth
         for sparse in (0.0, 0.06)
     )

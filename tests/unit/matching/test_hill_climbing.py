@@ -97,7 +97,7 @@ def test_the_prior_takes_no_part(room):
 def test_what_is_told_of_the_pose_is_what_gauss_newton_tells(room):
     truth = np.array([0.1, 0.2, 0.0])
     match = HillClimbing()(room, ROW, truth[None] + 0.03, NO_PRIOR, scan_at(truth))
-    there = GaussNewton(max_passes=0)(room, ROW, match.poses, NO_PRIOR, scan_at(truth))
+    there = GaussNewton(max_iterations=0)(room, ROW, match.poses, NO_PRIOR, scan_at(truth))
     np.testing.assert_array_equal(match.information, there.information)
     np.testing.assert_array_equal(match.score, there.score)
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep
 from gridslam.models.motion import DiffusionMotion, OdometryMotion
-from gridslam.models.sightings import NOTHING_SEEN, LandmarkStep, Sightings
 from gridslam.types import MotionSampler
 
 MODELS = [RangeBearing(), DepthBearing(), RelativePosition()]
@@ -71,14 +71,14 @@ def test_what_the_two_models_say():
 
 def test_noise_is_the_sightings_own_where_they_have_any():
     model, seen = RangeBearing(sigma_range_m=0.5, sigma_bearing_rad=0.1), [[1.0, 0.0], [2.0, 0.0]]
-    np.testing.assert_allclose(model.noise(Sightings.of(seen)), [[[0.25, 0], [0, 0.01]]] * 2)
+    np.testing.assert_allclose(model.noise(LandmarkObservations.of(seen)), [[[0.25, 0], [0, 0.01]]] * 2)
     own = [[[1, 0.5], [0.5, 1]], [[2, 0], [0, 3]]]
-    np.testing.assert_array_equal(model.noise(Sightings.of(seen, [1, 2], own)), own)
+    np.testing.assert_array_equal(model.noise(LandmarkObservations.of(seen, [1, 2], own)), own)
 
 
 def test_a_step_moves_with_its_own_covariance():
     root = np.array([[0.2, 0, 0], [0.1, 0.05, 0], [-0.05, 0.02, 0.03]])
-    step = LandmarkStep(0, np.array([1.0, 0.5, 0.4]), root @ root.T, NOTHING_SEEN)
+    step = LandmarkStep(0, np.array([1.0, 0.5, 0.4]), root @ root.T, NO_OBSERVATIONS)
     motion = step.motion(OdometryMotion())
     assert isinstance(motion, MotionSampler)
     pose = np.array([[3.0, -2.0, 1.2]])
@@ -94,11 +94,11 @@ def test_a_step_moves_with_its_own_covariance():
 
 
 def test_a_step_without_covariance_moves_by_the_model():
-    step = LandmarkStep(0, np.array([1.0, 0.5, 0.4]), None, NOTHING_SEEN)
+    step = LandmarkStep(0, np.array([1.0, 0.5, 0.4]), None, NO_OBSERVATIONS)
     pose = np.array([[3.0, -2.0, 1.2]])
     for one, other in zip(
         step.motion(DiffusionMotion()).moments(pose), DiffusionMotion()(step.increment).moments(pose), strict=True
     ):
         np.testing.assert_array_equal(one, other)
-    still = LandmarkStep(0, np.zeros(3), np.zeros((3, 3)), NOTHING_SEEN).motion(DiffusionMotion())
+    still = LandmarkStep(0, np.zeros(3), np.zeros((3, 3)), NO_OBSERVATIONS).motion(DiffusionMotion())
     np.testing.assert_array_equal(still(pose, np.random.default_rng(0)), pose)

@@ -31,8 +31,8 @@ def test_the_jacobian_is_the_derivative(known, increment):
 
 @given(known=beliefs.map(np.array), increment=increments)
 def test_odometry_that_turns_too_little_is_corrected_by_what_it_turns_too_little(known, increment):
-    exact = GaussianIncrement.around(increment, np.zeros(3))
-    told = GaussianIncrement.around(increment - [0, 0, known[3] * increment[0]], np.zeros(3))
+    exact = GaussianIncrement.from_std(increment, np.zeros(3))
+    told = GaussianIncrement.from_std(increment - [0, 0, known[3] * increment[0]], np.zeros(3))
     known[4] = 0.0
     ((*moved, _, _),), _, _ = OdometryBias().predict(told, known[None])
     away = np.array(moved) - exact.moments(known[None, :3])[0][0]
@@ -54,7 +54,7 @@ def test_odometry_that_is_held_for_exact_moves_as_the_motion_model_says():
 def test_errors_are_a_stationary_process_of_the_way_however_it_is_cut(way, parts):
     """Nothing is learned, so their covariance stays; what is known exactly decays by the way, not by the steps."""
     bias, increment = OdometryBias(memory_m=100.0), np.array([way / parts, 0.0, 0.0])
-    motion = GaussianIncrement.around(increment, np.zeros(3))
+    motion = GaussianIncrement.from_std(increment, np.zeros(3))
     known, P, sure = np.array([[0.0, 0.0, 0.0, 0.002, -0.01]]), bias.covariance(), np.zeros((2, 2))
     for _ in range(parts):
         known, (F,), (Q,) = bias.predict(motion, known)
@@ -67,7 +67,7 @@ def test_errors_are_a_stationary_process_of_the_way_however_it_is_cut(way, parts
 def test_an_error_without_deviation_is_not_sought():
     only = OdometryBias(sigma_per_m=0.0)
     (moved,), _, _ = only.predict(
-        GaussianIncrement.around(np.array([1.0, 0.0, 0.5]), np.zeros(3)), np.array([[0.0, 0.0, 0.0, 0.1]])
+        GaussianIncrement.from_std(np.array([1.0, 0.0, 0.5]), np.zeros(3)), np.array([[0.0, 0.0, 0.0, 0.1]])
     )
     assert (len(only), only.covariance().shape) == (1, (1, 1))
     np.testing.assert_allclose(moved[:3], compose(np.zeros(3), np.array([1.0, 0.0, 0.55])))

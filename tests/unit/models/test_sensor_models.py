@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gridslam.geometry.se2 import transform_points
-from gridslam.models import BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField
+from gridslam.models import BeamRangeFinder, CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.scan import Thinning
-from gridslam.types import DistanceMaps, LaserScan, ScanGeometry, SensorModel, Weigher
+from gridslam.types import DistanceMaps, LaserScan, ScanGeometry, ScanLikelihood, SensorModel
 
-MODELS = [BeamRangeFinder, CauchyAgreement, EndPoint, LikelihoodField]
+MODELS = [BeamRangeFinder, CauchyEndPoint, GMappingEndPoint, LikelihoodField]
 ROW = np.zeros(1, dtype=np.int64)
 HERE = np.zeros((1, 3))
 
@@ -53,7 +53,7 @@ def value(model, beams, maps):
 def test_models_meet_the_protocols(model):
     assert isinstance(Walls(1.0), DistanceMaps)
     assert isinstance(model(), SensorModel)
-    assert isinstance(model()(beams_at([1.0], [0.0])), Weigher)
+    assert isinstance(model()(beams_at([1.0], [0.0])), ScanLikelihood)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -87,13 +87,13 @@ def test_likelihood_field_value(off):
 
 
 def test_cauchy_agreement_value():
-    model = CauchyAgreement(scale_m=0.1, tempering=0.5)
+    model = CauchyEndPoint(scale_m=0.1, tempering=0.5)
     # Agreements 1, 1/2 and 1/5 at distances of 0, 1 and 2 scales.
     assert math.isclose(value(model, beams_at([2.0, 1.9, 2.2], [0, 0, 0]), Walls(2.0)), 0.5 * 1.7, rel_tol=1e-5)
 
 
 def test_end_point_value():
-    model = EndPoint(scale_m2=0.075, no_hit_m2=0.5, kernel_m=0.075, gain=2.0)
+    model = GMappingEndPoint(scale_m2=0.075, miss_penalty_m2=0.5, kernel_m=0.075, likelihood_gain=2.0)
     # 5 cm off: 0.0025 / 0.075; 10 cm off is outside the window: 0.5 / 0.075.
     expected = -(0.0025 + 0.5) / 0.075 / 2
     assert math.isclose(value(model, beams_at([1.95, 1.9], [0, 0]), Walls(2.0)), expected, rel_tol=1e-5)
@@ -102,7 +102,7 @@ def test_end_point_value():
 def test_end_point_skip_counts_over_the_whole_scan():
     # Of six beams, with two skipped between used ones, the third and the last are used; the unusable second counts.
     ranges = [1.0, math.nan, 2.0, 1.0, 1.0, 1.95]
-    model = EndPoint(skip=2, gain=1.0)
+    model = GMappingEndPoint(skip=2, likelihood_gain=1.0)
     assert math.isclose(value(model, beams_at(ranges, [0.0] * 6), Walls(2.0)), -0.0025 / 0.075, rel_tol=1e-4)
 
 
@@ -159,7 +159,7 @@ def test_a_scan_taken_while_turning_is_as_likely_as_one_taken_standing(model):
         for seen in (bearings, directions)
     ]
     moved, still = (scan.beams(0.05, 30.0) for scan in scans)
-    deskewed = value(model(), moved.deskewed(np.array([0.0, 0.0, 3.0])), Walls(2.0))
+    deskewed = value(model(), moved.deskew(np.array([0.0, 0.0, 3.0])), Walls(2.0))
     assert deskewed == pytest.approx(value(model(), still, Walls(2.0)), rel=1e-4)
     assert value(model(), moved, Walls(2.0)) < deskewed - 0.1
 
@@ -177,7 +177,7 @@ def test_of_a_dense_scan_as_many_beams_without_return_are_weighed():
 
 def test_tempering_scales_the_log_likelihood():
     beams = beams_at([1.9, 2.0], [0.0, 0.0])
-    for model in (BeamRangeFinder, LikelihoodField, CauchyAgreement):
+    for model in (BeamRangeFinder, LikelihoodField, CauchyEndPoint):
         whole, tenth = (value(model(tempering=t), beams, Walls(2.0)) for t in (1.0, 0.1))
         assert math.isclose(tenth, 0.1 * whole, rel_tol=1e-12)
 
@@ -191,10 +191,10 @@ def test_tempering_scales_the_log_likelihood():
         (BeamRangeFinder, {"z_hit": 0.5}),
         (BeamRangeFinder, {"z_max": 0.0, "z_hit": 0.85}),
         (BeamRangeFinder, {"lambda_short_per_m": 0.0}),
-        (CauchyAgreement, {"tempering": 1.5}),
-        (CauchyAgreement, {"scale_m": math.inf}),
-        (EndPoint, {"skip": -1}),
-        (EndPoint, {"lskip": 1}),
+        (CauchyEndPoint, {"tempering": 1.5}),
+        (CauchyEndPoint, {"scale_m": math.inf}),
+        (GMappingEndPoint, {"skip": -1}),
+        (GMappingEndPoint, {"lskip": 1}),
     ],
 )
 def test_wrong_parameters_are_refused(model, wrong):

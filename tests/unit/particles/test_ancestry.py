@@ -23,13 +23,13 @@ def two_branches() -> Ancestry:
 
 def test_a_worked_tree() -> None:
     ancestry = two_branches()
-    assert (len(ancestry), ancestry.steps, ancestry.coalesced, ancestry.node_count) == (3, 2, 0, 5)
+    assert (len(ancestry), ancestry.steps, ancestry.common_steps, ancestry.node_count) == (3, 2, 0, 5)
     np.testing.assert_array_equal(ancestry.trajectories()[:, :, 0], [[0, 10], [1, 11], [1, 12]])
     ancestry.resample([2, 1, 2])
-    assert (ancestry.coalesced, ancestry.node_count) == (1, 3)
+    assert (ancestry.common_steps, ancestry.node_count) == (1, 3)
     np.testing.assert_array_equal(ancestry.trajectories()[:, :, 0], [[1, 12], [1, 11], [1, 12]])
     ancestry.resample([1, 1, 1])
-    assert (ancestry.coalesced, ancestry.node_count) == (2, 2)
+    assert (ancestry.common_steps, ancestry.node_count) == (2, 2)
     np.testing.assert_array_equal(ancestry.trajectory(2)[:, 0], [1, 11])
 
 
@@ -116,9 +116,9 @@ def test_an_incomplete_state_is_refused() -> None:
 def test_all_particles_along_one_past() -> None:
     """As if all had been one particle from the start; what they do next is their own."""
     past = np.random.default_rng(0).normal(size=(7, 3))
-    ancestry = Ancestry.along(past, 4)
+    ancestry = Ancestry.from_trajectory(past, 4)
     given, past[:] = past.copy(), 9.0
-    assert (len(ancestry), ancestry.steps, ancestry.coalesced, ancestry.node_count) == (4, 7, 7, 7)
+    assert (len(ancestry), ancestry.steps, ancestry.common_steps, ancestry.node_count) == (4, 7, 7, 7)
     lone = Ancestry.start(given[:1])
     for pose in given[1:]:
         lone.extend(pose[None])

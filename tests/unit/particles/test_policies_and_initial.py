@@ -10,35 +10,38 @@ from pydantic import ValidationError
 
 from gridslam.errors import ArgumentError
 from gridslam.particles import (
-    Always,
+    AlwaysResample,
     EffectiveSampleSizeBelow,
-    MovedAtLeast,
-    Never,
+    MotionThreshold,
+    NeverResample,
     ResamplingPolicy,
     UpdatePolicy,
-    at_pose,
-    spread,
+    repeat_pose,
+    sample_gaussian,
 )
 
 
 def test_resampling_policies() -> None:
-    assert all(isinstance(policy, ResamplingPolicy) for policy in (Always(), Never(), EffectiveSampleSizeBelow()))
-    assert Always()(30.0, 30)
-    assert not Never()(1.0, 30)
+    assert all(
+        isinstance(policy, ResamplingPolicy)
+        for policy in (AlwaysResample(), NeverResample(), EffectiveSampleSizeBelow())
+    )
+    assert AlwaysResample()(30.0, 30)
+    assert not NeverResample()(1.0, 30)
     assert EffectiveSampleSizeBelow()(14.9, 30)
     assert not EffectiveSampleSizeBelow()(15.0, 30)
     assert EffectiveSampleSizeBelow(fraction=0.6)(15.0, 30)
 
 
 def test_update_policy() -> None:
-    moved = MovedAtLeast(translation_m=0.5, rotation_rad=0.25)
+    moved = MotionThreshold(translation_m=0.5, rotation_rad=0.25)
     assert isinstance(moved, UpdatePolicy)
-    assert moved == MovedAtLeast()
+    assert moved == MotionThreshold()
     assert not moved(0.49, 0.24)
     assert moved(0.5, 0.0)
     assert moved(0.0, 0.25)
     assert moved(0.0, -0.25)
-    assert not MovedAtLeast(translation_m=math.inf)(1e9, 0.0)
+    assert not MotionThreshold(translation_m=math.inf)(1e9, 0.0)
 
 
 @pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, math.nan, "half"])
@@ -51,17 +54,17 @@ def test_a_fraction_out_of_range_is_refused(fraction: object) -> None:
 @pytest.mark.parametrize("value", [0.0, -0.1, math.nan])
 def test_a_threshold_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValidationError, match=name):
-        MovedAtLeast(**{name: value})
+        MotionThreshold(**{name: value})
 
 
-@pytest.mark.parametrize("policy", [Always, Never, EffectiveSampleSizeBelow, MovedAtLeast])
+@pytest.mark.parametrize("policy", [AlwaysResample, NeverResample, EffectiveSampleSizeBelow, MotionThreshold])
 def test_unknown_keys_are_refused(policy) -> None:
     with pytest.raises(ValidationError, match="threshold"):
         policy(threshold=1)
 
 
 def test_all_particles_at_one_pose() -> None:
-    np.testing.assert_array_equal(at_pose(2, [1, 2, math.pi]), [[1, 2, -math.pi]] * 2)
+    np.testing.assert_array_equal(repeat_pose(2, [1, 2, math.pi]), [[1, 2, -math.pi]] * 2)
 
 
 def test_spread_has_the_given_moments() -> None:
@@ -69,7 +72,7 @@ def test_spread_has_the_given_moments() -> None:
     # two sigmas; five of each is a false alarm for one seed in 10^5.
     count = 20000
     covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, -0.005], [0.0, -0.005, 0.01]])
-    poses = spread(count, [1, -2, 3.1], covariance, np.random.default_rng(3))
+    poses = sample_gaussian(count, [1, -2, 3.1], covariance, np.random.default_rng(3))
     assert ((poses[:, 2] >= -math.pi) & (poses[:, 2] < math.pi)).all()
     poses[:, 2] %= 2 * math.pi
     sigma = np.sqrt(np.diag(covariance))
@@ -78,13 +81,15 @@ def test_spread_has_the_given_moments() -> None:
 
 
 def test_spread_keeps_a_certain_coordinate_and_repeats_with_its_seed() -> None:
-    poses = spread(50, [1, 2, 3], np.diag([0.0, 1.0, 0.0]), np.random.default_rng(0))
+    poses = sample_gaussian(50, [1, 2, 3], np.diag([0.0, 1.0, 0.0]), np.random.default_rng(0))
     np.testing.assert_array_equal(poses[:, [0, 2]], [[1, 3]] * 50)
     assert np.ptp(poses[:, 1]) > 1
-    np.testing.assert_array_equal(poses, spread(50, [1, 2, 3], np.diag([0.0, 1.0, 0.0]), np.random.default_rng(0)))
+    np.testing.assert_array_equal(
+        poses, sample_gaussian(50, [1, 2, 3], np.diag([0.0, 1.0, 0.0]), np.random.default_rng(0))
+    )
     # Rank one, as J P J^T of a single uncertain parameter gives it: rounding must not make it indefinite.
     direction = np.array([0.1, 0.7, 0.3])
-    offsets = spread(50, [0, 0, 0], np.outer(direction, direction), np.random.default_rng(0)) / direction
+    offsets = sample_gaussian(50, [0, 0, 0], np.outer(direction, direction), np.random.default_rng(0)) / direction
     np.testing.assert_allclose(np.ptp(offsets, axis=1), 0, atol=1e-6)
 
 
@@ -94,13 +99,13 @@ def test_spread_keeps_a_certain_coordinate_and_repeats_with_its_seed() -> None:
 )
 def test_spread_refuses_what_is_no_covariance(covariance: object) -> None:
     with pytest.raises(ArgumentError, match="covariance"):
-        spread(5, [0, 0, 0], covariance, np.random.default_rng(0))
+        sample_gaussian(5, [0, 0, 0], covariance, np.random.default_rng(0))
 
 
 def test_no_particle_or_no_pose_is_refused() -> None:
     with pytest.raises(ArgumentError, match="count"):
-        at_pose(0, [0, 0, 0])
+        repeat_pose(0, [0, 0, 0])
     with pytest.raises(ArgumentError, match="pose"):
-        at_pose(1, [0, 0, math.nan])
+        repeat_pose(1, [0, 0, math.nan])
     with pytest.raises(ArgumentError, match="pose"):
-        at_pose(1, [0, 0])
+        repeat_pose(1, [0, 0])

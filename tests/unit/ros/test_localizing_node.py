@@ -135,7 +135,7 @@ def test_amcl_s_parameters_by_their_names(map_file):
     }  # fmt: skip
     found = node_parameters(given)
     assert (found.settings.odom_frame, found.settings.tf_delay_s) == ("wheels", 0.2)
-    parts = found.configuration.parts
+    parts = found.configuration.configuration
     assert (parts.kld.particles_min, parts.kld.particles_max, parts.max_beams) == (50, 200, 33)
     assert "do_beamskip (nothing here corresponds to it)" in found.warning
     assert "preset (the node localizes, and makes no map)" in found.warning

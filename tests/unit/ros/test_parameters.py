@@ -41,8 +41,8 @@ def test_the_defaults_are_those_of_the_preset_gmapping():
     ("given", "path", "value"),
     [
         ({"particles": 80}, "particles", 80),
-        ({"particles": 80}, "sensor.gain", 240.0),
-        ({"ogain": 2, "particles": 10}, "sensor.gain", 20.0),
+        ({"particles": 80}, "sensor.likelihood_gain", 240.0),
+        ({"ogain": 2, "particles": 10}, "sensor.likelihood_gain", 20.0),
         ({"kernelSize": 2, "delta": 0.1}, "sensor.kernel_m", 0.25),
         ({"kernelSize": 2, "delta": 0.1}, "proposal.matcher.kernel_m", 0.25),
         ({"delta": 0.1}, "mapper.resolution_m", 0.1),

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
-from gridslam.io.bag_scans import ScanMaker
+from gridslam.io.bag_scans import BagScanBuilder
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.ros import accepted
 from gridslam.types import BeamStatus, LaserScan
@@ -69,7 +69,7 @@ def test_readers_and_nodes_make_the_same_of_a_message():
     message = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES)
     scans = [
         LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3),
-        ScanMaker().scan(message, 7, "/s", np.eye(4)),
+        BagScanBuilder().scan(message, 7, "/s", np.eye(4)),
         accepted.ScanMaker().measurement(message, "/s", np.eye(4), None, 0.0).measurement.scan,
     ]
     hit = scans[0].status == HIT
@@ -81,6 +81,6 @@ def test_readers_and_nodes_make_the_same_of_a_message():
 
 
 def test_geometries_are_shared():
-    message, maker, mounting = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES), ScanMaker(), np.eye(4)
+    message, maker, mounting = ScanMessage(7, "f", -1.5, 0.25, 1e-3, 0.1, 30.0, RANGES), BagScanBuilder(), np.eye(4)
     first, second = (maker.scan(message, stamp_ns, "/s", mounting) for stamp_ns in (7, 8))
     assert first.geometry is second.geometry

@@ -10,7 +10,7 @@ import pytest
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.sim.floor_plan import clearance, polyline
-from gridslam.sim.robot import OdometryNoise, RobotConfig, drive, read_odometry
+from gridslam.sim.robot import OdometryNoise, RobotConfig, drive, simulate_odometry
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ROUTE = np.array([(0, 0), (6, 0), (6, 4), (2, 4), (2, 1.5), (2, 3), (0.5, 2.0), (0.5, 1.0)], dtype=float)
@@ -62,7 +62,7 @@ def test_route_is_followed_from_end_to_end_and_sharp_corners_turn_on_the_spot():
 
 def test_odometry_without_error_is_the_truth():
     truth = drive(ROUTE, RobotConfig(), 0.2)
-    odometry = read_odometry(truth, EXACT, np.random.default_rng(0))
+    odometry = simulate_odometry(truth, EXACT, np.random.default_rng(0))
     np.testing.assert_allclose(odometry[:, :2], truth[:, :2], atol=1e-9)
     np.testing.assert_allclose(wrap(odometry[:, 2] - truth[:, 2]), 0.0, atol=1e-9)
 
@@ -70,13 +70,13 @@ def test_odometry_without_error_is_the_truth():
 def test_systematic_error_in_closed_form():
     line = np.stack([np.linspace(0, 10, 51), np.zeros(51), np.zeros(51)], axis=1)
     rng = np.random.default_rng(0)
-    scaled = read_odometry(line, OdometryNoise(1.02, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), rng)
+    scaled = simulate_odometry(line, OdometryNoise(1.02, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), rng)
     assert scaled[-1] == pytest.approx([10.2, 0.0, 0.0])
     # A bias of the wheels makes a straight line an arc: of radius 1 / bias, exactly.
-    bent = read_odometry(line, OdometryNoise(1.0, 1.0, 0.05, 0.0, 0.0, 0.0, 0.0), rng)
+    bent = simulate_odometry(line, OdometryNoise(1.0, 1.0, 0.05, 0.0, 0.0, 0.0, 0.0), rng)
     assert bent[-1] == pytest.approx([math.sin(0.5) / 0.05, (1 - math.cos(0.5)) / 0.05, 0.5])
     spin = np.stack([np.zeros(51), np.zeros(51), np.linspace(0, 2, 51)], axis=1)
-    assert read_odometry(spin, OdometryNoise(1.0, 0.9, 0.0, 0.0, 0.0, 0.0, 0.0), rng)[-1, 2] == pytest.approx(1.8)
+    assert simulate_odometry(spin, OdometryNoise(1.0, 0.9, 0.0, 0.0, 0.0, 0.0, 0.0), rng)[-1, 2] == pytest.approx(1.8)
 
 
 @pytest.mark.parametrize("steps", [20, 60])
@@ -90,7 +90,7 @@ def test_random_error_grows_with_the_way_and_not_with_the_number_of_readings(ste
     rng, runs = np.random.default_rng(4), 300
     heading, way = np.empty(runs), np.empty(runs)
     for run in range(runs):
-        odometry = read_odometry(truth, noise, rng)
+        odometry = simulate_odometry(truth, noise, rng)
         twists = se2.log(se2.between(odometry[:-1], odometry[1:]))
         heading[run], way[run] = twists[:, 2].sum() - 2, twists[:, 0].sum() - 8
     # A sample variance of n normal errors has the relative standard deviation sqrt(2 / (n - 1)): five of them are 0.41.

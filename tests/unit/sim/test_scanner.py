@@ -27,13 +27,13 @@ def drive(lidar, robot=QUICK, odometry=EXACT, **others):
     return simulate(make_world("rooms", rng), robot, odometry, lidar, rng, **others)
 
 
-def changed(lidar: LidarConfig, **changes) -> LidarConfig:
+def replace_parameters(lidar: LidarConfig, **changes) -> LidarConfig:
     return LidarConfig(**{name: getattr(lidar, name) for name in lidar.__dataclass_fields__} | changes)
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_each_beam_ends_on_a_wall_seen_from_where_the_robot_was_at_its_time(clockwise):
-    log = drive(changed(SWEEPING, clockwise=clockwise))
+    log = drive(replace_parameters(SWEEPING, clockwise=clockwise))
     way = Drive(make_world("rooms", np.random.default_rng(0)).route, QUICK)
     skewed = 0.0
     for _, scan in log.measurements:
@@ -55,7 +55,7 @@ def test_deskewed_with_the_true_twist_it_is_the_scan_of_an_instant():
     for (_, scan), pose in zip(log.measurements, log.truth.poses, strict=True):
         poses, _ = way.at(scan.stamp_ns * 1e-9 + np.array([0.0, 0.05, 0.1]))
         first, second = se2.log(se2.between(poses[:2], poses[1:])) / 0.05
-        ends = scan.beams(0.0, np.inf).deskewed(first).ends
+        ends = scan.beams(0.0, np.inf).deskew(first).ends
         if steady := np.abs(first - second).max() < 1e-6:
             assert clearance(log.walls, se2.transform_points(pose, ends)).max() < 1e-5
         exact += steady
@@ -63,22 +63,22 @@ def test_deskewed_with_the_true_twist_it_is_the_scan_of_an_instant():
 
 
 def test_a_lidar_that_does_not_tell_its_beams_times():
-    (_, scan), *_ = drive(changed(SWEEPING, tells_beam_times=False)).measurements
+    (_, scan), *_ = drive(replace_parameters(SWEEPING, tells_beam_times=False)).measurements
     assert scan.beam_times_s is None
 
 
 @pytest.mark.parametrize("scan_time_s", [0.0, 0.1])
 def test_a_clockwise_lidar_sees_the_same_in_the_other_order(scan_time_s):
     slow = RobotConfig(v_max_m_s=1e-3, omega_max_rad_s=1e-3)  # does not move during a scan
-    lidar = changed(SWEEPING, beams=61, rate_hz=0.01, field_of_view_rad=3.0, scan_time_s=scan_time_s)
-    left, right = (drive(changed(lidar, clockwise=way), slow).measurements[:20] for way in (False, True))
+    lidar = replace_parameters(SWEEPING, beams=61, rate_hz=0.01, field_of_view_rad=3.0, scan_time_s=scan_time_s)
+    left, right = (drive(replace_parameters(lidar, clockwise=way), slow).measurements[:20] for way in (False, True))
     for (_, one), (_, other) in zip(left, right, strict=True):
         assert other.geometry.bearings == pytest.approx(one.geometry.bearings[::-1])
         np.testing.assert_allclose(one.ranges, other.ranges[::-1], rtol=1e-2)
 
 
 def test_the_number_of_beams_varies_from_scan_to_scan():
-    log = drive(changed(SWEEPING, beams=70, fewest_beams=64, scan_time_s=0.0, rate_hz=3.0))
+    log = drive(replace_parameters(SWEEPING, beams=70, fewest_beams=64, scan_time_s=0.0, rate_hz=3.0))
     counts = {len(scan) for _, scan in log.measurements}
     assert counts == set(range(64, 71))
     assert len({id(scan.geometry) for _, scan in log.measurements}) == 7
@@ -88,8 +88,10 @@ def test_the_number_of_beams_varies_from_scan_to_scan():
 
 
 def test_several_lidars_are_merged_by_time_with_one_odometry():
-    front = changed(SWEEPING, sensor="front", beams=30, field_of_view_rad=2.0, rate_hz=4.0)
-    rear = changed(SWEEPING, sensor="rear", x_m=-0.2, heading_rad=math.pi, beams=45, rate_hz=3.0, begin_s=0.05)
+    front = replace_parameters(SWEEPING, sensor="front", beams=30, field_of_view_rad=2.0, rate_hz=4.0)
+    rear = replace_parameters(
+        SWEEPING, sensor="rear", x_m=-0.2, heading_rad=math.pi, beams=45, rate_hz=3.0, begin_s=0.05
+    )
     log = drive([front, rear], odometry=OdometryNoise())
     stamps = np.array([scan.stamp_ns for _, scan in log.measurements])
     assert (np.diff(stamps) >= 0).all()
@@ -110,7 +112,7 @@ def test_several_lidars_are_merged_by_time_with_one_odometry():
 
 def test_one_of_several_lidars_is_as_it_is_alone():
     """Ranges without noise do not depend on what else is on the robot."""
-    both = drive([SWEEPING, changed(SWEEPING, sensor="other", heading_rad=2.0)])
+    both = drive([SWEEPING, replace_parameters(SWEEPING, sensor="other", heading_rad=2.0)])
     alone = drive(SWEEPING)
     own = [scan for _, scan in both.measurements if scan.sensor == "laser"]
     for one, (_, other) in zip(own, alone.measurements, strict=True):
@@ -125,13 +127,13 @@ def test_people_are_seen_by_lidars_that_take_their_time():
 
 
 def test_invalid_values_where_nothing_returns():
-    log = drive(changed(SWEEPING, range_max_m=2.0, no_return="nan", scan_time_s=0.0))
+    log = drive(replace_parameters(SWEEPING, range_max_m=2.0, no_return="nan", scan_time_s=0.0))
     status = np.array([scan.status for _, scan in log.measurements])
     assert (status == BeamStatus.INVALID).mean() > 0.1
     assert not (status == BeamStatus.NO_RETURN).any()
 
 
-@pytest.mark.parametrize("lidar", [[], [changed(SWEEPING, begin_s=1e4)]])
+@pytest.mark.parametrize("lidar", [[], [replace_parameters(SWEEPING, begin_s=1e4)]])
 def test_no_scan_at_all_is_refused(lidar):
     with pytest.raises(ArgumentError, match="lidar: expected a scan in the"):
         drive(lidar)

@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.models.association import AMBIGUOUS, MaximumLikelihood, Told
+from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
 from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)
-ALL_AROUND = Existence(
-    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+ALL_AROUND = LandmarkExistence(
+    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
-EXACT = GaussianIncrement.around(INCREMENT, np.zeros(3))
+EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
 
 
 def run(slam, steps, motion=MOTION, known=True):
     state, reports = slam.init(), []
     for step in steps:
-        sightings = step.sightings if known else step.sightings.anonymous()
-        state, report = slam.step(state, motion(step.increment) if callable(motion) else motion, sightings)
+        observations = step.observations if known else step.observations.drop_correspondences()
+        state, report = slam.step(state, motion(step.increment) if callable(motion) else motion, observations)
         reports.append(report)
     return state, reports
 
@@ -33,7 +33,7 @@ def run(slam, steps, motion=MOTION, known=True):
 def test_it_is_the_kalman_filter_where_all_is_linear():
     """A robot that cannot turn, and sees positions: textbook equations over [x, y, m_1, m_2], sighting by sighting."""
     rng, R, Q = np.random.default_rng(0), np.diag([0.04, 0.01]), np.diag([0.09, 0.25])
-    motion = GaussianIncrement.around(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
+    motion = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.0]), np.array([0.2, 0.1, 0.0]))
     slam = EkfSlam(RelativePosition(sigma_x_m=0.3, sigma_y_m=0.5))
     state = slam.init()
     big = 1e9  # a landmark of which nothing is known, which is what the first sighting of one means
@@ -41,7 +41,7 @@ def test_it_is_the_kalman_filter_where_all_is_linear():
     for k in range(12):
         seen = [[0, 1], [1], [0]][k % 3]
         z = rng.normal([[3.0, 1.0], [2.0, -2.0]], 0.5)[seen]
-        state, _ = slam.step(state, motion, Sightings.of(z, seen))
+        state, _ = slam.step(state, motion, LandmarkObservations.of(z, seen))
         mean[:2] += [0.5, 0.1]
         P[:2, :2] += R
         for j, value in zip(seen, z, strict=True):
@@ -54,7 +54,7 @@ def test_it_is_the_kalman_filter_where_all_is_linear():
     # The textbook's filter begins with a variance of 1e9, of which rounding leaves 1e9 * 2e-16 * a few.
     np.testing.assert_allclose(state.mean[some], mean, atol=1e-5)
     np.testing.assert_allclose(state.covariance[np.ix_(some, some)], P, atol=1e-5)
-    assert state.sightings.tolist() == [8, 8]
+    assert state.observations.tolist() == [8, 8]
 
 
 def test_covariances_stay_covariances_and_a_landmark_never_gets_less_certain():
@@ -63,7 +63,7 @@ def test_covariances_stay_covariances_and_a_landmark_never_gets_less_certain():
     slam, before = EkfSlam(SENSOR), np.full(12, np.inf)
     state = slam.init()
     for step in steps:
-        state, _ = slam.step(state, MOTION(step.increment), step.sightings)
+        state, _ = slam.step(state, MOTION(step.increment), step.observations)
         assert np.linalg.eigvalsh(state.covariance)[0] > -1e-12
         np.testing.assert_allclose(state.covariance, state.covariance.T, atol=1e-14)
         now = np.linalg.det(state.position_covariances)
@@ -99,26 +99,28 @@ def test_all_at_once_is_one_after_the_other_where_noise_is_small():
     slam, rng, landmarks = EkfSlam(sensor), np.random.default_rng(3), ring(4)
     state = slam.init()
     exact = sensor.linearize(np.zeros(3), landmarks)[0]
-    state, _ = slam.step(state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), Sightings.of(exact, range(4)))
-    motion = GaussianIncrement.around(np.zeros(3), np.full(3, 1e-4))
-    seen = Sightings.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
+    state, _ = slam.step(
+        state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of(exact, range(4))
+    )
+    motion = GaussianIncrement.from_std(np.zeros(3), np.full(3, 1e-4))
+    seen = LandmarkObservations.of(exact + rng.normal(0, 1e-4, (4, 2)), range(4))
     together, _ = slam.step(state.snapshot(), motion, seen)
-    state, _ = slam.step(state, motion, NOTHING_SEEN)
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+    state, _ = slam.step(state, motion, NO_OBSERVATIONS)
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
     for k in range(4):
-        state, _ = slam.step(state, still, Sightings.of(seen.values[k : k + 1], [k]))
+        state, _ = slam.step(state, still, LandmarkObservations.of(seen.values[k : k + 1], [k]))
     np.testing.assert_allclose(together.mean, state.mean, atol=1e-7)
     np.testing.assert_allclose(together.covariance, state.covariance, rtol=1e-2, atol=1e-11)
 
 
 def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_does():
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
-    seen = Sightings.of([[3.0, 0.3]])
+    seen = LandmarkObservations.of([[3.0, 0.3]])
     state, report = slam.step(slam.init(), MOTION(INCREMENT), seen)
     assert report.landmarks.tolist() == [0]
-    alone, _ = slam.step(slam.init(), MOTION(INCREMENT), NOTHING_SEEN)
-    alone, _ = slam.step(alone, MOTION(INCREMENT), NOTHING_SEEN)
-    state, report = slam.step(state, MOTION(INCREMENT), Sightings.of([[2.8, 0.28]]))
+    alone, _ = slam.step(slam.init(), MOTION(INCREMENT), NO_OBSERVATIONS)
+    alone, _ = slam.step(alone, MOTION(INCREMENT), NO_OBSERVATIONS)
+    state, report = slam.step(state, MOTION(INCREMENT), LandmarkObservations.of([[2.8, 0.28]]))
     assert report.landmarks.tolist() == [0]
     np.testing.assert_array_equal(state.pose, alone.pose)
     np.testing.assert_allclose(state.pose_covariance, alone.pose_covariance, atol=1e-15)
@@ -127,7 +129,7 @@ def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_do
     for _ in range(3):
         z = SENSOR.linearize(state.pose, state.positions[0])[0]
         before = state.pose_covariance.copy()
-        state, _ = slam.step(state, GaussianIncrement.around(np.zeros(3), np.zeros(3)), Sightings.of([z]))
+        state, _ = slam.step(state, GaussianIncrement.from_std(np.zeros(3), np.zeros(3)), LandmarkObservations.of([z]))
     assert len(slam.landmark_map(state)) == 1
     assert np.trace(state.pose_covariance) < np.trace(before)  # the fifth sighting is of a confirmed landmark
 
@@ -135,9 +137,9 @@ def test_the_pose_learns_nothing_from_a_provisional_landmark_but_the_landmark_do
 def test_a_provisional_landmark_is_corrected_as_the_consider_filter_says():
     """With K zero but for the landmark's rows: (I - K H) P (I - K H)' + K Q K' (Joseph's form)."""
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
-    state, _ = slam.step(slam.init(), MOTION(INCREMENT), Sightings.of([[3.0, 0.3], [3.0, -0.3]]))
-    z = Sightings.of([[2.85, 0.31]])
-    predicted, _ = slam.step(state.snapshot(), MOTION(INCREMENT), NOTHING_SEEN)
+    state, _ = slam.step(slam.init(), MOTION(INCREMENT), LandmarkObservations.of([[3.0, 0.3], [3.0, -0.3]]))
+    z = LandmarkObservations.of([[2.85, 0.31]])
+    predicted, _ = slam.step(state.snapshot(), MOTION(INCREMENT), NO_OBSERVATIONS)
     corrected, _ = slam.step(state, MOTION(INCREMENT), z)
     P, Q = predicted.covariance, SENSOR.noise(z)[0]
     h, H_x, H_m = SENSOR.linearize(predicted.pose, predicted.positions[0])
@@ -152,13 +154,13 @@ def test_a_provisional_landmark_is_corrected_as_the_consider_filter_says():
 
 def test_a_provisional_landmark_that_is_not_seen_again_is_dropped_and_its_name_not_used_again():
     slam = EkfSlam(SENSOR, MaximumLikelihood(), ALL_AROUND)
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
-    state, _ = slam.step(slam.init(), still, Sightings.of([[2.0, 1.0], [3.0, -1.0]]))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
+    state, _ = slam.step(slam.init(), still, LandmarkObservations.of([[2.0, 1.0], [3.0, -1.0]]))
     for _ in range(3):
-        state, _ = slam.step(state, still, Sightings.of([[2.0, 1.0]]))
+        state, _ = slam.step(state, still, LandmarkObservations.of([[2.0, 1.0]]))
     assert state.names.tolist() == [0]
     assert state.mean.shape == (5,)
-    state, _ = slam.step(state, still, Sightings.of([[2.0, -2.0]]))
+    state, _ = slam.step(state, still, LandmarkObservations.of([[2.0, -2.0]]))
     assert state.names.tolist() == [0, 2]
 
 
@@ -166,12 +168,12 @@ def test_a_sighting_that_cannot_be_believed_changes_nothing():
     steps, _ = drive(ring(12), 60, np.random.default_rng(4))
     state, _ = run(EkfSlam(SENSOR), steps)
     name = int(state.names[0])
-    wrong = Sightings.of([[2.0, 3.0]], [name])
+    wrong = LandmarkObservations.of([[2.0, 3.0]], [name])
     one, report = EkfSlam(SENSOR).step(state.snapshot(), EXACT, wrong)
-    other, _ = EkfSlam(SENSOR).step(state.snapshot(), EXACT, NOTHING_SEEN)
+    other, _ = EkfSlam(SENSOR).step(state.snapshot(), EXACT, NO_OBSERVATIONS)
     assert report.landmarks.tolist() == [AMBIGUOUS]
     np.testing.assert_array_equal(one.mean, other.mean)
-    believing, report = EkfSlam(SENSOR, Told(believed=1e9)).step(state, EXACT, wrong)
+    believing, report = EkfSlam(SENSOR, KnownCorrespondence(gate=1e9)).step(state, EXACT, wrong)
     assert report.landmarks.tolist() == [name]
     assert np.abs(believing.mean - other.mean).max() > 0.01
 
@@ -180,28 +182,28 @@ def test_what_is_refused():
     slam = EkfSlam(SENSOR)
     state = slam.init()
     with pytest.raises(ArgumentError, match="known correspondences"):
-        slam.step(state.snapshot(), EXACT, Sightings.of([[1.0, 0.0]]))
+        slam.step(state.snapshot(), EXACT, LandmarkObservations.of([[1.0, 0.0]]))
     kept = state.snapshot()
-    slam.step(state, EXACT, NOTHING_SEEN)
-    for use in (lambda: slam.step(state, EXACT, NOTHING_SEEN), state.snapshot):
+    slam.step(state, EXACT, NO_OBSERVATIONS)
+    for use in (lambda: slam.step(state, EXACT, NO_OBSERVATIONS), state.snapshot):
         with pytest.raises(ConsumedStateError):
             use()
-    slam.step(kept, EXACT, NOTHING_SEEN)
+    slam.step(kept, EXACT, NO_OBSERVATIONS)
     with pytest.raises(ArgumentError, match="pose"):
         slam.init([0.0, 1.0])
-    with pytest.raises(ValueError, match="same <= other"):
-        MaximumLikelihood(same=9, other=8)
+    with pytest.raises(ValueError, match="match_gate <= new_gate"):
+        MaximumLikelihood(match_gate=9, new_gate=8)
     with pytest.raises(ValueError, match="false_alarm < detection"):
-        Existence(detection=0.1, false_alarm=0.2)
+        LandmarkExistence(detection=0.1, false_alarm=0.2)
 
 
 def test_what_is_seen_beside_a_landmark_at_the_same_time_is_another():
     """0.18 m apart and 4 standard deviations: alone it may be an outlier, but not while the landmark is seen, too."""
     slam = EkfSlam(RelativePosition(sigma_x_m=0.03, sigma_y_m=0.03), MaximumLikelihood(), ALL_AROUND)
-    state, _ = slam.step(slam.init(), EXACT, Sightings.of([[3.0, 0.0]]))
-    still = GaussianIncrement.around(np.zeros(3), np.zeros(3))
-    _, report = slam.step(state.snapshot(), still, Sightings.of([[3.0, 0.18]]))
+    state, _ = slam.step(slam.init(), EXACT, LandmarkObservations.of([[3.0, 0.0]]))
+    still = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
+    _, report = slam.step(state.snapshot(), still, LandmarkObservations.of([[3.0, 0.18]]))
     assert report.landmarks.tolist() == [AMBIGUOUS]
     for seen, names in (([[3.0, 0.0], [3.0, 0.18]], [0, 1]), ([[3.0, 0.18], [3.0, 0.0]], [1, 0])):
-        _, report = slam.step(state.snapshot(), still, Sightings.of(seen))
+        _, report = slam.step(state.snapshot(), still, LandmarkObservations.of(seen))
         assert report.landmarks.tolist() == names

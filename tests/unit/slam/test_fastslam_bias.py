@@ -8,15 +8,15 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.models.association import MaximumLikelihood
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.odometry_bias import OdometryBias
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_path import path
-from gridslam.slam.landmark_raft import PoseAndRaft
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
+from gridslam.slam.landmark_path import smooth_trajectory
 from support.landmark_world import INCREMENT, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.01, sigma_bearing_rad=0.002)
@@ -32,10 +32,10 @@ def test_one_particle_whose_odometry_has_no_noise_is_ekf_slam():
     steps, _ = drive(ring(12), 160, np.random.default_rng(0), SENSOR, NO_NOISE)
     slam, ekf = FastSlam2(FILTERS, bias=BIAS), EkfSlam(SENSOR, bias=BIAS)
     rng, state, other = np.random.default_rng(1), slam.init(1), ekf.init()
-    told = GaussianIncrement.around(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
+    told = GaussianIncrement.from_std(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
     for step in steps:
-        state, report = slam.step(state, told, step.sightings, rng)
-        other, expected = ekf.step(other, told, step.sightings)
+        state, report = slam.step(state, told, step.observations, rng)
+        other, expected = ekf.step(other, told, step.observations)
         # The two linearize about means that are a part of a deviation apart: what bends within that, a thousandth.
         sigma = np.sqrt(np.trace(expected.covariance[:2, :2]))
         assert np.hypot(*(report.pose - expected.pose)[:2]) < 0.01 * sigma + 1e-12
@@ -45,8 +45,8 @@ def test_one_particle_whose_odometry_has_no_noise_is_ekf_slam():
     deviations = np.sqrt(np.trace(theirs.covariances, axis1=1, axis2=2))
     assert (np.hypot(*(ours.positions - theirs.positions).T) < 0.01 * deviations).all()
     np.testing.assert_allclose(ours.covariances, theirs.covariances, atol=0.01 * theirs.covariances.max())
-    way = path(state, 0, [told] * len(steps), BIAS)
-    corrected = told.increment + np.array([0, 0, state.known[0, 3:] @ INCREMENT[[0, 2]]])
+    way = smooth_trajectory(state, 0, [told] * len(steps), BIAS)
+    corrected = told.increment + np.array([0, 0, state.state_means[0, 3:] @ INCREMENT[[0, 2]]])
     expected = [np.zeros(3)]
     for _ in steps:
         expected.append(compose(expected[-1], corrected))
@@ -63,16 +63,16 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
     """
     sensor = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
     bias = OdometryBias(sigma_per_m=0.02, sigma_per_rad=0.0, memory_m=memory_m)
-    slam = FastSlam2(LandmarkFilters(sensor), when_to_resample=Never(), bias=bias)
+    slam = FastSlam2(LandmarkFilters(sensor), when_to_resample=NeverResample(), bias=bias)
     ekf, rng, seen = EkfSlam(sensor, bias=bias), np.random.default_rng(2), np.random.default_rng(3)
     true, pose = {1: [2.0, 1.0], 2: [6.0, -1.0], 3: [9.0, 1.0]}, np.zeros(3)
     state, other = slam.init(20_000), ekf.init()
     for way, names in [(0.0, [1]), (2.0, [2]), (2.0, [2, 3]), (2.0, [3]), (-2.0, [2]), (-4.0, [1])]:
         pose = compose(pose, [way, 0.0, 0.03 * way + seen.normal(0, 0.02)])
         z = [sensor.linearize(pose, np.array(true[name]))[0] + seen.normal(0, 0.1, 2) for name in names]
-        told = GaussianIncrement.around(np.array([way, 0.0, 0.0]), np.array([0.02, 0.02, 0.02]))
-        state, report = slam.step(state, told, Sightings.of(z, names), rng)
-        other, expected = ekf.step(other, told, Sightings.of(z, names))
+        told = GaussianIncrement.from_std(np.array([way, 0.0, 0.0]), np.array([0.02, 0.02, 0.02]))
+        state, report = slam.step(state, told, LandmarkObservations.of(z, names), rng)
+        other, expected = ekf.step(other, told, LandmarkObservations.of(z, names))
     found, theirs = slam.landmark_map(state), ekf.landmark_map(other)
     # Means err by sigma / sqrt(N_eff) <= 0.03 sigma, five times that; variances by sqrt(2 / N_eff) = 5 %, and as much
     # by what a heading of 0.15 rad bends.
@@ -83,8 +83,10 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
     np.testing.assert_allclose(report.covariance, expected.covariance, atol=0.2 * expected.covariance.max())
     weights = np.exp(state.log_weights)
     sigma = np.sqrt(other.covariance[3, 3])
-    assert weights @ state.known[:, 3] == pytest.approx(other.mean[3], abs=0.15 * sigma)
-    assert weights @ state.spread[:, 3, 3] < sigma**2  # who knows the noise that was drawn knows the rest better
+    assert weights @ state.state_means[:, 3] == pytest.approx(other.mean[3], abs=0.15 * sigma)
+    assert (
+        weights @ state.state_covariances[:, 3, 3] < sigma**2
+    )  # who knows the noise that was drawn knows the rest better
 
 
 def test_what_is_drawn_tells_nothing_of_the_errors_and_the_rest_of_the_pose_follows_them():
@@ -92,7 +94,7 @@ def test_what_is_drawn_tells_nothing_of_the_errors_and_the_rest_of_the_pose_foll
     root = rng.normal(size=(5, 5)) * [0.1, 0.2, 0.1, 0.3, 0.1]
     C, mean = root @ root.T, np.array([1.0, 2.0, 0.5, 0.01, -0.02])
     state = FastSlam2(FILTERS, bias=BIAS).init(count)
-    known, (left, *others) = PoseAndRaft.of(state, np.tile(mean, (count, 1)), np.tile(C, (count, 1, 1))).draw(rng)
+    known, (left, *others) = LocalFrameBelief.of(state, np.tile(mean, (count, 1)), np.tile(C, (count, 1, 1))).draw(rng)
     by_bias = C[:3, 3:] @ np.linalg.inv(C[3:, 3:])
     own = C[:3, :3] - by_bias @ C[3:, :3]
     np.testing.assert_array_equal(known[:, 3:], np.tile(mean[3:], (count, 1)))
@@ -108,15 +110,15 @@ def test_a_path_is_told_from_what_the_errors_turned_out_to_be():
     """What was driven before anything told of them, and what was never seen, is turned by what is learned at last."""
     slam, rng = FastSlam2(LandmarkFilters(RelativePosition(sigma_x_m=0.01, sigma_y_m=0.01)), bias=BIAS), _seed()
     told, state = NO_NOISE(np.array([1.0, 0.0, 0.0])), slam.init(3)
-    state, _ = slam.step(state, told, Sightings.of([[2.0, 1.0]], [1]), rng)
+    state, _ = slam.step(state, told, LandmarkObservations.of([[2.0, 1.0]], [1]), rng)
     for _ in range(3):
-        state, _ = slam.step(state, told, NOTHING_SEEN, rng)
+        state, _ = slam.step(state, told, NO_OBSERVATIONS, rng)
     turned = compose(compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]), compose([1.0, 0.0, 0.001], [1.0, 0.0, 0.001]))
     landmark = compose([1.0, 0.0, 0.001], [2.0, 1.0, 0.0])
     z = between(compose(turned, [1.0, 0.0, 0.001]), landmark)[:2]
-    state, _ = slam.step(state, told, Sightings.of([z], [1]), rng)
-    way = path(state, 0, [told] * 5, BIAS)
-    learned = state.known[0, 3]
+    state, _ = slam.step(state, told, LandmarkObservations.of([z], [1]), rng)
+    way = smooth_trajectory(state, 0, [told] * 5, BIAS)
+    learned = state.state_means[0, 3]
     assert 0.0 < learned < 0.001
     # In place of rounding a millionth of the heading's deviation, 5 mrad at the end, is drawn.
     np.testing.assert_allclose(way[:, 2], learned * np.arange(6), atol=5e-8)
@@ -130,11 +132,11 @@ def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go(
     """
     bias = OdometryBias(sigma_per_m=0.01, sigma_per_rad=0.01, memory_m=4.0)
     steps, _ = drive(ring(12), 80, np.random.default_rng(7), SENSOR, NO_NOISE)
-    slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.around(INCREMENT, np.zeros(3))
+    slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.from_std(INCREMENT, np.zeros(3))
     state = slam.init(20)
     for t, step in enumerate(steps):
-        state, _ = slam.step(state, told, step.sightings if t % 5 == 0 else NOTHING_SEEN, rng)
-    way = path(state, state.best, [told] * len(steps), bias)
+        state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)
+    way = smooth_trajectory(state, state.best, [told] * len(steps), bias)
     turned = between(way[:-1], way[1:]) - INCREMENT
     assert np.ptp(turned[:, 2]) > 1e-4
     # Headings straightened by some mrad are linear to 1e-5, and 8 m away to 0.1 mm.
@@ -148,11 +150,11 @@ def test_correspondences_are_sought_as_far_as_the_errors_reach():
     state = slam.init(10)
     for step in steps:
         told = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.01)(step.increment)
-        state, _ = slam.step(state, told, step.sightings.anonymous(), rng)
-    belief = PoseAndRaft.of(state, state.known.copy(), state.spread.copy())
+        state, _ = slam.step(state, told, step.observations.drop_correspondences(), rng)
+    belief = LocalFrameBelief.of(state, state.state_means.copy(), state.state_covariances.copy())
     rows, columns = np.nonzero(state.exists)
-    seen = np.trace(belief.spread(rows, columns)[:, :2, :2], axis1=1, axis2=2)
-    assert (seen <= np.trace(belief.reach()[rows, :2, :2], axis1=1, axis2=2)).all()
+    seen = np.trace(belief.covariance_seen_from(rows, columns)[:, :2, :2], axis1=1, axis2=2)
+    assert (seen <= np.trace(belief.bound_covariance()[rows, :2, :2], axis1=1, axis2=2)).all()
     assert seen.max() > 0
 
 

@@ -7,27 +7,27 @@ import pytest
 
 from gridslam.models.association import NEW, MaximumLikelihood
 from gridslam.models.landmark import RelativePosition
+from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import Sightings
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_existence import Existence
+from gridslam.slam.landmark_existence import LandmarkExistence
 from gridslam.slam.landmark_filters import LandmarkFilters
 
-ALL_AROUND = Existence(
-    detection=0.9, false_alarm=0.01, confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
+ALL_AROUND = LandmarkExistence(
+    detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
 )
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 
 
 def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     """Two landmarks, one nearer: the share of particles that take it is its share of p(z), known in closed form."""
     sensor = RelativePosition(sigma_x_m=0.2, sigma_y_m=0.2)
-    slam = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood()), when_to_resample=Never())
+    slam = FastSlam1(LandmarkFilters(sensor, MaximumLikelihood()), when_to_resample=NeverResample())
     rng, count = np.random.default_rng(16), 4000
-    state, _ = slam.step(slam.init(count), STILL, Sightings.of([[3.0, 0.6], [3.0, -0.6]]), rng)
-    seen, nothing = Sightings.of([[3.0, 0.1]]), np.full((count, 1), NEW)
+    state, _ = slam.step(slam.init(count), STILL, LandmarkObservations.of([[3.0, 0.6], [3.0, -0.6]]), rng)
+    seen, nothing = LandmarkObservations.of([[3.0, 0.1]]), np.full((count, 1), NEW)
     columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, state.poses, None, nothing, rng)
     near, far = np.exp(-0.5 * np.array([0.5, 0.7]) ** 2 / 0.08) / (2 * np.pi * 0.08)  # S = 0.04 + 0.04 m^2
     new = np.exp(-0.5 * 25) / (2 * np.pi * 0.04)
@@ -42,6 +42,6 @@ def test_neighbours_are_found_the_surest_first():
     for kind in (FastSlam1, FastSlam2):
         for seen in ([[3.0, 0.0], [3.0, 0.18]], [[3.0, 0.18], [3.0, 0.0]]):
             slam, rng = kind(LandmarkFilters(sensor, MaximumLikelihood(), ALL_AROUND)), np.random.default_rng(17)
-            state, _ = slam.step(slam.init(5), STILL, Sightings.of([[3.0, 0.0]]), rng)
-            state, _ = slam.step(state, STILL, Sightings.of(seen), rng)
+            state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)
+            state, _ = slam.step(state, STILL, LandmarkObservations.of(seen), rng)
             assert np.allclose(np.sort(state.positions[:, :2, 1], axis=1), [0.0, 0.18], atol=1e-6)

@@ -12,7 +12,16 @@ from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
 from gridslam.matching import GaussNewton, HillClimbing
 from gridslam.models import DiffusionMotion, OdometryMotion
-from gridslam.particles import Always, Multinomial, Never, ResamplingWheel, Residual, Stratified, Systematic, spread
+from gridslam.particles import (
+    AlwaysResample,
+    Multinomial,
+    NeverResample,
+    ResamplingWheel,
+    Residual,
+    Stratified,
+    Systematic,
+    sample_gaussian,
+)
 from gridslam.slam import (
     GridFastSlam,
     ImprovedProposal,
@@ -23,7 +32,7 @@ from gridslam.slam import (
 )
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry, SkipReason, Trajectory
 
-LIVELY = GridFastSlam(when_to_resample=Always())
+LIVELY = GridFastSlam(when_to_resample=AlwaysResample())
 """Resamples at every key scan, so that 24 s are enough to share, copy and free maps in every way."""
 
 
@@ -193,14 +202,14 @@ def test_one_particle_is_enough(drive, play):
 
 
 def test_particles_may_begin_anywhere(drive, play):
-    start = spread(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
+    start = sample_gaussian(6, (3.0, -2.0, 1.0), np.diag([0.01, 0.01, 1e-4]), np.random.default_rng(0))
     given = start.copy()
     state, report = GridFastSlam().init(*drive.measurements[0], start)
     np.testing.assert_array_equal(state.poses, given)
     start[:] = 0.0  # the filter has its own copy
     np.testing.assert_array_equal(state.poses, given)
     assert report.n_eff == pytest.approx(6)
-    slam = GridFastSlam(when_to_resample=Never())
+    slam = GridFastSlam(when_to_resample=NeverResample())
     state, reports = play(slam, drive.measurements[1:], state=state)
     keys = np.flatnonzero([report.skipped is None for report in [report, *reports]])
     for begin, past in zip(given, state.ancestry.trajectories(), strict=True):
@@ -287,13 +296,16 @@ def test_a_gap_of_ten_seconds_is_bridged(drive, play):
         GridFastSlam(proposal=MotionModelProposal()),
         GridFastSlam(proposal=ScanMatchedProposal(matcher=HillClimbing())),
         GridFastSlam(proposal=ImprovedProposal()),
-        GridFastSlam(proposal=ScanMatchedProposal(matcher=GaussNewton(max_passes=3))),
+        GridFastSlam(proposal=ScanMatchedProposal(matcher=GaussNewton(max_iterations=3))),
         GridFastSlam(tracker=Tracker(map_scans=5)),
         GridFastSlam(tracker=OdometryTracker(), motion=OdometryMotion()),
         GridFastSlam(tracker=OdometryTracker(), motion=DiffusionMotion(0.05, 0.05), proposal=ImprovedProposal()),
-        GridFastSlam(when_to_resample=Never()),
-        *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Multinomial, Residual, ResamplingWheel)),
-        *(GridFastSlam(resampler=r(), when_to_resample=Always()) for r in (Stratified, Systematic)),
+        GridFastSlam(when_to_resample=NeverResample()),
+        *(
+            GridFastSlam(resampler=r(), when_to_resample=AlwaysResample())
+            for r in (Multinomial, Residual, ResamplingWheel)
+        ),
+        *(GridFastSlam(resampler=r(), when_to_resample=AlwaysResample()) for r in (Stratified, Systematic)),
     ],
     ids=lambda slam: f"{type(slam.tracker).__name__}-{type(slam.proposal).__name__}-{type(slam.resampler).__name__}",
 )
@@ -303,5 +315,5 @@ def test_every_part_can_be_swapped(drive, play, slam):
     assert worst_error(reports, drive.truth) < (0.6 if isinstance(slam.proposal, MotionModelProposal) else BAND_M)
     assert state.ancestry.steps == sum(report.skipped is None for report in reports)
     resampled = {report.parents is not None for report in reports[1:] if report.skipped is None}
-    if isinstance(slam.when_to_resample, Always | Never):
-        assert resampled == {isinstance(slam.when_to_resample, Always)}
+    if isinstance(slam.when_to_resample, AlwaysResample | NeverResample):
+        assert resampled == {isinstance(slam.when_to_resample, AlwaysResample)}

@@ -9,8 +9,8 @@ from gridslam.errors import ArgumentError
 from gridslam.evaluation import align
 from gridslam.geometry.se2 import compose, transform_points
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep
 from gridslam.models.motion import DiffusionMotion
-from gridslam.models.sightings import LandmarkStep, Sightings
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.graph_cauchy import CauchyEstimator
 from gridslam.slam.graph_slam import GraphSlam
@@ -36,7 +36,7 @@ def least_squares(steps, poses, landmarks):
             dx, dy, turn = pose - before
             found += list(root @ (np.array([c * dx + s * dy, c * dy - s * dx, turn]) - step.increment))
             c, s = np.cos(pose[2]), np.sin(pose[2])
-            for name, z in zip(step.sightings.landmarks.tolist(), step.sightings.values, strict=True):
+            for name, z in zip(step.observations.landmarks.tolist(), step.observations.values, strict=True):
                 dx, dy = where[names.index(name)] - pose[:2]
                 found += list((np.array([c * dx + s * dy, c * dy - s * dx]) - z) / 0.6)
             before = pose
@@ -58,7 +58,7 @@ def test_it_is_the_least_squares_of_increments_and_positions():
         z = RelativePosition().linearize(pose, np.array([landmarks[k] for k in names]))[0] + rng.normal(
             0, 0.6, (len(names), 2)
         )
-        steps.append(LandmarkStep(t, increment, covariance, Sightings.of(z, names)))
+        steps.append(LandmarkStep(t, increment, covariance, LandmarkObservations.of(z, names)))
     solved = LandmarkGraphSlam(RelativePosition(0.6, 0.6), growth=2).solve(steps, DiffusionMotion())
     chi2, poses, where = least_squares(
         steps, solved.poses, dict(zip(solved.landmarks.names.tolist(), solved.landmarks.positions, strict=True))
@@ -68,8 +68,8 @@ def test_it_is_the_least_squares_of_increments_and_positions():
     np.testing.assert_allclose(solved.poses, poses, atol=1e-5)
     order = np.argsort(solved.landmarks.names)
     np.testing.assert_allclose(solved.landmarks.positions[order], where, atol=1e-5)
-    assert solved.freedom == 2 * (sum(len(step.sightings) for step in steps) - 3)
-    assert solved.landmarks.sightings.sum() == sum(len(step.sightings) for step in steps)
+    assert solved.degrees_of_freedom == 2 * (sum(len(step.observations) for step in steps) - 3)
+    assert solved.landmarks.observations.sum() == sum(len(step.observations) for step in steps)
 
 
 def test_covariances_are_those_of_the_kalman_filter_where_all_is_linear():
@@ -77,11 +77,13 @@ def test_covariances_are_those_of_the_kalman_filter_where_all_is_linear():
     rng, steps = np.random.default_rng(1), []
     for t in range(8):
         z = np.array([[6.0, 1.0], [3.0, -2.0]]) - [0.5 * t, 0] + rng.normal(0, 0.05, (2, 2))
-        steps.append(LandmarkStep(t, np.array([0.5, 0, 0]), np.diag([0.02, 0.01, 1e-10]), Sightings.of(z, [3, 5])))
+        steps.append(
+            LandmarkStep(t, np.array([0.5, 0, 0]), np.diag([0.02, 0.01, 1e-10]), LandmarkObservations.of(z, [3, 5]))
+        )
     sensor, motion = RelativePosition(0.6, 0.6), DiffusionMotion()
     ekf, state = EkfSlam(sensor), EkfSlam(sensor).init()
     for step in steps:
-        state, _ = ekf.step(state, step.motion(motion), step.sightings)
+        state, _ = ekf.step(state, step.motion(motion), step.observations)
     solved = LandmarkGraphSlam(sensor).solve(steps, motion)
     np.testing.assert_allclose(solved.poses[-1], state.pose, atol=1e-6)
     np.testing.assert_allclose(solved.landmarks.positions, state.positions, atol=1e-6)
@@ -94,13 +96,13 @@ def test_a_drive_around_a_ring_is_consistent_and_better_than_the_filter():
     steps, truth = drive(landmarks, 250, np.random.default_rng(2), SENSOR)
     solved = LandmarkGraphSlam(SENSOR).solve(steps, MOTION)
     assert solved.solution.converged
-    # chi2 has mean `freedom` and variance twice that; sightings as positions are right to first order.
-    assert abs(solved.solution.chi2_after - solved.freedom) < 5 * np.sqrt(2 * solved.freedom)
+    # chi2 has mean `degrees_of_freedom` and variance twice that; sightings as positions are right to first order.
+    assert abs(solved.solution.chi2_after - solved.degrees_of_freedom) < 5 * np.sqrt(2 * solved.degrees_of_freedom)
     true_from_map = align(solved.poses[:, :2], truth[:, :2])
     full = np.hypot(*(compose(true_from_map, solved.poses) - truth)[:, :2].T)
     ekf, state, online = EkfSlam(SENSOR), EkfSlam(SENSOR).init(), []
     for step in steps:
-        state, report = ekf.step(state, step.motion(MOTION), step.sightings)
+        state, report = ekf.step(state, step.motion(MOTION), step.observations)
         online.append(report.pose)
     filtered = np.hypot(*(compose(align(np.array(online)[:, :2], truth[:, :2]), online) - truth)[:, :2].T)
     assert full.mean() < filtered.mean()
@@ -132,9 +134,11 @@ def test_misread_landmarks_are_left_out_by_robust_estimation():
     steps, truth = drive(landmarks, 150, np.random.default_rng(5), SENSOR)
     for t in (100, 120):  # what is seen first is taken for a landmark at the other side
         step = steps[t]
-        wrong = step.sightings.landmarks.copy()
+        wrong = step.observations.landmarks.copy()
         wrong[0] = 100 + (wrong[0] - 100 + 6) % 12
-        steps[t] = LandmarkStep(step.stamp_ns, step.increment, None, Sightings.of(step.sightings.values, wrong))
+        steps[t] = LandmarkStep(
+            step.stamp_ns, step.increment, None, LandmarkObservations.of(step.observations.values, wrong)
+        )
     robust = GraphSlam(first_guess="given", robust=CauchyEstimator())
     errors = []
     for solver in (robust, GraphSlam(first_guess="given")):
@@ -147,6 +151,6 @@ def test_misread_landmarks_are_left_out_by_robust_estimation():
 def test_what_is_refused():
     with pytest.raises(ArgumentError, match="at least one"):
         LandmarkGraphSlam(SENSOR).solve([], MOTION)
-    steps = [LandmarkStep(0, np.zeros(3), None, Sightings.of([[1.0, 0.0]]))]
+    steps = [LandmarkStep(0, np.zeros(3), None, LandmarkObservations.of([[1.0, 0.0]]))]
     with pytest.raises(ArgumentError, match="known correspondences"):
         LandmarkGraphSlam(SENSOR).solve(steps, MOTION)

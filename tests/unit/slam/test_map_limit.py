@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.particles import Never
+from gridslam.particles import NeverResample
 from gridslam.slam import GridFastSlam
 from gridslam.slam.map_limit import MapLimit, _apportion
 
-FREE = GridFastSlam(when_to_resample=Never(), map_limit=MapLimit(tiles_per_particle=10_000))
-TIGHT = GridFastSlam(when_to_resample=Never(), map_limit=MapLimit(tiles_per_particle=20))
+FREE = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=10_000))
+TIGHT = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=20))
 
 
 def differing(state):
@@ -60,7 +60,7 @@ def test_those_that_stay_go_on_in_the_numbers_that_they_are_worth():
 
 
 def test_maps_within_the_limit_stay_as_they_are(drive, play, contents, free):
-    wide = GridFastSlam(when_to_resample=Never(), map_limit=MapLimit(tiles_per_particle=100_000))
+    wide = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=100_000))
     assert contents(play(wide, drive.measurements)[0]) == contents(free[0])
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.models import DiffusionMotion, GaussianIncrement
-from gridslam.particles import Never
+from gridslam.particles import NeverResample
 from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
 from gridslam.slam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.state import GridFastSlamState
@@ -18,7 +18,7 @@ from gridslam.types import Odometry
 
 SKEWED = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 2e-4, -1e-5], [2e-5, -1e-5, 9e-4]])
 EXACT = DiffusionMotion(0.0, 0.0, 0.0, 0.0)
-FILTER = GridFastSlam(particles=200, motion=EXACT, proposal=MotionModelProposal(), when_to_resample=Never())
+FILTER = GridFastSlam(particles=200, motion=EXACT, proposal=MotionModelProposal(), when_to_resample=NeverResample())
 """Its particles spread by what the log tells and by nothing else, and keep where they were drawn."""
 
 

@@ -8,7 +8,7 @@ import pytest
 from gridslam.geometry.angles import wrap
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton, HillClimbing
-from gridslam.models import CauchyAgreement, DiffusionMotion, GaussianIncrement, LikelihoodField
+from gridslam.models import CauchyEndPoint, DiffusionMotion, GaussianIncrement, LikelihoodField
 from gridslam.slam import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.types import LaserScan, ScanGeometry
 
@@ -39,7 +39,7 @@ WIDE = DiffusionMotion(sigma_xy_m=0.08, sigma_theta_rad=0.03)(INCREMENT)
 BEAMS = scan_at(INCREMENT)
 
 
-@pytest.mark.parametrize("sensor", [CauchyAgreement(), LikelihoodField()])
+@pytest.mark.parametrize("sensor", [CauchyEndPoint(), LikelihoodField()])
 def test_prior_draws_from_the_motion_and_weighs_by_the_sensor(room, sensor):
     proposed = MotionModelProposal()(room, BEFORE, WIDE, sensor(BEAMS), BEAMS, np.random.default_rng(3))
     np.testing.assert_array_equal(proposed.poses, WIDE(BEFORE, np.random.default_rng(3)))
@@ -58,7 +58,7 @@ def cost(maps, pose, guess, prior, sigma_m, cauchy_m=0.1):
 def test_peaks_are_local_optima(room):
     """Nowhere 1 cm or 6 mrad around a peak is the posterior higher; from the draw to the peak it has risen."""
     peak = ScanMatchedProposal()
-    proposed = peak(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(1))
+    proposed = peak(room, BEFORE, WIDE, CauchyEndPoint()(BEAMS), BEAMS, np.random.default_rng(1))
     drawn = WIDE(BEFORE, np.random.default_rng(1))
     prior = np.linalg.inv(WIDE.moments(BEFORE)[1][0])
     nudges = np.concatenate([np.diag([0.01, 0.01, 0.006]), -np.diag([0.01, 0.01, 0.006])])
@@ -72,7 +72,7 @@ def test_peaks_are_local_optima(room):
 
 @pytest.mark.parametrize("matcher", [GaussNewton(), HillClimbing()])
 def test_peak_weighs_at_the_peak(room, matcher):
-    weigh = CauchyAgreement()(BEAMS)
+    weigh = CauchyEndPoint()(BEAMS)
     proposed = ScanMatchedProposal(matcher=matcher)(room, BEFORE, WIDE, weigh, BEAMS, np.random.default_rng(1))
     np.testing.assert_array_equal(proposed.log_weights, weigh(room, np.arange(10), proposed.poses))
     np.testing.assert_array_equal(proposed.match.poses, proposed.poses)
@@ -84,7 +84,7 @@ def test_peak_weighs_at_the_peak(room, matcher):
 )
 def test_what_goes_in_stays_as_it_is(room, proposal):
     before, maps = BEFORE.copy(), room.to_arrays()
-    proposed = proposal(room, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
+    proposed = proposal(room, BEFORE, WIDE, CauchyEndPoint()(BEAMS), BEAMS, np.random.default_rng(0))
     np.testing.assert_array_equal(BEFORE, before)
     assert all(np.array_equal(array, maps[name]) for name, array in room.to_arrays().items())
     assert proposed.poses.shape == (10, 3)
@@ -98,7 +98,7 @@ def test_what_goes_in_stays_as_it_is(room, proposal):
 )
 def test_in_an_empty_map_only_the_motion_counts(proposal):
     maps = OccupancyGridMapping().empty(10)
-    proposed = proposal(maps, BEFORE, WIDE, CauchyAgreement()(BEAMS), BEAMS, np.random.default_rng(0))
+    proposed = proposal(maps, BEFORE, WIDE, CauchyEndPoint()(BEAMS), BEAMS, np.random.default_rng(0))
     np.testing.assert_allclose(proposed.log_weights, proposed.log_weights[0])
     assert (np.abs(proposed.poses - INCREMENT) < 5 * WIDE.std).all()
 
@@ -133,7 +133,7 @@ def log_normal(x, mean, covariance):
 
 DRAWS = 4000
 PLACE = np.array([[1.0, 2.0, 0.0]])
-MOTION = GaussianIncrement.around(np.array([0.5, 0.1, 0.2]), np.array([0.1, 0.06, 0.04]))
+MOTION = GaussianIncrement.from_std(np.array([0.5, 0.1, 0.2]), np.array([0.1, 0.06, 0.04]))
 PREDICTED = PLACE[0] + MOTION.mean
 SPREAD = np.diag(MOTION.std**2)
 NOISE = np.array([[0.009, 0.003, 0.0], [0.003, 0.006, -0.0005], [0.0, -0.0005, 0.0009]])

@@ -12,7 +12,7 @@ from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_checks import collect_recent_points
 from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.submaps import key_scans_of
-from gridslam.types import EndPoints
+from gridslam.types import StoredScan
 
 SURE = (0.02**2, 0.01**2)
 BLIND = (1.0, 0.3**2)
@@ -141,7 +141,7 @@ def test_recent_points_are_none_from_before_a_gap(key, scans, first):
     closure_state.graph = chain(40, [25])
     for k in range(40):
         closure_state.scans.append(
-            EndPoints(np.array([[1.0 + k, 0.5]]), np.zeros(2)), closure_state.graph.tracked[k], is_key=True
+            StoredScan(np.array([[1.0 + k, 0.5]]), np.zeros(2)), closure_state.graph.tracked[k], is_key=True
         )
     tracked = closure_state.graph.tracked_poses_from(key, np.arange(first, key + 1))
     seen = zip(range(first, key + 1), tracked, strict=True)

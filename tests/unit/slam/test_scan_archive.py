@@ -7,13 +7,13 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.slam.scan_archive import ScanArchive
-from gridslam.types import EndPoints
+from gridslam.types import StoredScan
 
 
 def scans(count=9):
     """Some without a beam; each from a laser of its own place."""
     rng = np.random.default_rng(0)
-    return [EndPoints(rng.uniform(-100, 100, (7 * (k % 4), 2)), rng.normal(size=2)) for k in range(count)]
+    return [StoredScan(rng.uniform(-100, 100, (7 * (k % 4), 2)), rng.normal(size=2)) for k in range(count)]
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
     """Every k-th: 1080 beams are too many up to k = 4, and 216 with k = 5."""
     ends, kept = np.random.default_rng(1).normal(size=(1080, 2)), ScanArchive()
     for k in range(2):
-        kept.append(EndPoints(ends, np.zeros(2)), np.array([0.1 * k, 0.0, 0.0]), is_key=k == 0)
+        kept.append(StoredScan(ends, np.zeros(2)), np.array([0.1 * k, 0.0, 0.0]), is_key=k == 0)
     assert len(kept.key(0)) == 1080
     np.testing.assert_allclose(kept[1].ends, ends[::5], rtol=0, atol=1e-4)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.particles import Always
+from gridslam.particles import AlwaysResample
 from gridslam.slam import STATE_SCHEMA, GridFastSlam, GridFastSlamState, ImprovedProposal, OdometryTracker
 
-SLAM = GridFastSlam(when_to_resample=Always())
+SLAM = GridFastSlam(when_to_resample=AlwaysResample())
 
 
 def restored(state, slam=SLAM, threads=1):

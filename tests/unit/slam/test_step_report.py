@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gridslam.matching import GaussNewton
-from gridslam.matching.gauss_newton import LOOK
-from gridslam.particles import Always, EffectiveSampleSizeBelow, normalize, spread
+from gridslam.matching.gauss_newton import EVALUATE_ONLY
+from gridslam.particles import AlwaysResample, EffectiveSampleSizeBelow, normalize, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
@@ -22,7 +22,7 @@ from gridslam.types import LaserScan, SkipReason
 PARTICLES = 8
 
 
-@pytest.fixture(scope="module", params=[EffectiveSampleSizeBelow(), EffectiveSampleSizeBelow(0.98), Always()])
+@pytest.fixture(scope="module", params=[EffectiveSampleSizeBelow(), EffectiveSampleSizeBelow(0.98), AlwaysResample()])
 def run(request, drive, play):
     slam = GridFastSlam(when_to_resample=request.param)
     return slam, *play(slam, drive.measurements, particles=PARTICLES)
@@ -120,7 +120,7 @@ def test_reports_read_the_state_and_never_write(run, drive):
     before = {name: array.copy() for name, array in state.to_arrays().items()}
     beams = scan.beams(0.05, 30.0)
     rows = np.arange(PARTICLES, dtype=np.int32)
-    match = LOOK(state.maps, rows, state.poses, np.zeros((PARTICLES, 3, 3)), beams)
+    match = EVALUATE_ONLY(state.maps, rows, state.poses, np.zeros((PARTICLES, 3, 3)), beams)
     estimate = slam.reports.estimate(state, match, beams)
     slam.reports.first_scan(state, scan, 1.0)
     slam.reports.between_key_scans(state, scan, np.ones(3), SkipReason.BETWEEN_KEY_SCANS)
@@ -133,7 +133,7 @@ def test_reports_read_the_state_and_never_write(run, drive):
 
 def test_the_first_covariance_is_that_of_the_spread(drive):
     given = np.diag([0.04, 0.01, 0.0025])
-    start = spread(500, (1.0, 2.0, 3.0), given, np.random.default_rng(0))
+    start = sample_gaussian(500, (1.0, 2.0, 3.0), given, np.random.default_rng(0))
     _, report = GridFastSlam().init(*drive.measurements[0], start)
     # about the best particle, which is any of them, it is between one and about ten times the sample's covariance
     assert (np.diag(report.covariance) > 0.8 * np.diag(given)).all()
@@ -173,7 +173,7 @@ def test_a_kidnapped_robot_is_lost(drive, play, hall, start):
     assert all(between_keys)
 
 
-DEFAULT = GaussNewton().sparse_m
+DEFAULT = GaussNewton().dense_spacing_m
 ACROSS = 0.01
 """Of no wall in sight do ends lie denser than this, so that all count across only."""
 
@@ -186,8 +186,8 @@ def corridor_drive(seed):
     return simulate(world, RobotConfig(), OdometryNoise(), lidar, np.random.default_rng(seed))
 
 
-def played_bare(play, sparse_m):
-    matcher, runs = GaussNewton(sparse_m=sparse_m), []
+def played_bare(play, dense_spacing_m):
+    matcher, runs = GaussNewton(dense_spacing_m=dense_spacing_m), []
     slam = GridFastSlam(tracker=Tracker(matcher=matcher), proposal=ScanMatchedProposal(matcher=matcher))
     for log in map(corridor_drive, range(3)):
         reports, odometry = play(slam, log.measurements, particles=PARTICLES)[1], log.odometry.poses
@@ -198,7 +198,7 @@ def played_bare(play, sparse_m):
 
 @pytest.fixture(scope="module")
 def bare(play):
-    """By `sparse_m`: for each of three bare corridors the reports, and the way driven, beside what odometry tells."""
+    """By `dense_spacing_m`: for each of three bare corridors the reports, and the way driven, beside the odometry's."""
     return {
         0.0: played_bare(play, 0.0), DEFAULT: played_bare(play, DEFAULT), ACROSS: played_bare(play, ACROSS)
     }  # fmt: skip
@@ -243,7 +243,7 @@ def test_along_a_bare_corridor_the_position_is_undetermined(bare):
 
 def test_straight_walls_tell_corridors_from_rooms(play):
     """Looked at with all of them counted across only, the least information is more than a factor of 25 apart."""
-    look = GaussNewton(max_passes=0, sparse_m=0.001)
+    look = GaussNewton(max_iterations=0, dense_spacing_m=0.001)
 
     def least(log, scans):
         state, reports = play(GridFastSlam(), log.measurements[:scans], particles=1)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.viz.cloud import fair_share
+from gridslam.viz.cloud import select_representatives
 
 
 @given(st.integers(1, 300), st.integers(1, 100), st.integers(0, 2**32 - 1), st.floats(0.0, 8.0))
@@ -15,7 +15,7 @@ def test_any_part_of_a_cloud_keeps_its_weight(count, most, seed, spread):
     rng = np.random.default_rng(seed)
     weights = np.exp(spread * rng.normal(size=count))
     weights /= weights.sum()
-    chosen, shares = fair_share(weights, most)
+    chosen, shares = select_representatives(weights, most)
     assert len(chosen) <= min(most, count)
     assert (np.diff(chosen) > 0).all()
     told = np.zeros(count)
@@ -27,7 +27,7 @@ def test_any_part_of_a_cloud_keeps_its_weight(count, most, seed, spread):
 
 def test_few_particles_are_all_shown_as_they_are():
     weights = np.array([0.9, 0.1, 0.0])
-    chosen, shares = fair_share(weights, 3)
+    chosen, shares = select_representatives(weights, 3)
     np.testing.assert_array_equal(chosen, [0, 1, 2])
     np.testing.assert_array_equal(shares, weights)
-    assert len(fair_share(np.zeros(0))[0]) == 0
+    assert len(select_representatives(np.zeros(0))[0]) == 0

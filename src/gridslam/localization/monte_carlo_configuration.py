@@ -7,18 +7,18 @@ from typing import final
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.localization.deskew import Deskew
+from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.localization.kld_sampling import KldSampling
+from gridslam.localization.pose_hypotheses import HypothesisTracker
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
-from gridslam.localization.rivals import RivalPlaces
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.models.parameters import STRICT
-from gridslam.particles.policies import Always, EffectiveSampleSizeBelow, MovedAtLeast
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 
-__all__ = ["MonteCarloParts"]
+__all__ = ["MonteCarloConfiguration"]
 
 
 def _sensor() -> LikelihoodField:
@@ -28,16 +28,16 @@ def _sensor() -> LikelihoodField:
 
 def _matcher() -> GaussNewton:
     """Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a dot."""
-    return GaussNewton(sparse_m=0.0)
+    return GaussNewton(dense_spacing_m=0.0)
 
 
-def _when_to_update() -> MovedAtLeast:
-    return MovedAtLeast(0.2, 0.2)
+def _when_to_update() -> MotionThreshold:
+    return MotionThreshold(0.2, 0.2)
 
 
 @final
 @parameters(frozen=True, config=STRICT)
-class MonteCarloParts:
+class MonteCarloConfiguration:
     """Parts and parameters of the filter; each part is explained at its class.
 
     Parameters
@@ -51,18 +51,18 @@ class MonteCarloParts:
         How probable it is that the robot is somewhere else.
     proposal : MeasurementProposal
         Where it may be, then and at the start.
-    rivals : RivalPlaces
+    hypotheses : HypothesisTracker
         Tracking of alternative pose hypotheses.
     matcher : GaussNewton
-        Moves the reported pose from the mean of the particles to where the scan fits best; max_passes=0: not at
+        Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL.
-    deskew : Deskew
+    deskew : LocalizationDeskew
         Deskewing of scans with beam times.
     kld : KldSampling
         How many particles survive.
-    when_to_update : MovedAtLeast
+    when_to_update : MotionThreshold
         Which scans update the particles: by what moved since the last one that did. 0.2 m and 0.2 rad.
-    when_to_resample : EffectiveSampleSizeBelow or Always
+    when_to_resample : EffectiveSampleSizeBelow or AlwaysResample
         When resampling is worth its loss of diversity.
     resample_interval : int, >= 1
         Resample at most every n-th update.
@@ -73,7 +73,7 @@ class MonteCarloParts:
         what it hits.
     reach_m : float, m, > 0
         Distances from the map's obstacles saturate here: ten standard deviations of a beam.
-    off_free : float, (0, 1]
+    off_free_factor : float, (0, 1]
         What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
         a robot may drive where its map ends.
     lost_below : float, (0, 1]
@@ -82,9 +82,9 @@ class MonteCarloParts:
     lost_above : float, (0, 1)
         Lost probability above which the robot is lost. With two places that look alike it is far above, whatever little
         evidence a scan has.
-    follow_m : float, m, > 0
-        The lost probability of a new fix includes exp(-path / follow_m): driving on disambiguates places that look
-        alike.
+    confirm_distance_m : float, m, > 0
+        The lost probability of a new fix includes exp(-path / confirm_distance_m): driving on disambiguates places that
+        look alike.
 
     Raises
     ------
@@ -96,24 +96,24 @@ class MonteCarloParts:
     sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
-    rivals: RivalPlaces = Field(default_factory=RivalPlaces)
+    hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     matcher: GaussNewton = Field(default_factory=_matcher)
-    deskew: Deskew = Field(default_factory=Deskew)
+    deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
     kld: KldSampling = Field(default_factory=KldSampling)
-    when_to_update: MovedAtLeast = Field(default_factory=_when_to_update)
-    when_to_resample: EffectiveSampleSizeBelow | Always = Field(default_factory=EffectiveSampleSizeBelow)
+    when_to_update: MotionThreshold = Field(default_factory=_when_to_update)
+    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample = Field(default_factory=EffectiveSampleSizeBelow)
     resample_interval: int = Field(default=1, ge=1)
     max_beams: int = Field(default=120, ge=1)
     range_min_m: float = Field(default=0.05, ge=0)
     range_max_m: float = Field(default=30.0, gt=0)
     reach_m: float = Field(default=1.0, gt=0)
-    off_free: float = Field(default=0.01, gt=0, le=1)
+    off_free_factor: float = Field(default=0.01, gt=0, le=1)
     lost_below: float = Field(default=0.3, gt=0, le=1)
     lost_above: float = Field(default=0.2, gt=0, lt=1)
-    follow_m: float = Field(default=1.0, gt=0)
+    confirm_distance_m: float = Field(default=1.0, gt=0)
 
     @model_validator(mode="after")
-    def _beams_can_tell(self) -> MonteCarloParts:
+    def _check_ranges(self) -> MonteCarloConfiguration:
         if self.range_min_m >= self.range_max_m:
             raise ValueError("range_min_m must be less than range_max_m")
         if self.reach_m < self.sensor.sigma_hit_m:

@@ -7,20 +7,20 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose, inverse, transform_points
 from gridslam.models.landmark import RangeBearing, RelativePosition
+from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.models.sightings import NOTHING_SEEN, Sightings
-from gridslam.particles.policies import Never
+from gridslam.particles.policies import NeverResample
 from gridslam.slam.ekf_slam import EkfSlam
 from gridslam.slam.fastslam1 import FastSlam1
 from gridslam.slam.fastslam2 import FastSlam2
 from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_path import path
-from gridslam.slam.landmark_raft import PoseAndRaft
+from gridslam.slam.landmark_local_frame import LocalFrameBelief
+from gridslam.slam.landmark_path import smooth_trajectory
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
-STILL = GaussianIncrement.around(np.zeros(3), np.zeros(3))
+STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
 AWAY, BACK = np.array([4.0, 0.0, 0.0]), np.array([-4.0, 0.0, 0.0])
-BLIND = GaussianIncrement.around(AWAY, np.array([0.5, 0.3, 0.0]))
+BLIND = GaussianIncrement.from_std(AWAY, np.array([0.5, 0.3, 0.0]))
 
 
 def along(filters: list, steps: list) -> list:
@@ -37,14 +37,14 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     """The spell alone is uncertain, and all is linear: a particle has what EKF SLAM has, covariances too."""
     slam, ekf = FastSlam2(LandmarkFilters(SENSOR)), EkfSlam(SENSOR)
     steps = [
-        (STILL, Sightings.of([[1.0, 1.0]], [1])),
-        (BLIND, Sightings.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
-        (GaussianIncrement.around(BACK, np.zeros(3)), Sightings.of([[1.4, 0.8]], [1])),
+        (STILL, LandmarkObservations.of([[1.0, 1.0]], [1])),
+        (BLIND, LandmarkObservations.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
+        (GaussianIncrement.from_std(BACK, np.zeros(3)), LandmarkObservations.of([[1.4, 0.8]], [1])),
     ]
     state, report, other, expected = along([(slam, 3), ekf], steps[:2])
-    assert state.aboard.all()
-    assert state.adrift[:, [state.column(3), state.column(4)]].all()
-    assert not state.adrift[:, state.column(1)].any()
+    assert state.in_local_frame.all()
+    assert state.landmark_in_local_frame[:, [state.column(3), state.column(4)]].all()
+    assert not state.landmark_in_local_frame[:, state.column(1)].any()
     assert len(np.unique(state.poses, axis=0)) == 1  # nothing was drawn
     np.testing.assert_allclose(report.covariance, expected.covariance, atol=1e-12)
     state, report, other, expected = along([(slam, 3), ekf], steps)
@@ -55,23 +55,23 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     np.testing.assert_allclose(ours.positions[1:], theirs.positions[1:], atol=1e-9)
     np.testing.assert_allclose(ours.covariances[1:], theirs.covariances[1:], atol=1e-9)
     # The robot's way on the raft moves with it: what it saw there it saw from there.
-    way = path(state, state.best, [motion for motion, _ in steps])
+    way = smooth_trajectory(state, state.best, [motion for motion, _ in steps])
     np.testing.assert_allclose(way[2, :2] + [2.0, 0.5], ours.positions[1], atol=1e-9)
     np.testing.assert_allclose(way[3], report.pose, atol=1e-12)
 
 
 def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_is_linear():
     """There and back twice, with noise at every step: pose and landmarks, adrift or not, are EKF SLAM's."""
-    slam, ekf = FastSlam2(LandmarkFilters(SENSOR), when_to_resample=Never()), EkfSlam(SENSOR)
+    slam, ekf = FastSlam2(LandmarkFilters(SENSOR), when_to_resample=NeverResample()), EkfSlam(SENSOR)
     noise, rng = np.array([0.05, 0.05, 0.0]), np.random.default_rng(3)
     true, pose, steps = {1: [1.0, 1.0], 2: [0.0, -1.0], 3: [6.0, 0.5], 4: [5.0, -1.0]}, np.zeros(2), []
     for increment, names in ([STILL.increment, (1, 2)], [AWAY, (3, 4)], [AWAY * 0, (3,)], [BACK, (1,)], [AWAY, (4,)]):
         std = np.array([0.5, 0.3, 0.0]) if increment.any() else noise * bool(steps)
         pose = pose + increment[:2] + std[:2] * rng.standard_normal(2)
         seen = [true[name] - pose + rng.normal(0, 0.1, 2) for name in names]
-        steps.append((GaussianIncrement.around(increment, std), Sightings.of(seen, names)))
+        steps.append((GaussianIncrement.from_std(increment, std), LandmarkObservations.of(seen, names)))
     state, report, other, expected = along([(slam, 20_000), ekf], steps)
-    assert state.drift.any()
+    assert state.local_frame_covariances.any()
     ours, theirs = slam.landmark_map(state), ekf.landmark_map(other)
     # Means err by 0.4 m / sqrt(N_eff) = 0.01 m at most, five times that; variances by sqrt(2 / N_eff) = 3 %, and what
     # one sighting from the raft tells of landmarks across is counted less than it tells.
@@ -85,53 +85,65 @@ def test_a_raft_turns_with_all_that_is_on_it():
     """The landmarks on it stay as far from each other and from the robot aboard, however it is turned."""
     sensor = RangeBearing(sigma_range_m=0.05, sigma_bearing_rad=0.01)
     slam, rng = FastSlam2(LandmarkFilters(sensor)), np.random.default_rng(1)
-    state, _ = slam.step(slam.init(4), STILL, Sightings.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
-    blind = GaussianIncrement.around(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
-    state, _ = slam.step(state, blind, Sightings.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
-    points, before = state.positions.copy(), between(state.rafts, state.poses)
-    belief = PoseAndRaft.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
+    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
+    blind = GaussianIncrement.from_std(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
+    state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
+    points, before = state.positions.copy(), between(state.local_frames, state.poses)
+    belief = LocalFrameBelief.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
     rows = np.arange(4)
     columns = np.full(4, state.column(1))
     seen = slam.landmarks.innovation(
-        state, rows, columns, belief.mean, belief.spread(rows, columns), Sightings.of([[4.2, -0.1]]), 0
+        state,
+        rows,
+        columns,
+        belief.mean,
+        belief.covariance_seen_from(rows, columns),
+        LandmarkObservations.of([[4.2, -0.1]]),
+        0,
     )
-    rafts = state.rafts.copy()
+    local_frames = state.local_frames.copy()
     belief.correct(seen)
-    assert (np.abs(between(rafts, state.rafts)) > 1e-3).all()  # it moved and turned
-    ashore, adrift = [state.column(1), state.column(2)], [state.column(3), state.column(4)]
+    assert (np.abs(between(local_frames, state.local_frames)) > 1e-3).all()  # it moved and turned
+    ashore, landmark_in_local_frame = [state.column(1), state.column(2)], [state.column(3), state.column(4)]
     np.testing.assert_array_equal(state.positions[:, ashore], points[:, ashore])
-    moved = compose(state.rafts, inverse(rafts))
+    moved = compose(state.local_frames, inverse(local_frames))
     np.testing.assert_allclose(
-        state.positions[:, adrift], transform_points(moved[:, None], points[:, adrift]), atol=1e-12
+        state.positions[:, landmark_in_local_frame],
+        transform_points(moved[:, None], points[:, landmark_in_local_frame]),
+        atol=1e-12,
     )
-    np.testing.assert_allclose(between(state.rafts, belief.mean), before, atol=1e-12)
+    np.testing.assert_allclose(between(state.local_frames, belief.mean), before, atol=1e-12)
 
 
 def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(2)
-    state, _ = slam.step(slam.init(5), STILL, Sightings.of([[1.0, 0.0]], [1]), rng)
+    state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
     for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
-        wide = GaussianIncrement.around(AWAY, np.array([width, width, 0.1 * width]))
-        state, _ = slam.step(state, wide, Sightings.of([[1.0, 0.0]], [number]), rng)
-        assert (state.launched == 2).all()
-        assert state.adrift[:, state.column(number)].all()
+        wide = GaussianIncrement.from_std(AWAY, np.array([width, width, 0.1 * width]))
+        state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [number]), rng)
+        assert (state.local_frame_step == 2).all()
+        assert state.landmark_in_local_frame[:, state.column(number)].all()
     poses = state.poses.copy()
-    wide = GaussianIncrement.around(AWAY, np.array([2.0, 2.0, 0.5]))
-    state, _ = slam.step(state, wide, Sightings.of([[1.0, 0.0]], [4]), rng)
-    assert (state.launched == 4).all()
-    assert state.adrift.sum(axis=1).tolist() == [1] * 5
+    wide = GaussianIncrement.from_std(AWAY, np.array([2.0, 2.0, 0.5]))
+    state, _ = slam.step(state, wide, LandmarkObservations.of([[1.0, 0.0]], [4]), rng)
+    assert (state.local_frame_step == 4).all()
+    assert state.landmark_in_local_frame.sum(axis=1).tolist() == [1] * 5
     assert np.std(state.poses[:, 0]) > np.std(poses[:, 0])  # where the first raft lay was drawn at last
 
 
 def test_what_was_not_drawn_is_told_from_both_ends():
     """Two equal motions without a sighting between poses that are drawn: half of the second's error is the first's."""
     slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(4)
-    wide = GaussianIncrement.around(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
+    wide = GaussianIncrement.from_std(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
     motions = [STILL, wide, wide, wide]
-    state, _ = slam.step(slam.init(1), STILL, Sightings.of([[5.0, 0.0]], [1]), rng)
-    for motion, seen in ((wide, NOTHING_SEEN), (wide, Sightings.of([[2.4, 0.6]], [1])), (wide, NOTHING_SEEN)):
+    state, _ = slam.step(slam.init(1), STILL, LandmarkObservations.of([[5.0, 0.0]], [1]), rng)
+    for motion, seen in (
+        (wide, NO_OBSERVATIONS),
+        (wide, LandmarkObservations.of([[2.4, 0.6]], [1])),
+        (wide, NO_OBSERVATIONS),
+    ):
         state, _ = slam.step(state, motion, seen, rng)
-    way, told = path(state, 0, motions), state.ancestry.trajectory(0)[:, :3]
+    way, told = smooth_trajectory(state, 0, motions), state.ancestry.trajectory(0)[:, :3]
     np.testing.assert_allclose(way[[0, 1, 3]], told[[0, 1, 3]])
     np.testing.assert_allclose(way[2], told[3] / 2, atol=1e-12)
     np.testing.assert_allclose(way[4], compose(told[3], [1.0, 0.0, 0.0]), atol=1e-12)
@@ -141,14 +153,14 @@ def test_fastslam1_draws_every_pose():
     slam, rng = FastSlam1(LandmarkFilters(SENSOR)), np.random.default_rng(5)
     state = slam.init(4)
     for _ in range(3):
-        state, _ = slam.step(state, BLIND, NOTHING_SEEN, rng)
-    np.testing.assert_array_equal(path(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
+        state, _ = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
+    np.testing.assert_array_equal(smooth_trajectory(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
 
 
 @pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
 def test_without_uncertainty_there_is_no_raft(kind):
     slam, rng = kind(LandmarkFilters(SENSOR)), np.random.default_rng(6)
-    state, _ = slam.step(slam.init(4), STILL, Sightings.of([[1.0, 0.0]], [1]), rng)
-    state, _ = slam.step(state, BLIND, Sightings.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
-    assert not state.drift.any()
-    assert not state.adrift.any()
+    state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
+    state, _ = slam.step(state, BLIND, LandmarkObservations.of([[-3.0, 0.0], [2.0, 0.0]], [1, 2]), rng)
+    assert not state.local_frame_covariances.any()
+    assert not state.landmark_in_local_frame.any()

@@ -17,30 +17,30 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, projected, times, transposed
+from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from gridslam.slam.landmark_filters import Innovation
     from gridslam.slam.landmark_particles import LandmarkParticles
 
-__all__ = ["PoseAndRaft", "lever"]
+__all__ = ["LocalFrameBelief", "lever_arm_jacobian"]
 
 _ROUNDING = 1e-12  # of a variance: where less than that is left, its correlations are nonsense
 _EXACT = 1e-6  # m^2 and rad^2: what is known to 1 mm and 1 mrad is not known better by less
 
 
-def lever(rafts: FloatArray, points: FloatArray) -> FloatArray:
+def lever_arm_jacobian(local_frames: FloatArray, points: FloatArray) -> FloatArray:
     """Jacobians (..., 3, 3), for points two rows, of poses or points (..., 2 and more) by local frames (..., 3)."""
     moves = np.zeros((*points.shape[:-1], 3, 3))
     moves[..., 0, 0] = moves[..., 1, 1] = moves[..., 2, 2] = 1.0
-    moves[..., 0, 2], moves[..., 1, 2] = rafts[..., 1] - points[..., 1], points[..., 0] - rafts[..., 0]
+    moves[..., 0, 2], moves[..., 1, 2] = local_frames[..., 1] - points[..., 1], points[..., 0] - local_frames[..., 0]
     return moves
 
 
 @final
 @dataclass(slots=True, eq=False)
-class PoseAndRaft:
+class LocalFrameBelief:
     """Joint Gaussian of the pose and of the local frame of each particle within one step.
 
     With the error e of the pose and the error d of the local frame, the pose errs by e + s L d, where s is 1 if the
@@ -57,7 +57,7 @@ class PoseAndRaft:
     covariance : (N, 3 + B, 3 + B) or (N, 6, 6) float64
         Of e and b, or of e and d if any particle has a local frame.
     replaced : (N, 5) float64 or None
-        `state.rafts_now()` with the last pose of local frames that were replaced.
+        `state.current_local_frames()` with the last pose of local frames that were replaced.
     """
 
     state: LandmarkParticles
@@ -66,12 +66,12 @@ class PoseAndRaft:
     replaced: FloatArray | None = None
 
     @classmethod
-    def of(cls, state: LandmarkParticles, mean: FloatArray, spread: FloatArray) -> PoseAndRaft:
+    def of(cls, state: LandmarkParticles, mean: FloatArray, spread: FloatArray) -> LocalFrameBelief:
         """Begin a step with means (N, 3 + B) and covariances (N, 3 + B, 3 + B)."""
-        if not state.drift.any():
+        if not state.local_frame_covariances.any():
             return cls(state, mean, spread)
         covariance = np.zeros((len(mean), 6, 6))
-        covariance[:, :3, :3], covariance[:, 3:, 3:] = spread, state.drift
+        covariance[:, :3, :3], covariance[:, 3:, 3:] = spread, state.local_frame_covariances
         return cls(state, mean, covariance)
 
     @property
@@ -80,32 +80,32 @@ class PoseAndRaft:
         return self.mean[:, :3]
 
     @property
-    def learns(self) -> bool:
+    def estimates_bias(self) -> bool:
         """Whether errors of the odometry are learned."""
         return bool(self.mean.shape[1] > 3)
 
     @property
-    def floats(self) -> bool:
+    def has_local_frames(self) -> bool:
         """Whether any particle has a local frame."""
         return bool(self.covariance.shape[1] > self.mean.shape[1])
 
-    def spread(self, rows: IntArray, columns: IntArray) -> FloatArray:
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
-        if not (self.learns or self.floats):
+        if not (self.estimates_bias or self.has_local_frames):
             return self.covariance[rows]
-        return projected(self._errors_seen_from(rows, columns), self.covariance[rows])
+        return transform_covariances(self._errors_seen_from(rows, columns), self.covariance[rows])
 
-    def reach(self) -> FloatArray:
+    def bound_covariance(self) -> FloatArray:
         """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""
-        if self.learns:
-            turned = projected(self.state.positions_by_bias, self.covariance[:, None, 3:, 3:])
+        if self.estimates_bias:
+            turned = transform_covariances(self.state.positions_by_bias, self.covariance[:, None, 3:, 3:])
             most = np.trace(turned, axis1=2, axis2=3).max(axis=1, initial=0.0)
             return np.asarray(2 * (self.covariance[:, :3, :3] + most[:, None, None] * np.diag([1.0, 1.0, 0.0])))
-        if not self.floats:
+        if not self.has_local_frames:
             return self.covariance
-        L = lever(self.state.rafts, self.mean)
+        L = lever_arm_jacobian(self.state.local_frames, self.mean)
         # Of e +- L d, whose covariance between the two is at most what they have by themselves.
-        return np.asarray(2 * (self.covariance[:, :3, :3] + projected(L, self.covariance[:, 3:, 3:])))
+        return np.asarray(2 * (self.covariance[:, :3, :3] + transform_covariances(L, self.covariance[:, 3:, 3:])))
 
     def correct(self, seen: Innovation) -> None:
         """Condition on an observation, where it has a landmark.
@@ -114,87 +114,88 @@ class PoseAndRaft:
         may be singular.
         """
         rows, before = seen.rows, self.covariance[seen.rows]
-        more = self.learns or self.floats
+        more = self.estimates_bias or self.has_local_frames
         H = seen.by_pose @ self._errors_seen_from(rows, seen.columns) if more else seen.by_pose
-        shared = before @ transposed(H)
+        shared = before @ transpose(H)
         gain = shared @ inverse_2x2(seen.covariances)
-        shift = times(gain, seen.residuals)
-        self.covariance[rows] = before - gain @ transposed(shared)
+        shift = matvec(gain, seen.residuals)
+        self.covariance[rows] = before - gain @ transpose(shared)
         self.mean[rows] += shift[:, : self.mean.shape[1]]
         self.mean[:, 2] = wrap(self.mean[:, 2])
-        if self.floats:
+        if self.has_local_frames:
             self._move(rows, shift[:, 3:])
-        elif self.learns:
+        elif self.estimates_bias:
             turned = self.state.positions_by_bias[rows] @ shift[:, None, 3:, None]
             self.state.positions[rows] += turned[..., 0]
 
-    def launch(self, only_new: IntArray, rng: np.random.Generator) -> None:
+    def open_local_frame(self, only_new: IntArray, rng: np.random.Generator) -> None:
         """Open a new local frame, with the covariance of the pose, in particles (R,) that observe only new landmarks.
 
         It replaces a less uncertain local frame, which is sampled: each particle has one.
         """
-        if self.learns:
+        if self.estimates_bias:
             return
         own = self.covariance[only_new, :3, :3]
-        rows = only_new[_volume(own) > _volume(self.state.drift[only_new])]
+        rows = only_new[_volume(own) > _volume(self.state.local_frame_covariances[only_new])]
         if not len(rows):
             return
         state = self.state
-        if self.floats:
+        if self.has_local_frames:
             still = np.zeros((len(rows), 3))
             self._move(rows, draw_poses(still, self.covariance[rows, 3:, 3:], rng))
         else:
             self.covariance = np.pad(self.covariance, ((0, 0), (0, 3), (0, 3)))
         self.covariance[rows, 3:, 3:] = self.covariance[rows, :3, :3]
         self.covariance[rows, :3, :3] = 0.0
-        state.aboard[rows] = False
-        self.replaced = state.rafts_now()
-        state.rafts[rows], state.aboard[rows], state.adrift[rows] = self.mean[rows], True, False
-        state.launched[rows] = state.ancestry.steps  # the step that is being taken
+        state.in_local_frame[rows] = False
+        self.replaced = state.current_local_frames()
+        state.local_frames[rows] = self.mean[rows]
+        state.in_local_frame[rows], state.landmark_in_local_frame[rows] = True, False
+        state.local_frame_step[rows] = state.ancestry.steps  # the step that is being taken
 
     def draw(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Sample the part of the poses that is independent of the Gaussian parts.
 
         Returns poses and errors of the odometry (N, 3 + B), and what covariance (N, 3 + B, 3 + B) is left.
         """
-        if self.floats:
-            return self._draw_by_raft(rng)
+        if self.has_local_frames:
+            return self._draw_by_local_frame(rng)
         own, left = self.covariance, np.zeros_like(self.covariance)
-        if self.learns:
-            own, left = _apart_from_bias(self.covariance)
+        if self.estimates_bias:
+            own, left = _split_off_bias(self.covariance)
         self.mean[:, :3] = draw_poses(self.mean[:, :3], own, rng)
         return self.mean, left
 
-    def _draw_by_raft(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def _draw_by_local_frame(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Sample the poses in the frame with the smaller covariance and condition the local frame on them."""
         state = self.state
         seen_from = [self._errors(np.full(len(state), side)) for side in (False, True)]
-        in_map, on_raft = (projected(errors, self.covariance) for errors in seen_from)
+        in_map, on_raft = (transform_covariances(errors, self.covariance) for errors in seen_from)
         better = _volume(on_raft) - _volume(in_map)
-        aboard = (better < 0) | (state.aboard & (better == 0))
-        own, errors = (np.where(aboard[:, None, None], b, a) for a, b in ((in_map, on_raft), seen_from))
+        in_local_frame = (better < 0) | (state.in_local_frame & (better == 0))
+        own, errors = (np.where(in_local_frame[:, None, None], b, a) for a, b in ((in_map, on_raft), seen_from))
         poses = draw_poses(self.mean, own, rng)
         drawn = poses - self.mean
         drawn[:, 2] = wrap(drawn[:, 2])
-        shared = self.covariance[:, 3:] @ transposed(errors)
+        shared = self.covariance[:, 3:] @ transpose(errors)
         gain = shared @ np.linalg.pinv(own, hermitian=True)
-        state.drift = self.covariance[:, 3:, 3:] - gain @ transposed(shared)
-        state.aboard, self.mean = aboard, poses
-        self._move(np.arange(len(state)), times(gain, drawn))
+        state.local_frame_covariances = self.covariance[:, 3:, 3:] - gain @ transpose(shared)
+        state.in_local_frame, self.mean = in_local_frame, poses
+        self._move(np.arange(len(state)), matvec(gain, drawn))
         return self.mean, np.zeros_like(own)
 
-    def apart(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
+    def cross_frame_covariance(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Covariance (R, 3, 3) that drawn poses have as seen from landmarks (rows, columns) on the other side."""
-        if not self.floats:
+        if not self.has_local_frames:
             return None
-        other = self.state.aboard[rows] != self.state.adrift[rows, columns]
-        L = lever(self.state.rafts[rows], self.mean[rows])
-        return np.asarray(projected(L, self.state.drift[rows]) * other[:, None, None])
+        other = self.state.in_local_frame[rows] != self.state.landmark_in_local_frame[rows, columns]
+        L = lever_arm_jacobian(self.state.local_frames[rows], self.mean[rows])
+        return np.asarray(transform_covariances(L, self.state.local_frame_covariances[rows]) * other[:, None, None])
 
     def _errors_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
         """Jacobians (R, 3, 3 + B or 6) of the poses' errors as seen from landmarks (rows, columns)."""
-        if self.floats:
-            return self._errors(self.state.adrift[rows, columns], rows)
+        if self.has_local_frames:
+            return self._errors(self.state.landmark_in_local_frame[rows, columns], rows)
         errors = np.zeros((len(rows), *self.covariance.shape[1:]))[:, :3]
         errors[:, :, :3] = np.eye(3)
         errors[:, :2, 3:] = -self.state.positions_by_bias[rows, columns]
@@ -205,29 +206,29 @@ class PoseAndRaft:
         state = self.state
         errors = np.zeros((len(sides), 3, 6))
         errors[:, :, :3] = np.eye(3)
-        across = state.aboard[rows].astype(float) - sides
-        errors[:, :, 3:] = across[:, None, None] * lever(state.rafts[rows], self.mean[rows])
+        across = state.in_local_frame[rows].astype(float) - sides
+        errors[:, :, 3:] = across[:, None, None] * lever_arm_jacobian(state.local_frames[rows], self.mean[rows])
         return errors
 
     def _move(self, rows: IntArray, by: FloatArray) -> None:
         """Move local frames by (R, 3) with all their landmarks."""
-        state, before = self.state, self.state.rafts[rows]
+        state, before = self.state, self.state.local_frames[rows]
         after = before + by
         after[:, 2] = wrap(after[:, 2])
         moved = compose(after, inverse(before))
-        state.rafts[rows] = after
+        state.local_frames[rows] = after
         points = state.positions[rows]
-        on = state.adrift[rows]
+        on = state.landmark_in_local_frame[rows]
         state.positions[rows] = np.where(on[:, :, None], transform_points(moved[:, None], points), points)
-        aboard = state.aboard[rows]
-        self.mean[rows] = np.where(aboard[:, None], compose(moved, self.mean[rows]), self.mean[rows])
+        in_local_frame = state.in_local_frame[rows]
+        self.mean[rows] = np.where(in_local_frame[:, None], compose(moved, self.mean[rows]), self.mean[rows])
 
 
-def _apart_from_bias(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _split_off_bias(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Split joint covariances (N, 3 + B, 3 + B): what of the poses is independent of the errors (N, 3, 3), the rest."""
-    rest = (covariances + transposed(covariances)) / 2  # what is never drawn adds up its rounding, too
+    rest = (covariances + transpose(covariances)) / 2  # what is never drawn adds up its rounding, too
     whole, shared = rest[:, :3, :3].copy(), rest[:, :3, 3:]
-    rest[:, :3, :3] = shared @ np.linalg.inv(rest[:, 3:, 3:]) @ transposed(shared)
+    rest[:, :3, :3] = shared @ np.linalg.inv(rest[:, 3:, 3:]) @ transpose(shared)
     return whole - rest[:, :3, :3] + _ROUNDING * np.eye(3) * whole, rest
 
 

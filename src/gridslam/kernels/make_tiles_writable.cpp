@@ -6,12 +6,12 @@
 
 namespace gridslam {
 
-void own(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
-         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* touched, int64_t n, int64_t used[3]) {
+void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
+                         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* tiles_to_write, int64_t n, int64_t used[3]) {
   int64_t pages_left = n_free_pages, tiles_left = n_free_tiles;
   int64_t i = 0;
   for (; i < n; ++i) {
-    const int32_t row = touched[3 * i], ty = touched[3 * i + 1], tx = touched[3 * i + 2];
+    const int32_t row = tiles_to_write[3 * i], ty = tiles_to_write[3 * i + 1], tx = tiles_to_write[3 * i + 2];
     int32_t& page = m.root(row)[((ty >> kPageBits) - m.page_row0) * m.page_cols + (tx >> kPageBits) - m.page_col0];
     if (page == 0 || page_refs[page] > 1) {
       if (pages_left == 0) break;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels.reference_update import FloatArray, placed
+from gridslam.kernels.reference_update import FloatArray, transform_to_world
 
 __all__ = ["sum_at_ends"]
 
@@ -32,7 +32,7 @@ def _sums(
     patches: NDArray[np.uint32], corner: FloatArray, resolution: float, poses: FloatArray, ends: FloatArray
 ) -> FloatArray:
     rows, columns = patches.shape
-    x, y = placed(poses, ends)
+    x, y = transform_to_world(poses, ends)
     u = np.clip((x - corner[0]) / resolution - 0.5, 0, np.nextafter(columns, 0))
     v = np.clip((y - corner[1]) / resolution - 0.5, 0, np.nextafter(rows, 0))
     column, row = u.astype(np.int64), v.astype(np.int64)

@@ -9,15 +9,15 @@ import pytest
 
 from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap, MonteCarloLocalization
-from gridslam.localization.belief import Estimate
-from gridslam.localization.rivals import NO_RIVALS, RivalPlaces, Rivals
+from gridslam.localization.belief import PoseEstimate
+from gridslam.localization.pose_hypotheses import NO_HYPOTHESES, HypothesisTracker, PoseHypotheses
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import OccupancyGrid
 
 HERE = np.array([1.0, 1.0, 0.0])
 THERE = np.array([9.0, 5.0, 3.0])
-ALONE = Estimate(HERE, np.eye(3) * 1e-4, 1.0)
+ALONE = PoseEstimate(HERE, np.eye(3) * 1e-4, 1.0)
 CLOUD, EVEN = HERE[None], np.ones(1)
 STILL = np.zeros(3)
 
@@ -31,41 +31,41 @@ def agreeing(*places: tuple[np.ndarray, float]):
     return agree
 
 
-FIXED = RivalPlaces(jitter_m=0.0, jitter_rad=0.0)
+FIXED = HypothesisTracker(jitter_m=0.0, jitter_rad=0.0)
 
 
-def followed(rivals: Rivals, agree, steps: int):
+def followed(hypotheses: PoseHypotheses, agree, steps: int):
     rng = np.random.default_rng(0)
     for _ in range(steps):
-        rivals = FIXED(rivals, STILL, ALONE, CLOUD, EVEN, agree, rng)
-    return rivals
+        hypotheses = FIXED(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
+    return hypotheses
 
 
 def test_each_cluster_becomes_a_rival_but_that_which_is_told():
     rng = np.random.default_rng(1)
     poses = np.concatenate([place + 0.05 * rng.standard_normal((100, 3)) for place in (HERE, THERE, [4.0, 8.0, -1.0])])
     weights = np.repeat([0.005, 0.004, 0.001], 100)
-    told = Estimate(HERE, np.eye(3), 0.5)
+    told = PoseEstimate(HERE, np.eye(3), 0.5)
     agree = agreeing((HERE, 0.8), (THERE, 0.8), (np.array([4.0, 8.0, -1.0]), 0.8))
-    rivals = RivalPlaces()(NO_RIVALS, STILL, told, poses, weights, agree, rng)
-    np.testing.assert_allclose(rivals.poses, [THERE, [4.0, 8.0, -1.0]], atol=0.3)
-    np.testing.assert_array_equal(rivals.log_odds, 0)
-    assert rivals.odds == pytest.approx(2)
-    assert len(RivalPlaces(most=1)(NO_RIVALS, STILL, told, poses, weights, agree, rng).poses) == 1
-    assert len(RivalPlaces(least_mass=0.2)(NO_RIVALS, STILL, told, poses, weights, agree, rng).poses) == 1
+    hypotheses = HypothesisTracker()(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng)
+    np.testing.assert_allclose(hypotheses.poses, [THERE, [4.0, 8.0, -1.0]], atol=0.3)
+    np.testing.assert_array_equal(hypotheses.log_odds, 0)
+    assert hypotheses.odds == pytest.approx(2)
+    assert len(HypothesisTracker(max_hypotheses=1)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
+    assert len(HypothesisTracker(min_mass=0.2)(NO_HYPOTHESES, STILL, told, poses, weights, agree, rng).poses) == 1
 
 
 def test_what_looks_the_same_stays_and_what_looks_otherwise_goes():
-    rival = Rivals(THERE[None], np.zeros(1))
+    rival = PoseHypotheses(THERE[None], np.zeros(1))
     within = followed(rival, agreeing((HERE, 0.80), (THERE, 0.76)), 500)
     np.testing.assert_array_equal(within.log_odds, 0)  # by less than the map's own errors, 500 times
     once = followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 1)
-    assert once.log_odds[0] == pytest.approx(-FIXED.nats * (0.4 - FIXED.margin))
+    assert once.log_odds[0] == pytest.approx(-FIXED.log_odds_per_scan * (0.4 - FIXED.margin))
     assert not len(followed(rival, agreeing((HERE, 0.8), (THERE, 0.4)), 3).poses)
 
 
 def test_one_that_fits_better_is_believed_more_than_what_is_told():
-    better = followed(Rivals(THERE[None], np.zeros(1)), agreeing((HERE, 0.4), (THERE, 0.8)), 10)
+    better = followed(PoseHypotheses(THERE[None], np.zeros(1)), agreeing((HERE, 0.4), (THERE, 0.8)), 10)
     assert better.odds > 1
     assert math.isfinite(better.odds)
 
@@ -73,12 +73,14 @@ def test_one_that_fits_better_is_believed_more_than_what_is_told():
 def test_rivals_move_with_the_robot_and_merge_where_they_meet():
     rng, moved = np.random.default_rng(2), np.array([0.5, 0.0, 0.2])
     both = np.array([THERE, THERE + np.array([0.3, 0.2, 0.1]), HERE + np.array([0.2, 0.0, 0.0])])
-    told = Estimate(compose(HERE, moved), np.eye(3) * 1e-4, 1.0)
+    told = PoseEstimate(compose(HERE, moved), np.eye(3) * 1e-4, 1.0)
     fits = agreeing((told.pose, 1.0), (compose(THERE, moved), 1.0))
-    rivals = RivalPlaces()(Rivals(both, np.array([-0.5, -0.1, 0.0])), moved, told, told.pose[None], EVEN, fits, rng)
-    assert len(rivals.poses) == 1
-    np.testing.assert_allclose(rivals.poses[0], compose(THERE, moved), atol=0.3)
-    assert rivals.log_odds[0] == -0.5
+    hypotheses = HypothesisTracker()(
+        PoseHypotheses(both, np.array([-0.5, -0.1, 0.0])), moved, told, told.pose[None], EVEN, fits, rng
+    )
+    assert len(hypotheses.poses) == 1
+    np.testing.assert_allclose(hypotheses.poses[0], compose(THERE, moved), atol=0.3)
+    assert hypotheses.log_odds[0] == -0.5
 
 
 def test_where_it_fits_best_nearby_is_where_a_rival_is_held():
@@ -88,10 +90,10 @@ def test_where_it_fits_best_nearby_is_where_a_rival_is_held():
     def agree(poses: np.ndarray) -> np.ndarray:
         return np.where(poses[:, 0] > 5, 1 - 10 * np.hypot(*(poses[:, :2] - place[:2]).T), 1.0)
 
-    rng, rivals = np.random.default_rng(3), Rivals(THERE[None], np.zeros(1))
+    rng, hypotheses = np.random.default_rng(3), PoseHypotheses(THERE[None], np.zeros(1))
     for _ in range(5):
-        rivals = RivalPlaces(nats=0.0)(rivals, STILL, ALONE, CLOUD, EVEN, agree, rng)
-    assert np.hypot(*(rivals.poses[0] - place)[:2]) < 0.03
+        hypotheses = HypothesisTracker(log_odds_per_scan=0.0)(hypotheses, STILL, ALONE, CLOUD, EVEN, agree, rng)
+    assert np.hypot(*(hypotheses.poses[0] - place)[:2]) < 0.03
 
 
 def symmetric_room() -> tuple[KnownMap, World]:

@@ -9,15 +9,15 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.arguments import frozen
+from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.models.motion import GaussianIncrement
 from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
-__all__ = ["NOTHING_SEEN", "LandmarkStep", "SightingKind", "Sightings"]
+__all__ = ["NO_OBSERVATIONS", "LandmarkObservations", "LandmarkStep", "ObservationKind"]
 
 
-class SightingKind(Enum):
+class ObservationKind(Enum):
     """Type of the two numbers of an observation."""
 
     RANGE_BEARING = "range (m) and bearing (rad)"
@@ -27,13 +27,13 @@ class SightingKind(Enum):
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class Sightings:
+class LandmarkObservations:
     """Landmark observations at one time: z_t, and c_t if known.
 
     Attributes
     ----------
     values : (K, 2) float64
-        Measurements, of the type given by `SightingKind`, in the robot's frame.
+        Measurements, of the type given by `ObservationKind`, in the robot's frame.
     landmarks : (K,) int64 or None
         The signature of each, by which it is known again; None where nothing is known. No two are the same.
     covariances : (K, 2, 2) float64 or None
@@ -47,14 +47,14 @@ class Sightings:
     @classmethod
     def of(
         cls, values: ArrayLike, landmarks: ArrayLike | None = None, covariances: ArrayLike | None = None
-    ) -> Sightings:
+    ) -> LandmarkObservations:
         """Validate and copy; raises ArgumentError for a wrong shape, a value that is not finite, a landmark twice."""
-        z = frozen(values, np.float64, (None, 2), "values")
+        z = freeze(values, np.float64, (None, 2), "values")
         count = len(z)
-        names = None if landmarks is None else frozen(landmarks, np.int64, (count,), "landmarks")
-        spread = None if covariances is None else frozen(covariances, np.float64, (count, 2, 2), "covariances")
+        names = None if landmarks is None else freeze(landmarks, np.int64, (count,), "landmarks")
+        spread = None if covariances is None else freeze(covariances, np.float64, (count, 2, 2), "covariances")
         if not np.isfinite(z).all() or (spread is not None and not np.isfinite(spread).all()):
-            raise ArgumentError("sightings", "finite numbers", "a value that is not")
+            raise ArgumentError("observations", "finite numbers", "a value that is not")
         if names is not None and len(np.unique(names)) < count:
             raise ArgumentError("landmarks", "each landmark once at a time", names.tolist())
         return cls(z, names, spread)
@@ -63,12 +63,12 @@ class Sightings:
         """Return the number K of observations."""
         return len(self.values)
 
-    def anonymous(self) -> Sightings:
+    def drop_correspondences(self) -> LandmarkObservations:
         """Return the same observations without correspondences."""
-        return Sightings(self.values, None, self.covariances)
+        return LandmarkObservations(self.values, None, self.covariances)
 
 
-NOTHING_SEEN = Sightings.of(np.empty((0, 2)), np.empty(0, np.int64))
+NO_OBSERVATIONS = LandmarkObservations.of(np.empty((0, 2)), np.empty(0, np.int64))
 """The observations of a step at which no landmark was observed."""
 
 
@@ -85,14 +85,14 @@ class LandmarkStep:
         The robot now, seen from where it was at the step before, by its odometry [x m, y m, theta rad].
     covariance : (3, 3) float64 or None
         Of the increment, in the frame of the last pose, if the log contains it; None leaves it to the motion model.
-    sightings : Sightings
+    observations : LandmarkObservations
         Landmarks seen now; perhaps none.
     """
 
     stamp_ns: int
     increment: FloatArray
     covariance: FloatArray | None
-    sightings: Sightings
+    observations: LandmarkObservations
 
     def motion(self, model: MotionModel) -> MotionSampler:
         """p(x_t | u_t, x_{t-1}): with the increment's own covariance if the log contains one, else by the model."""
