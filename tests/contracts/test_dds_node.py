@@ -16,7 +16,7 @@ cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ro
 from dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
 from localization_world import drive as flat_drive  # noqa: E402
 from localization_world import flat_map  # noqa: E402
-from onlookers import Onlooker  # noqa: E402
+from page_client import PageClient  # noqa: E402
 from ros_node import scan_message  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
@@ -76,17 +76,17 @@ def test_scans_and_transforms_in_map_and_transform_out(running):
 def test_its_page_shows_the_map(running):
     assert running.node.says("live at http://127.0.0.1:")
     url = running.node.log.read_text().split("live at ")[1].split()[0]
-    onlooker = Onlooker()
+    client = PageClient()
     with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
         def seen():
-            onlooker.receive(line.recv(60))
-            line.send(json.dumps({"do": "got"}))
-            return len(onlooker.tiles) > 10 and onlooker.status["scans"] >= 50
+            client.receive(line.recv(60))
+            line.send(json.dumps({"do": "ack"}))
+            return len(client.tiles) > 10 and client.status["scans"] >= 50
 
-        assert until(seen), onlooker.status
-    assert (onlooker.hello["mode"], onlooker.hello["title"]) == ("robot", "ROS 2")
-    assert onlooker.status["stage"] == "running"
+        assert until(seen), client.status
+    assert (client.run_info["mode"], client.run_info["title"]) == ("robot", "ROS 2")
+    assert client.status["stage"] == "running"
 
 
 def asked(peer: Peer, service: str, kind: str, value: Any) -> Any:

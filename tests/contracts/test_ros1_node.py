@@ -178,7 +178,7 @@ def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
     assert int(values["accepted"]) >= 190
     assert values["dropped"] == "0"
     assert "OccupancyGrid" in ros.run("rostopic", "type", "/map")
-    assert "frame_id: \"map\"" in ros.run("rostopic", "echo", "-n", "1", "/map/header")
+    assert 'frame_id: "map"' in ros.run("rostopic", "echo", "-n", "1", "/map/header")
     assert "success: True" in ros.run("rosservice", "call", "/slam_gmapping/save")
     node.send_signal(signal.SIGINT)
     assert node.wait(60) == 0, ros.log("node")
@@ -198,9 +198,12 @@ def test_a_converted_log_is_played_twice_and_the_services_serve(ros, data_dir, t
     convert_log(data_dir / "intel.clf.bz2", bag, options=LogOptions(duration_s=60.0))
     old = "_map_frame:=/map", "_odom_frame:=/odom"  # as before tf2, whose listeners refuse the slash
     ros.node("scan:=scan", "_particles:=5", "_linearUpdate:=0.5", "_map_update_interval:=0.3", *old, *PATIENT)
-    assert "ERROR" in subprocess.run(
-        ["rosservice", "call", "/dynamic_map"], env=ros.environment, capture_output=True, text=True, timeout=120
-    ).stderr
+    assert (
+        "ERROR"
+        in subprocess.run(
+            ["rosservice", "call", "/dynamic_map"], env=ros.environment, capture_output=True, text=True, timeout=120
+        ).stderr
+    )
     first = ros.play(bag, 15)
     assert first["diagnostics"]["values"]["session"] == "1"
     assert first["map"]["counts"]["0"] > 1000

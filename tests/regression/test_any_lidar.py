@@ -56,9 +56,11 @@ def error_m(log: SimulatedLog) -> float:
         ({"beams": 460, "fewest_beams": 454}, 0.045),
         ({"beams": 181, "field_of_view_rad": math.pi, "heading_rad": math.pi, "x_m": -0.2}, 0.12),
     ],
-    ids=lambda value: " ".join(f"{k}={v:.4}" if isinstance(v, float) else f"{k}={v}" for k, v in value.items())
-    if isinstance(value, dict)
-    else "",
+    ids=lambda value: (
+        " ".join(f"{k}={v:.4}" if isinstance(v, float) else f"{k}={v}" for k, v in value.items())
+        if isinstance(value, dict)
+        else ""
+    ),
 )
 def test_kinds_of_lidars(kind, band_m):
     assert error_m(recorded(lidar(**kind))) < band_m
@@ -83,8 +85,9 @@ def test_bearings_in_no_order_and_at_no_equal_steps():
 
     def chosen(scan: LaserScan) -> LaserScan:
         some = rng.choice(720, 200, replace=False)
-        ranges, geometry = scan.ranges[some].astype(np.float32), ScanGeometry.planar(
-            scan.geometry.bearings[some], [0.1, 0.0, 0.0]
+        ranges, geometry = (
+            scan.ranges[some].astype(np.float32),
+            ScanGeometry.planar(scan.geometry.bearings[some], [0.1, 0.0, 0.0]),
         )
         return LaserScan.from_ranges(scan.stamp_ns, ranges, geometry, range_max_m=scan.range_max_m)
 

@@ -91,7 +91,7 @@ def live_page(
         if page.viewers:
             click.echo("gridslam: the page stays open while it is looked at; Ctrl-C ends it", err=True)
             try:
-                page.linger()
+                page.serve_until_left()
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
 
@@ -107,9 +107,9 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     with served(page):
 
         def hear(told: Diagnostics) -> None:
-            page.say(told.summary if told.level else "")
+            page.show_message(told.summary if told.level else "")
 
-        core.watch(page.observer, page.session, hear)
+        core.watch(page.observer, page.follow_session, hear)
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield
 
@@ -118,7 +118,7 @@ def watched(
     source: Iterable[Measurement], page: LivePage | None, recording: RerunRecording | None, watch: Stopwatch
 ) -> Iterator[Measurement]:
     """The measurements of a log, each when the page's viewers want it, and recorded."""
-    held = iter(source) if page is None else page.paced(source, watch)
+    held = iter(source) if page is None else page.pace(source, watch)
     return held if recording is None else recording.followed(held)
 
 

@@ -96,7 +96,7 @@ def _shown(
     onlookers: list[LocalizationObserver] = [] if page is None else [page.observer]
     onlookers += [] if recording is None else [recording]
     if page is not None:
-        page.tell_progress(lambda: source.statistics.share_read)
+        page.set_progress(lambda: source.statistics.share_read)
     with reading_progress(lambda: source.statistics, shown=shown) as show:
 
         def observe(report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:

@@ -77,7 +77,7 @@ def map_shown(
     onlookers += [] if recording is None else [recording]
 
     if page is not None:
-        page.tell_progress(lambda: source.statistics.share_read)
+        page.set_progress(lambda: source.statistics.share_read)
     with progress(lambda: source.statistics, shown=shown) as show:
 
         def observe(report: StepReport, state: GridFastSlamState, seconds: float) -> None:

@@ -18,8 +18,8 @@ def view(out: Path, live: LiveOptions) -> None:
     from gridslam.live.replay import ReplayPage
 
     with served(ReplayPage(out, live)) as page:
-        if page.lacks:
-            click.echo(f"gridslam: {out}: {page.lacks}", err=True)
+        if page.missing:
+            click.echo(f"gridslam: {out}: {page.missing}", err=True)
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
         try:
             threading.Event().wait()

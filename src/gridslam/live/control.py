@@ -9,19 +9,19 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["Control", "RobotControl", "checked_particle", "checked_speed"]
+__all__ = ["Control", "RobotControl", "check_particle", "check_speed"]
 
-_LONGEST_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
+_MAX_WAIT_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
 
 
-def checked_speed(times: float | None) -> float | None:
+def check_speed(factor: float | None) -> float | None:
     """A speed that a viewer asks for; ArgumentError where it is out of range."""
-    if times is not None and not 0.01 <= times <= 1e4:
-        raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
-    return times
+    if factor is not None and not 0.01 <= factor <= 1e4:
+        raise ArgumentError("factor", "0.01 to 10000, or null for as fast as can be", factor)
+    return factor
 
 
-def checked_particle(particle: object, count: int) -> int:
+def check_particle(particle: object, count: int) -> int:
     """An index of `count` particles that a viewer asks for; ArgumentError where it is none."""
     if not isinstance(particle, int) or not 0 <= particle < count:
         raise ArgumentError("particle", f"an index below {count}", particle)
@@ -43,7 +43,7 @@ class Control:
         self._changed = threading.Condition()
         self._speed, self._paused, self._ended = speed, False, False
         self._steps, self._to_key_scan = 0, False
-        self._since: tuple[float, int] | None = None  # a moment, and the stamp that belonged to it
+        self._anchor: tuple[float, int] | None = None  # a moment, and the stamp that belonged to it
 
     @property
     def paused(self) -> bool:
@@ -72,7 +72,7 @@ class Control:
     def set_speed(self, speed: float | None) -> None:
         """Go so many times as fast as the robot drove; None for as fast as can be."""
         with self._changed:
-            self._speed, self._since = speed, None
+            self._speed, self._anchor = speed, None
             self._changed.notify_all()
 
     def end(self) -> None:
@@ -86,12 +86,12 @@ class Control:
         with self._changed:
             self._changed.notify_all()
 
-    def reached_key_scan(self) -> None:
+    def on_key_scan(self) -> None:
         """A step that was to go to the next key scan is done."""
         self._to_key_scan = False
 
-    def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
-        """Return when the scan of this stamp may go, and whether that took a wait; meanwhile call `meanwhile`."""
+    def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
+        """Return when the scan of this stamp may go, and whether that took a wait; meanwhile call `on_wait`."""
         waited = False
         while True:
             with self._changed:
@@ -99,8 +99,8 @@ class Control:
                 if delay <= 0:
                     return waited
                 if waited:
-                    self._changed.wait(min(delay, _LONGEST_S))
-            meanwhile()
+                    self._changed.wait(min(delay, _MAX_WAIT_S))
+            on_wait()
             waited = True
 
     def _change(self, *, paused: bool) -> None:
@@ -108,7 +108,7 @@ class Control:
             self._paused = paused and not self._ended
             if not paused:
                 self._steps, self._to_key_scan = 0, False
-            self._since = None
+            self._anchor = None
             self._changed.notify_all()
 
     def _delay(self, stamp_ns: int) -> float:
@@ -123,12 +123,12 @@ class Control:
         if self._speed is None:
             return 0.0
         now = time.perf_counter()
-        if self._since is None:
-            self._since = now, stamp_ns
-        passed = (stamp_ns - self._since[1]) * 1e-9 / self._speed
-        due = self._since[0] + passed
+        if self._anchor is None:
+            self._anchor = now, stamp_ns
+        passed = (stamp_ns - self._anchor[1]) * 1e-9 / self._speed
+        due = self._anchor[0] + passed
         if passed < 0 or now - due > 1.0:  # stamps that go back, and a filter that is slower: nothing is made up for
-            self._since = now, stamp_ns
+            self._anchor = now, stamp_ns
             return 0.0
         return due - now
 
@@ -177,9 +177,9 @@ class RobotControl:
     def wake(self) -> None:
         """Wake nobody: nothing waits."""
 
-    def reached_key_scan(self) -> None:
+    def on_key_scan(self) -> None:
         """Go on."""
 
-    def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
+    def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
         """Return at once."""
         return False

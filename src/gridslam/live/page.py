@@ -7,29 +7,29 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar, final
 
-from gridslam.live.cloud_sight import CloudSight
 from gridslam.live.control import Control, RobotControl
-from gridslam.live.map_sight import MapSight
+from gridslam.live.localization_monitor import LocalizationMonitor
+from gridslam.live.mapping_monitor import MappingMonitor
+from gridslam.live.monitor import FilterMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
-from gridslam.live.sight import Sight
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
 __all__ = ["LivePage"]
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
-_MAY_COME_BACK_S = 3.0
+_RECONNECT_S = 3.0
 
 
 @final
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run` (or to what drives a localization), and `paced(source)` as its source, or
-    `session(source)` where that is a robot. The filter's result is the same with and without.
+    Give `observer` to `gridslam.pipeline.run` (or to what drives a localization), and `pace(source)` as its source, or
+    `follow_session(source)` where that is a robot. The filter's result is the same with and without.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ class LivePage:
         self._run = LiveRun(title, self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "last word" if known is None else "writing"
-        sight: Sight[Any, Any] = MapSight(range_max_m) if known is None else CloudSight(known)
-        self.observer = LiveObserver(self._post, self.control, sight)
+        monitor: FilterMonitor[Any, Any] = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
+        self.observer = LiveObserver(self._post, self.control, monitor)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
@@ -91,45 +91,45 @@ class LivePage:
         """How many are looking."""
         return self._run.viewers
 
-    def tell_progress(self, share: Callable[[], float]) -> None:
-        """Let the page tell how much of the source is read: what `share` returns, in [0, 1]."""
-        self.observer.share = share
+    def set_progress(self, progress: Callable[[], float]) -> None:
+        """Let the page tell how much of the source is read: what `progress` returns, in [0, 1]."""
+        self.observer.progress = progress
 
-    def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+    def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
-        yield from self.observer.measured(source, stopwatch)
-        self._server.call(self._run.enter, self._last_stage)
+        yield from self.observer.pace(source, stopwatch)
+        self._server.call(self._run.set_stage, self._last_stage)
 
-    def session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+    def follow_session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
         """The measurements of a robot's session as they come; the page forgets what was before."""
-        self._server.call(self._run.begin)
-        self.observer.begin()
-        return self.observer.followed(source)
+        self._server.call(self._run.reset)
+        self.observer.reset()
+        return self.observer.follow(source)
 
-    def say(self, words: str) -> None:
+    def show_message(self, message: str) -> None:
         """Bring the page up to date while no scan comes, in the filter's thread; words are shown, unless empty."""
-        self.observer.look()
-        self._server.call(self._run.say, words)
+        self.observer.take_pending_snapshot()
+        self._server.call(self._run.show_message, message)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
 
-    def wait_for_viewer(self, at_most_s: float) -> bool:
+    def wait_for_viewer(self, timeout_s: float) -> bool:
         """Return once someone looks, or after some seconds; whether someone does."""
-        until = time.perf_counter() + at_most_s
+        until = time.perf_counter() + timeout_s
         while not self.viewers and time.perf_counter() < until:
             time.sleep(0.05)
         return bool(self.viewers)
 
-    def linger(self) -> None:
+    def serve_until_left(self) -> None:
         """Say that all is done and written, and stay as long as someone looks.
 
         A lost connection has some seconds to come back.
         """
-        self._server.call(self._run.enter, "done")
+        self._server.call(self._run.set_stage, "done")
         alone_since = -math.inf if not self.viewers else time.perf_counter()
-        while time.perf_counter() - alone_since < _MAY_COME_BACK_S:
+        while time.perf_counter() - alone_since < _RECONNECT_S:
             time.sleep(0.1)
             if self.viewers:
                 alone_since = time.perf_counter()
@@ -142,4 +142,4 @@ class LivePage:
         try:
             self._run.apply(snapshot)
         finally:
-            self.observer.done()
+            self.observer.release()

@@ -14,7 +14,7 @@ from typing import final
 import uvicorn
 
 from gridslam.errors import OutputError
-from gridslam.live.application import Show, application
+from gridslam.live.application import PageContent, make_application
 from gridslam.live.options import LiveOptions
 
 __all__ = ["PageServer"]
@@ -30,7 +30,7 @@ class PageServer:
 
     Parameters
     ----------
-    show : Show
+    content : PageContent
         What is shown; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
         Where.
@@ -41,13 +41,14 @@ class PageServer:
         On entering: the port is taken, or the address is none of this machine.
     """
 
-    def __init__(self, show: Show, options: LiveOptions) -> None:
+    def __init__(self, content: PageContent, options: LiveOptions) -> None:
         """Listen at nothing yet."""
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
-            application(show, options.host, self._token), log_config=None, log_level="critical", access_log=False,
-            lifespan="off", ws_per_message_deflate=False, ws_max_size=2**16, timeout_graceful_shutdown=1,
+            make_application(content, options.host, self._token), log_config=None, log_level="critical",
+            access_log=False, lifespan="off", ws_per_message_deflate=False, ws_max_size=2**16,
+            timeout_graceful_shutdown=1,
         )  # fmt: skip
         self._server = uvicorn.Server(config)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -57,7 +58,7 @@ class PageServer:
 
     def __enter__(self) -> PageServer:
         """Listen and serve."""
-        self._socket = self._bound()
+        self._socket = self._open_socket()
         self._thread.start()
         self._running.wait()
         return self
@@ -78,17 +79,17 @@ class PageServer:
         address = f"[{name}]" if ":" in name else name
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
 
-    def call(self, what: Callable[..., None], *arguments: object) -> bool:
+    def call(self, function: Callable[..., None], *arguments: object) -> bool:
         """Let the server's thread call something soon; from any thread. False if it has ended."""
         if self._loop is None:
             return False
         try:
-            self._loop.call_soon_threadsafe(what, *arguments)
+            self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:  # its loop is closed
             return False
         return True
 
-    def _bound(self) -> socket.socket:
+    def _open_socket(self) -> socket.socket:
         host, port = self._options.host, self._options.port
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]

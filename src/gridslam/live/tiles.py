@@ -16,7 +16,7 @@ from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["NOWHERE", "Box", "TileChanges", "TileMirror", "TileWatch", "offset_of", "tiles_of"]
+__all__ = ["EMPTY_BOX", "Box", "TileChangeDetector", "TileChanges", "TileReplica", "split_into_tiles", "tile_offset"]
 
 _MARGIN_M = 2 * TILE * 0.05  # what undoing the robot's motion during a scan may move the end of a beam
 
@@ -30,14 +30,14 @@ class Box:
     high: tuple[float, float]
 
     @classmethod
-    def about(cls, poses: FloatArray, reach_m: float) -> Box:
+    def around(cls, poses: FloatArray, reach_m: float) -> Box:
         """What scans that reach so far can have touched from poses (K, 3), K >= 1."""
         reach = reach_m + _MARGIN_M
         (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
         return cls((x0 - reach, y0 - reach), (x1 + reach, y1 + reach))
 
 
-NOWHERE = Box((1.0, 1.0), (-1.0, -1.0))
+EMPTY_BOX = Box((1.0, 1.0), (-1.0, -1.0))
 """A box that holds nothing."""
 
 
@@ -59,7 +59,7 @@ class TileChanges:
 
 
 @final
-class TileWatch:
+class TileChangeDetector:
     """Finds what has changed of one map since the last look; belongs to the filter's thread.
 
     Tiles are shared and copied on write: where a table has another id than before there may be other cells, and under
@@ -73,7 +73,7 @@ class TileWatch:
         self._ids: Int32Array = np.zeros((1, 1), np.int32)
         self._corner = (0, 0)
 
-    def look(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
+    def find_changes(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
         """Copy what may have changed in map `row`.
 
         `written` tells where any map was written to since the last look; None where that is unknown, or where these are
@@ -86,7 +86,7 @@ class TileWatch:
             origin = min(corner[0], before_at[0]), min(corner[1], before_at[1])
             ends = [max(corner[k] + ids.shape[k], before_at[k] + before.shape[k]) for k in (0, 1)]
             shape = ends[0] - origin[0], ends[1] - origin[1]
-            ids, before = _placed(ids, corner, origin, shape), _placed(before, before_at, origin, shape)
+            ids, before = _embed(ids, corner, origin, shape), _embed(before, before_at, origin, shape)
             corner = origin
         changed = ids != before
         if written is None:
@@ -102,7 +102,7 @@ class TileWatch:
         return TileChanges(at, maps.tiles(ids[rows, columns]))
 
 
-def _placed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
+def _embed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
     """A table within a larger frame, 0 about it."""
     framed = np.zeros(shape, np.int32)
     row, column = at[0] - origin[0], at[1] - origin[1]
@@ -111,46 +111,46 @@ def _placed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], sha
 
 
 @final
-class TileMirror:
+class TileReplica:
     """A copy of one map, put together from changes; every visible change of a tile gets the next sequence number."""
 
-    __slots__ = ("_at", "_cells", "_numbers", "_place", "sequence")
+    __slots__ = ("_at", "_cells", "_numbers", "_slots", "sequence")
 
     def __init__(self) -> None:
         """Begin with an empty map."""
-        self._place: dict[tuple[int, int], int] = {}
+        self._slots: dict[tuple[int, int], int] = {}
         self._cells = _unknown(64)
         self._at: Int32Array = np.zeros((64, 2), np.int32)
         self._numbers: IntArray = np.zeros(64, np.int64)
         self.sequence = 0
 
     @classmethod
-    def of(cls, grid: OccupancyGrid) -> TileMirror:
+    def of(cls, grid: OccupancyGrid) -> TileReplica:
         """Copy a rectangular map."""
-        mirror = cls()
-        mirror.apply(tiles_of(grid))
-        return mirror
+        replica = cls()
+        replica.apply(split_into_tiles(grid))
+        return replica
 
     def __len__(self) -> int:
         """Return the number of tiles, those included that have become unknown again."""
-        return len(self._place)
+        return len(self._slots)
 
     def apply(self, changes: TileChanges) -> None:
         """Take over tiles; those that look as before get no new number."""
         if not len(changes.at):
             return
-        places = np.array([self._place_of(row, column) for row, column in changes.at.tolist()])
-        before = self._cells[places]
+        slots = np.array([self._slot_of(row, column) for row, column in changes.at.tolist()])
+        before = self._cells[slots]
         changed = np.flatnonzero((changes.log_odds != before).any(axis=(1, 2)))
         seen = (levels(changes.log_odds[changed]) != levels(before[changed])).any(axis=(1, 2))
-        self._cells[places[changed]] = changes.log_odds[changed]
-        self._numbers[places[changed[seen]]] = self.sequence + 1 + np.arange(seen.sum())
+        self._cells[slots[changed]] = changes.log_odds[changed]
+        self._numbers[slots[changed[seen]]] = self.sequence + 1 + np.arange(seen.sum())
         self.sequence += int(seen.sum())
 
     def replace(self, changes: TileChanges) -> None:
         """Become the map that consists of these tiles alone."""
         kept = set(map(tuple, changes.at.tolist()))
-        gone = [at for at in self._place if at not in kept]
+        gone = [at for at in self._slots if at not in kept]
         self.apply(TileChanges(np.array(gone, np.int32).reshape(-1, 2), _unknown(len(gone))))
         self.apply(changes)
 
@@ -183,31 +183,31 @@ class TileMirror:
         row, column = (low * TILE).tolist()
         return OccupancyGrid(log_odds, known, resolution_m, cell_corner(row, column, resolution_m))
 
-    def _place_of(self, row: int, column: int) -> int:
+    def _slot_of(self, row: int, column: int) -> int:
         """Where the tile is kept; a new one is unknown."""
-        place = self._place.setdefault((row, column), len(self._place))
-        if place == len(self._cells):
+        slot = self._slots.setdefault((row, column), len(self._slots))
+        if slot == len(self._cells):
             more = len(self._cells)
             self._cells = np.concatenate([self._cells, _unknown(more)])
             self._at = np.concatenate([self._at, np.zeros((more, 2), np.int32)])
             self._numbers = np.concatenate([self._numbers, np.zeros(more, np.int64)])
-        if place == len(self._place) - 1:
-            self._at[place] = row, column
-        return place
+        if slot == len(self._slots) - 1:
+            self._at[slot] = row, column
+        return slot
 
 
 def _unknown(count: int) -> NDArray[np.int16]:
     return np.full((count, TILE, TILE), UNKNOWN, np.int16)
 
 
-def offset_of(grid: OccupancyGrid) -> tuple[float, float]:
+def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:
     """Where the cells of a rectangular map lie from the nearest ones of the tiles' grid (x m, y m)."""
     side = grid.resolution_m
     x, y = (float(corner) - side * round(corner / side) for corner in grid.origin)
     return x, y
 
 
-def tiles_of(grid: OccupancyGrid) -> TileChanges:
+def split_into_tiles(grid: OccupancyGrid) -> TileChanges:
     """All tiles of a rectangular map that hold something; its cells go to the nearest ones of the tiles' grid."""
     height, width = grid.known.shape
     column, row = (round(corner / grid.resolution_m) for corner in grid.origin)

@@ -279,4 +279,3 @@ def run_ros2(
             rclpy.try_shutdown()
     if ours.core.failure is not None:
         raise GridslamError(f"the filter has ended: {ours.core.failure}") from ours.core.failure
-

@@ -20,7 +20,7 @@ from gridslam.types import Odometry
 
 single = st.floats(width=32)
 finite = st.floats(-100, 100)
-names = st.text("abcXYZ/_,\" é", min_size=1, max_size=12).map(str.strip).filter(bool)
+names = st.text('abcXYZ/_," é', min_size=1, max_size=12).map(str.strip).filter(bool)
 
 
 @st.composite
@@ -58,7 +58,10 @@ def test_rows_are_read_back_bit_by_bit(tmp_path_factory, given_scans):
     recorder.close()
     read = list(CsvLog(path))
     assert len(read) == len(given_scans)
-    for (odometry, scan), (want_odometry, want), in zip(read, (one.measurement for one in given_scans), strict=True):
+    for (
+        (odometry, scan),
+        (want_odometry, want),
+    ) in zip(read, (one.measurement for one in given_scans), strict=True):
         assert (odometry is None) == (want_odometry is None)
         if odometry is not None:
             assert odometry.pose.tobytes() == want_odometry.pose.tobytes()

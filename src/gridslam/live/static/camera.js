@@ -12,7 +12,7 @@ export class Camera {
     this.moved = () => {};
     this.clicked = () => {};
     this.hovered = () => {};
-    this.hold();
+    this.listen();
   }
 
   get width() { return this.canvas.clientWidth; }
@@ -53,7 +53,7 @@ export class Camera {
   pan(du, dv) {
     this.x -= du / this.scale;
     this.y += dv / this.scale;
-    this.leave();
+    this.setFree();
   }
 
   zoom(factor, u, v) {
@@ -68,12 +68,12 @@ export class Camera {
     this.moved();
   }
 
-  leave() {
+  setFree() {
     this.mode = "free";
     this.moved();
   }
 
-  hold() {
+  listen() {
     const canvas = this.canvas;
     const held = new Map();
     let travelled = 0;

@@ -12,11 +12,11 @@ function rgb(css) {
 // Colours of the levels: 0 unknown, 1 to 7 the freer the lower, 8 even, 9 to 15 the more occupied the higher.
 export function palette(unknown, free, occupied) {
   const [u, f, o] = [unknown, free, occupied].map(rgb);
-  const mixed = (a, b, share) => a.map((value, k) => Math.round(value + share * (b[k] - value)));
+  const mix = (a, b, share) => a.map((value, k) => Math.round(value + share * (b[k] - value)));
   return Array.from({ length: 16 }, (_, level) => {
     if (level === 0) return u;
-    if (level <= 8) return mixed(u, f, Math.min((9 - level) / 4, 1));
-    return mixed(f, o, Math.min((level - 8) / 6, 1));
+    if (level <= 8) return mix(u, f, Math.min((9 - level) / 4, 1));
+    return mix(f, o, Math.min((level - 8) / 6, 1));
   });
 }
 

@@ -8,20 +8,22 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.live.scene import NO_CLOSURES, NO_TREE, Float32Array, Rows, Tree
-from gridslam.live.sight import BEST, View
+from gridslam.live.monitor import BEST, StateView
+from gridslam.live.scene import NO_CLOSURES, NO_TREE, AncestryTree, Float32Array, RowBuffer
 from gridslam.live.tiles import TileChanges
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.types import LaserScan, OccupancyGrid
 from gridslam.viz.cloud import fair_share
 
-__all__ = ["CloudSight"]
+__all__ = ["LocalizationMonitor"]
 
-_GRAIN = np.float32(64)  # to the m and rad: a cloud's poses are rounded to 1.6 cm and 0.9 degrees, to send less
+_STEPS_PER_UNIT = np.float32(
+    64
+)  # to the m and rad: a cloud's poses are rounded to 1.6 cm and 0.9 degrees, to send less
 
 
 @final
-class CloudSight:
+class LocalizationMonitor:
     """Of a filter that localizes in a known map.
 
     Parameters
@@ -33,33 +35,33 @@ class CloudSight:
     def __init__(self, known: OccupancyGrid) -> None:
         """Begin before the first scan."""
         self._resolution_m = known.resolution_m
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Begin before the first scan."""
-        self._way = Rows(2)
+        self._path = RowBuffer(2)
 
-    def note(self, report: LocalizationReport, scan: LaserScan | None) -> int:
+    def record(self, report: LocalizationReport, scan: LaserScan | None) -> int:
         """Take note of a scan: of where the robot was, unless that is a guess."""
         if report.skipped is None:
-            self._way.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
+            self._path.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
         return 0
 
-    def watch(self, channel: int, particle: int, keys: int) -> None:
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
         """Show nothing: there is one map."""
 
-    def look(self, report: LocalizationReport, state: MonteCarloState) -> View:
+    def view(self, report: LocalizationReport, state: MonteCarloState) -> StateView:
         """See the state as it is now."""
-        return _CloudView(self._resolution_m, report, state.snapshot(), self._way.all)
+        return _LocalizationView(self._resolution_m, report, state.snapshot(), self._path.rows)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _CloudView:
+class _LocalizationView:
     resolution_m: float
     report: LocalizationReport
     state: MonteCarloState
-    way: Float32Array
+    path: Float32Array
 
     maps: dict[int, TileChanges] = field(default_factory=dict)
     rows: dict[int, int] = field(default_factory=lambda: {BEST: 0})
@@ -69,14 +71,18 @@ class _CloudView:
         chosen, shares = fair_share(np.exp(self.state.log_weights))
         moved = between(self.state.estimate.pose, self.report.pose)
         poses = compose(self.state.poses[chosen], moved).astype(np.float32)
-        return np.column_stack([np.rint(poses * _GRAIN) / _GRAIN, shares.astype(np.float32)])
+        return np.column_stack([np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT, shares.astype(np.float32)])
 
-    def past(self) -> tuple[Float32Array, Tree]:
-        return self.way, NO_TREE
+    def path_and_tree(self) -> tuple[Float32Array, AncestryTree]:
+        return self.path, NO_TREE
 
     def closures(self) -> Float32Array:
         return NO_CLOSURES
 
-    def facts(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
         report = self.report
-        return {"particles": report.particles, "doubt": report.lost_probability, "agreement": report.agreement}
+        return {
+            "particles": report.particles,
+            "lost_probability": report.lost_probability,
+            "inlier_ratio": report.agreement,
+        }

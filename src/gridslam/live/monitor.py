@@ -9,11 +9,11 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any, Protocol, TypeVar
 
-from gridslam.live.scene import Float32Array, Tree
+from gridslam.live.scene import AncestryTree, Float32Array
 from gridslam.live.tiles import TileChanges
 from gridslam.types import FloatArray, LaserScan
 
-__all__ = ["BEST", "CORRECTED", "LOST", "Report", "Sight", "View"]
+__all__ = ["BEST", "CORRECTED", "LOST", "FilterMonitor", "ScanReport", "StateView"]
 
 BEST = 0
 """The channel that shows the best particle's map, whichever that is."""
@@ -24,7 +24,7 @@ R = TypeVar("R", contravariant=True)
 S = TypeVar("S", contravariant=True)
 
 
-class Report(Protocol):
+class ScanReport(Protocol):
     """What the reports of all filters tell of one scan; attributes as of `gridslam.types.StepReport`."""
 
     @property
@@ -56,7 +56,7 @@ class Report(Protocol):
         """The particles (N, 3) where they took a step."""
 
 
-class View(Protocol):
+class StateView(Protocol):
     """What can be seen of a state; its methods are called by the server's thread, and see the state as it was."""
 
     @property
@@ -74,27 +74,27 @@ class View(Protocol):
     def particles(self) -> Float32Array:
         """Those that are shown, (K, 4): x m, y m, theta rad and weight."""
 
-    def past(self) -> tuple[Float32Array, Tree]:
+    def path_and_tree(self) -> tuple[Float32Array, AncestryTree]:
         """The way (T, 2) as far as all particles agree, and where they do not."""
 
     def closures(self) -> Float32Array:
         """The two places x, y that each loop closure joins, (C, 4), m."""
 
-    def facts(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
         """What else the page tells, as JSON values; ``particles``, how many there are, among it."""
 
 
-class Sight(Protocol[R, S]):
+class FilterMonitor(Protocol[R, S]):
     """Looks at a filter's reports and states; belongs to the filter's thread."""
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Begin before the first scan."""
 
-    def note(self, report: R, scan: LaserScan | None) -> int:
+    def record(self, report: R, scan: LaserScan | None) -> int:
         """Take note of a scan; gives flags beside `LOST`."""
 
-    def watch(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and of who continues it (see `LiveObserver.watch`)."""
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
+        """Show the map of a particle and of who continues it (see `LiveObserver.show_particle`)."""
 
-    def look(self, report: R, state: S) -> View:
+    def view(self, report: R, state: S) -> StateView:
         """See the state as it is now, and what has changed since the last look."""
