@@ -106,10 +106,10 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
     with served(page):
 
-        def hear(told: Diagnostics) -> None:
-            page.show_message(told.summary if told.level else "")
+        def on_diagnostics(diagnostics: Diagnostics) -> None:
+            page.show_message(diagnostics.summary if diagnostics.level else "")
 
-        core.watch(page.observer, page.follow_session, hear)
+        core.add_observer(page.observer, page.follow_session, on_diagnostics)
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield
 

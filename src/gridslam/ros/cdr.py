@@ -10,7 +10,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, final
 
-__all__ = ["FIELDS", "PRIMITIVES", "Field", "decoded", "encoded", "fields_of"]
+__all__ = ["FIELDS", "PRIMITIVES", "Field", "decode_message", "encode_message", "parse_fields"]
 
 PRIMITIVES: Final[Mapping[str, str]] = {
     "bool": "?", "uint8": "B", "int8": "b", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
@@ -19,8 +19,8 @@ PRIMITIVES: Final[Mapping[str, str]] = {
 """Numbers, and how `struct` writes them; each is aligned to its size."""
 
 _HEADER = "std_msgs/Header header"
-_WIRED = "uint64 guid, int64 sequence"  # what rmw_cyclonedds puts before requests and replies
-_NOTHING = "uint8 structure_needs_at_least_one_member"
+_REQUEST_HEADER = "uint64 guid, int64 sequence"  # what rmw_cyclonedds puts before requests and replies
+_EMPTY = "uint8 structure_needs_at_least_one_member"
 
 FIELDS: Final[Mapping[str, str]] = {
     "builtin_interfaces/Time": "int32 sec, uint32 nanosec",
@@ -51,14 +51,14 @@ FIELDS: Final[Mapping[str, str]] = {
         "uint8 level, string name, string message, string hardware_id, diagnostic_msgs/KeyValue[] values"
     ),
     "diagnostic_msgs/DiagnosticArray": f"{_HEADER}, diagnostic_msgs/DiagnosticStatus[] status",
-    "nav_msgs/GetMap_Request": f"{_WIRED}, {_NOTHING}",
-    "nav_msgs/GetMap_Response": f"{_WIRED}, nav_msgs/OccupancyGrid map",
-    "std_srvs/Empty_Request": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/Empty_Response": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/SetBool_Request": f"{_WIRED}, bool data",
-    "std_srvs/SetBool_Response": f"{_WIRED}, bool success, string message",
-    "std_srvs/Trigger_Request": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/Trigger_Response": f"{_WIRED}, bool success, string message",
+    "nav_msgs/GetMap_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "nav_msgs/GetMap_Response": f"{_REQUEST_HEADER}, nav_msgs/OccupancyGrid map",
+    "std_srvs/Empty_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/Empty_Response": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/SetBool_Request": f"{_REQUEST_HEADER}, bool data",
+    "std_srvs/SetBool_Response": f"{_REQUEST_HEADER}, bool success, string message",
+    "std_srvs/Trigger_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/Trigger_Response": f"{_REQUEST_HEADER}, bool success, string message",
 }
 """Fields of each type in their order."""
 
@@ -74,7 +74,7 @@ class Field(NamedTuple):
     name: str
 
 
-def fields_of(message_type: str) -> list[Field]:
+def parse_fields(message_type: str) -> list[Field]:
     """Fields of a type in `FIELDS`."""
     found = []
     for text in FIELDS[message_type].split(", "):
@@ -84,10 +84,10 @@ def fields_of(message_type: str) -> list[Field]:
     return found
 
 
-_PARSED: Final = {name: fields_of(name) for name in FIELDS}
+_FIELD_LISTS: Final = {name: parse_fields(name) for name in FIELDS}
 
 
-def encoded(message_type: str, values: Sequence[Any]) -> bytes:
+def encode_message(message_type: str, values: Sequence[Any]) -> bytes:
     """Bytes of a message, from the four that tell plain CDR on.
 
     Parameters
@@ -111,12 +111,12 @@ class _Writer:
         self.data = bytearray()
 
     def message(self, message_type: str, values: Sequence[Any]) -> None:
-        for field, value in zip(_PARSED[message_type], values, strict=True):
+        for field, value in zip(_FIELD_LISTS[message_type], values, strict=True):
             self._field(field, value)
 
     def _field(self, field: Field, value: Any) -> None:  # noqa: ANN401
         if field.length is None:
-            self._one(field.type, value)
+            self._element(field.type, value)
             return
         if field.length == 0:
             self._numbers("I", [len(value)])
@@ -127,9 +127,9 @@ class _Writer:
                 self._numbers(PRIMITIVES[field.type], value)
         else:
             for one in value:
-                self._one(field.type, one)
+                self._element(field.type, one)
 
-    def _one(self, kind: str, value: Any) -> None:  # noqa: ANN401
+    def _element(self, kind: str, value: Any) -> None:  # noqa: ANN401
         if kind == "string":
             text = value.encode() + b"\0"
             self._numbers("I", [len(text)])
@@ -144,13 +144,13 @@ class _Writer:
         self.data += struct.pack(f"<{len(values)}{form}", *values)
 
 
-def decoded(message_type: str, data: bytes) -> list[Any]:
+def decode_message(message_type: str, data: bytes) -> list[Any]:
     """Values of a message without arrays and strings (a clock, a request); raises ValueError where it is none."""
     if data[:2] not in (b"\0\0", b"\0\1"):
         raise ValueError(f"expected plain CDR (00 00 or 00 01), got {data[:2].hex(' ') or 'nothing'}")
     order, offset = "<" if data[1] else ">", 4
     values: list[Any] = []
-    for field in _flat(message_type):
+    for field in _flatten(message_type):
         form = struct.Struct(order + PRIMITIVES[field.type])
         offset += -(offset - 4) % form.size
         if offset + form.size > len(data):
@@ -160,8 +160,8 @@ def decoded(message_type: str, data: bytes) -> list[Any]:
     return values
 
 
-def _flat(message_type: str) -> list[Field]:
+def _flatten(message_type: str) -> list[Field]:
     found: list[Field] = []
-    for field in _PARSED[message_type]:
-        found += [field] if field.type in PRIMITIVES else _flat(field.type)
+    for field in _FIELD_LISTS[message_type]:
+        found += [field] if field.type in PRIMITIVES else _flatten(field.type)
     return found

@@ -16,13 +16,13 @@ from typing import Any, Final, TypeAlias, final
 from xml.sax.saxutils import quoteattr
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.cdr import fields_of
+from gridslam.ros.cdr import parse_fields
 
 __all__ = ["DdsParticipant", "Handler"]
 
 _KNOWN = "11."
 _POLL_NS = 200_000_000
-_MOST_TAKEN = 64
+_MAX_MESSAGES = 64
 
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Takes the bytes of a message, and a name of who sent it."""
@@ -49,7 +49,7 @@ class DdsParticipant:
         ROS_DOMAIN_ID.
     interfaces : sequence of str
         Addresses or names of the network interfaces to use; those that the library chooses if empty.
-    mismatched : callable
+    on_mismatch : callable
         Told what of another program does not fit, so that nothing passes: "quality of service" or "message type",
         of which topic, and in a sentence.
 
@@ -63,10 +63,10 @@ class DdsParticipant:
         self,
         domain: int,
         interfaces: Sequence[str] = (),
-        mismatched: Callable[[str, str, str], None] = lambda *told: None,
+        on_mismatch: Callable[[str, str, str], None] = lambda *unused: None,
     ) -> None:
         self._dds = dds = _library()
-        self._mismatched = mismatched
+        self._on_mismatch = on_mismatch
         self._carries_bytes = importlib.metadata.version("cyclonedds").startswith(_KNOWN)
         self._types: dict[str, Any] = {}
         self._writers: dict[str, Any] = {}
@@ -78,7 +78,7 @@ class DdsParticipant:
         except dds.core.DDSException as error:
             where = ", ".join(interfaces) or "any interface"
             raise ConfigurationError(f"DDS cannot start in domain {domain} on {where}: {error.msg}") from None
-        self._waiting = dds.core.WaitSet(self._participant)
+        self._wait_set = dds.core.WaitSet(self._participant)
         self._publishers = dds.builtin.BuiltinDataReader(self._participant, dds.builtin.BuiltinTopicDcpsPublication)
         self._attach(self._publishers)
         self._thread = threading.Thread(target=self._listen, name="gridslam-dds", daemon=True)
@@ -93,7 +93,7 @@ class DdsParticipant:
         self._writers[topic] = self._dds.pub.DataWriter(self._participant, what, qos, listener)
 
     def add_reader(
-        self, topic: str, message_type: str, take: Handler, *, reliable: bool = True, latched: bool = False,
+        self, topic: str, message_type: str, handle: Handler, *, reliable: bool = True, latched: bool = False,
         depth: int = 10,
     ) -> None:  # fmt: skip
         """Have the bytes of each message on a DDS topic taken; to be called before `start`."""
@@ -103,7 +103,7 @@ class DdsParticipant:
         )
         reader = dds.sub.DataReader(self._participant, self._topic(topic, message_type), qos, listener)
         self._attach(reader)
-        self._readers.append((reader, take))
+        self._readers.append((reader, handle))
 
     def start(self) -> None:
         """Begin to listen."""
@@ -122,32 +122,34 @@ class DdsParticipant:
 
     def _listen(self) -> None:
         while not self._closed.is_set():
-            self._waiting.wait(_POLL_NS)
-            for reader, take in self._readers:
-                for message in reader.take(_MOST_TAKEN):
+            self._wait_set.wait(_POLL_NS)
+            for reader, handle in self._readers:
+                for message in reader.take(_MAX_MESSAGES):
                     if message.sample_info.valid_data:  # else it only says that a writer has gone
                         sender = f"publisher {message.sample_info.publication_handle:x}"
-                        take(message.serialize(use_version_2=False), sender)
+                        handle(message.serialize(use_version_2=False), sender)
 
-            for publisher in self._publishers.take(_MOST_TAKEN):
+            for publisher in self._publishers.take(_MAX_MESSAGES):
                 if publisher.sample_info.valid_data:
-                    self._compare(publisher.topic_name, publisher.type_name)
+                    self._check_type(publisher.topic_name, publisher.type_name)
 
     def _attach(self, reader: Any) -> None:  # noqa: ANN401
         core = self._dds.core
         states = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
-        self._waiting.attach(core.ReadCondition(reader, states))
+        self._wait_set.attach(core.ReadCondition(reader, states))
 
-    def _compare(self, topic: str, typename: str) -> None:
+    def _check_type(self, topic: str, typename: str) -> None:
         """Tell of a publisher whose messages are of another type than a reader's: the library says nothing."""
         for reader, _ in self._readers:
             expected = reader.topic.typename
             if reader.topic.name == topic and typename != expected:
-                self._mismatched("message type", topic, f"a publisher sends {typename}, and this node takes {expected}")
+                self._on_mismatch(
+                    "message type", topic, f"a publisher sends {typename}, and this node takes {expected}"
+                )
 
     def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
         policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")
-        self._mismatched("quality of service", topic, f"a {who} {policy} than this node, and nothing passes")
+        self._on_mismatch("quality of service", topic, f"a {who} {policy} than this node, and nothing passes")
 
     def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
         return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))
@@ -159,14 +161,14 @@ class DdsParticipant:
         kind = f"{message_type}*"
         if kind not in self._types:
             carrier = self._types[kind] = self._struct(message_type)
-            carrier.serialize, carrier.deserialize = _own_bytes, classmethod(_of_bytes)
+            carrier.serialize, carrier.deserialize = _to_bytes, classmethod(_from_bytes)
             carrier.deserialize_key = carrier.deserialize
         return self._types[kind]
 
     def _struct(self, message_type: str) -> Any:  # noqa: ANN401
         """Class by which the library knows a type: its name and its fields."""
         types, fields = self._dds.idl.types, {}
-        for kind, length, name in fields_of(message_type):
+        for kind, length, name in parse_fields(message_type):
             one = self._element(kind)
             if length is not None:
                 one = types.array[one, length] if length else types.sequence[one]
@@ -195,12 +197,12 @@ class DdsParticipant:
         )
 
 
-def _own_bytes(message: Any, *unused: object, **options: object) -> bytes:  # noqa: ANN401
+def _to_bytes(message: Any, *unused: object, **options: object) -> bytes:  # noqa: ANN401
     data: bytes = message.cdr
     return data
 
 
-def _of_bytes(cls: Any, /, data: bytes, *unused: object, **options: object) -> Any:  # noqa: ANN401
+def _from_bytes(cls: Any, /, data: bytes, *unused: object, **options: object) -> Any:  # noqa: ANN401
     message = object.__new__(cls)
     message.cdr = data
     return message

@@ -7,13 +7,13 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 from gridslam.io.ros_messages import StampedTransform
-from gridslam.ros.complaints import Complaints
+from gridslam.ros.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
 
 __all__ = ["LiveTransforms"]
 
 _KEEP_S = 10.0
-_AT_ONCE_NS = 2_000_000_000  # what two say within this they say at the same time
+_SIMULTANEOUS_NS = 2_000_000_000  # what two say within this they say at the same time
 
 
 @final
@@ -24,7 +24,7 @@ class LiveTransforms:
     ----------
     jump_s : float, s
         What counts as a jump: two readings in a row so much before the link's latest.
-    complain : Complaints
+    warn : ThrottledWarnings
         Told of readings that are no transforms.
 
     Attributes
@@ -33,10 +33,10 @@ class LiveTransforms:
         The present one.
     """
 
-    def __init__(self, jump_s: float, complain: Complaints) -> None:
+    def __init__(self, jump_s: float, warn: ThrottledWarnings) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
         self._jump_ns = round(jump_s * 1e9)
-        self._complain = complain
+        self._warn = warn
         self._static: dict[tuple[str, str], StampedTransform] = {}
         self._latest_ns: dict[tuple[str, str], int] = {}
         self._strays: dict[tuple[str, str], int] = {}
@@ -48,13 +48,13 @@ class LiveTransforms:
             try:
                 if static:
                     self._static[transform.parent, transform.child] = transform
-                elif self._jumped(transform):
-                    self._renew()
+                elif self._detect_jump(transform):
+                    self._restart()
                 self._add(transform, static)
-                self._compare(transform, static, publisher)
+                self._check_publishers(transform, static, publisher)
             except (ArgumentError, OverflowError) as error:
                 self._static.pop((transform.parent, transform.child), None)
-                self._complain("transform refused", f"{transform.parent} <- {transform.child}: {error}")
+                self._warn("transform refused", f"{transform.parent} <- {transform.child}: {error}")
 
     def newest_ns(self, parent: str) -> int | None:
         """Stamp of the newest reading of what moves in a frame; None where there is none."""
@@ -64,18 +64,18 @@ class LiveTransforms:
         stamp_ns, parent, child, pose = transform
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
 
-    def _compare(self, transform: StampedTransform, static: bool, publisher: str) -> None:
+    def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
         """Tell where a frame has two parents, or one that two publishers tell of."""
         stamp_ns, parent, child, _ = transform
         sources = self._sources.setdefault(child, {})
         sources[parent, "" if static else publisher] = None if static else stamp_ns
         for (other, of), at_ns in sources.items() if len(sources) > 1 else ():
             differs = other != parent or (of != publisher and not static and at_ns is not None)
-            if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _AT_ONCE_NS):
+            if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _SIMULTANEOUS_NS):
                 where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
-                self._complain("two transforms", f"{child} is told to lie {' and '.join(where)}: end one of the two")
+                self._warn("two transforms", f"{child} is told to lie {' and '.join(where)}: end one of the two")
 
-    def _jumped(self, transform: StampedTransform) -> bool:
+    def _detect_jump(self, transform: StampedTransform) -> bool:
         """Whether this is the second reading in a row from long before the latest."""
         link, stamp_ns = (transform.parent, transform.child), transform.stamp_ns
         latest_ns = self._latest_ns.get(link, stamp_ns)
@@ -87,7 +87,7 @@ class LiveTransforms:
         self._strays[link] = stamp_ns
         return stray_ns is not None and 0 < stamp_ns - stray_ns <= self._jump_ns
 
-    def _renew(self) -> None:
+    def _restart(self) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
         self._latest_ns.clear()
         self._strays.clear()

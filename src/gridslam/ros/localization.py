@@ -19,15 +19,15 @@ from gridslam.localization import (
     MonteCarloState,
 )  # fmt: skip
 from gridslam.pipeline import run
-from gridslam.ros.accepted import Accepted
+from gridslam.ros.accepted_scan import AcceptedScan
 from gridslam.ros.messages import GridMessage
 from gridslam.ros.recording import ScanRecorder
-from gridslam.ros.rendering import cells_of_map
+from gridslam.ros.rendering import map_cells
 from gridslam.types import FloatArray, LaserScan, Odometry
 
-__all__ = ["KnownMapTeller", "Localization", "LocalizationSession"]
+__all__ = ["KnownMapPublisher", "Localization", "LocalizationSession"]
 
-Place = tuple[FloatArray, FloatArray] | None
+InitialPose = tuple[FloatArray, FloatArray] | None
 """A pose (3,) and its covariance (3, 3); None where nothing is known."""
 
 
@@ -42,13 +42,13 @@ class Localization:
         Where it is.
     parts : MonteCarloParts
         Of the filter.
-    place : (pose (3,), covariance (3, 3)) or None
+    initial_pose : (pose (3,), covariance (3, 3)) or None
         Where it is at first; it is found where that is not known.
     """
 
     known: KnownMap
     parts: MonteCarloParts
-    place: Place = None
+    initial_pose: InitialPose = None
 
     @property
     def range_max_m(self) -> float:
@@ -70,20 +70,20 @@ class LocalizationSession:
         Where its accepted scans are recorded, to be localized again.
     """
 
-    begins = "localization begins anew"
+    restart_message = "localization begins anew"
 
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
         self._localization = localization
         self._rng = np.random.default_rng(seed)
         self._mcl = MonteCarloLocalization(localization.known, localization.parts)
         self._recorder = None if record is None else ScanRecorder(record)
-        self.place(localization.place)
+        self.set_pose(localization.initial_pose)
 
-    def place(self, place: Place) -> None:
+    def set_pose(self, pose: InitialPose) -> None:
         """Let the robot be somewhere else from the next scan on; nowhere that is known, if None."""
-        self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.around(*place, self._rng)
+        self.state: MonteCarloState = self._mcl.init() if pose is None else self._mcl.around(*pose, self._rng)
 
-    def add(self, accepted: Accepted) -> None:
+    def add(self, accepted: AcceptedScan) -> None:
         """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
         if self._recorder is not None:
             self._recorder.add(accepted)
@@ -95,11 +95,11 @@ class LocalizationSession:
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Take one measurement from the session's own state, which `place` may have changed since the last one."""
+        """Take one measurement from the session's own state, which `set_pose` may have changed since the last one."""
         self.state, report = self._mcl.step(self.state, odometry, scan, rng)
         return self.state, report
 
-    def taken(self) -> None:
+    def copy(self) -> None:
         """Raise ArgumentError: there is no map of one's own to be saved."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
@@ -110,7 +110,7 @@ class LocalizationSession:
 
 
 @final
-class KnownMapTeller:
+class KnownMapPublisher:
     """Publishes the known map, once; to the rest of the node it is like a `MapRenderer` that is always at work.
 
     Parameters
@@ -118,7 +118,7 @@ class KnownMapTeller:
     localization : Localization
         Of which the map is.
     values : str
-        As of `cells_of_map`.
+        As of `map_cells`.
     frame : str
         Of the map.
     publish : callable
@@ -136,19 +136,19 @@ class KnownMapTeller:
     ) -> None:
         grid = localization.known.grid
         x, y = (float(value) for value in grid.origin)
-        self.latest = GridMessage(0, frame, grid.resolution_m, (x, y), cells_of_map(grid, values))
+        self.latest = GridMessage(0, frame, grid.resolution_m, (x, y), map_cells(grid, values))
         self._publish = publish
 
-    def begin(self, stamp_ns: int) -> None:
+    def start(self, stamp_ns: int) -> None:
         """Publish the map."""
         self.latest = self.latest._replace(stamp_ns=stamp_ns)
         self._publish(self.latest)
 
-    def take(self, state: Any, stamp_ns: int) -> int:  # noqa: ANN401
+    def render(self, state: Any, stamp_ns: int) -> int:  # noqa: ANN401
         """Draw nothing."""
         return 0
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Forget nothing."""
 
     def close(self) -> None:

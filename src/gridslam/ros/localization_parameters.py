@@ -11,7 +11,7 @@ from gridslam.api.localization_parameters import override_parts
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.localization import Localization
 
-__all__ = ["NODE_NAMES", "localization_of"]
+__all__ = ["NODE_NAMES", "read_localization"]
 
 NODE_NAMES: Final[Mapping[str, str]] = {
     "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
@@ -20,7 +20,7 @@ NODE_NAMES: Final[Mapping[str, str]] = {
 """AMCL's names of what the node calls otherwise."""
 
 
-def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
+def read_localization(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
     """How the robot is localized, and which of AMCL's parameters mean nothing here.
 
     Parameters
@@ -40,14 +40,14 @@ def localization_of(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
         raise ConfigurationError("map_file: expected the YAML file of the map to be localized in, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
     changed = override_parts(amcl.parts, [part for part in str(given.get("set", "")).split(";") if part.strip()])
-    placed = changed if changed.pose is not None else amcl
+    source = changed if changed.pose is not None else amcl
     parts = changed.parts
     known = known_map(str(path), parts, int(given.get("threads", 1)))[1]
-    place = None if placed.pose is None else (placed.pose, placed.covariance)
-    if place is not None:
+    pose = None if source.pose is None else (source.pose, source.covariance)
+    if pose is not None:
         try:
-            known.require(place[0])
+            known.require(pose[0])
         except ArgumentError as error:
             raise ConfigurationError(f"initial_{error}") from None
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in NODE_NAMES]
-    return Localization(known, parts, place), ignored
+    return Localization(known, parts, pose), ignored

@@ -47,8 +47,8 @@ class PoseMessage(NamedTuple):
     def fill(self, sent: Any) -> None:  # noqa: ANN401
         """Write it into a geometry_msgs/PoseWithCovariance, whatever made that."""
         x, y, theta = self.pose.tolist()
-        place, turn = sent.pose.position, sent.pose.orientation
-        place.x, place.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
+        position, turn = sent.pose.position, sent.pose.orientation
+        position.x, position.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
         full = np.zeros((6, 6))
         full[np.ix_((0, 1, 5), (0, 1, 5))] = self.covariance
         sent.covariance = full.ravel().tolist()
@@ -104,5 +104,5 @@ class Outputs(Protocol):
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish how the node does."""
 
-    def say(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str) -> None:
         """Tell people."""

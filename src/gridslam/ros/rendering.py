@@ -16,12 +16,12 @@ from gridslam.ros.messages import GridMessage
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "cells_of_map"]
+__all__ = ["MapRenderer", "map_cells"]
 
-Taken = Mapping[str, NDArray[Any]]
+MapArrays = Mapping[str, NDArray[Any]]
 
 
-def cells_of_map(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
+def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
     """Cells (H, W) of nav_msgs/OccupancyGrid.
 
     Parameters
@@ -52,7 +52,7 @@ class MapRenderer:
     mapper : OccupancyGridMapping
         That of the filter.
     values : str
-        As of `cells_of_map`.
+        As of `map_cells`.
     frame : str
         Of the map.
     publish : callable
@@ -74,11 +74,11 @@ class MapRenderer:
         self.latest: GridMessage | None = None
         self._mapper, self._values, self._frame, self._publish = mapper, values, frame, publish
         self._changed = threading.Condition()
-        self._taken: tuple[int, Taken] | None = None
+        self._pending: tuple[int, MapArrays] | None = None
         self._busy = self._closed = False
         self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
 
-    def begin(self, stamp_ns: int) -> None:
+    def start(self, stamp_ns: int) -> None:
         """Begin to draw; there is no map yet."""
         self._thread.start()
 
@@ -87,15 +87,15 @@ class MapRenderer:
         """Whether the last map is drawn."""
         return not self._busy
 
-    def take(self, state: GridFastSlamState, stamp_ns: int) -> int:
+    def render(self, state: GridFastSlamState, stamp_ns: int) -> int:
         """Copy the best particle's map, and have it drawn; returns the memory that all maps take, bytes."""
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
         with self._changed:
-            self._taken, self._busy = (stamp_ns, arrays), True
+            self._pending, self._busy = (stamp_ns, arrays), True
             self._changed.notify_all()
         return state.maps.nbytes
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Have no map any more, as a new session begins."""
         with self._changed:
             self._changed.wait_for(lambda: not self._busy, timeout=10)
@@ -112,16 +112,14 @@ class MapRenderer:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._taken is not None or self._closed)
-                if self._taken is None:
+                self._changed.wait_for(lambda: self._pending is not None or self._closed)
+                if self._pending is None:
                     return
-                (stamp_ns, arrays), self._taken = self._taken, None
+                (stamp_ns, arrays), self._pending = self._pending, None
             grid = self._mapper.restore(arrays).occupancy(0)
             x, y = (float(value) for value in grid.origin)
-            self.latest = GridMessage(
-                stamp_ns, self._frame, grid.resolution_m, (x, y), cells_of_map(grid, self._values)
-            )
+            self.latest = GridMessage(stamp_ns, self._frame, grid.resolution_m, (x, y), map_cells(grid, self._values))
             self._publish(self.latest)
             with self._changed:
-                self._busy = self._taken is not None
+                self._busy = self._pending is not None
                 self._changed.notify_all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.parameters import GMAPPING, OWN
+from gridslam.ros.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS
 
 __all__ = ["check_ros1_arguments"]
 
@@ -16,5 +16,5 @@ def check_ros1_arguments(arguments: Sequence[str]) -> None:
         name, sign, _ = argument.partition(":=")
         if not sign or not name or name.startswith("-"):
             raise ConfigurationError(f"expected an option, _PARAMETER:=VALUE or TOPIC:=OTHER, got {argument!r}")
-        if name in GMAPPING or name in OWN:
+        if name in GMAPPING_DEFAULTS or name in NODE_DEFAULTS:
             raise ConfigurationError(f"{argument}: this would remap a topic; a parameter is given as _{argument}")

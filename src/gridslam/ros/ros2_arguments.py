@@ -95,10 +95,10 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
     parameters: dict[str, Any] = {}
     for kind, text in settings:
         if kind is _FILE:
-            parameters |= _of_file(text, f"{space.rstrip('/')}/{named}")
+            parameters |= _read_file(text, f"{space.rstrip('/')}/{named}")
         elif kind is _PARAMETER:
             of, name, value = _split(text)
-            parameters |= {name: _value(value)} if of in ("", named) else {}
+            parameters |= {name: _parse_value(value)} if of in ("", named) else {}
     return RosArguments(parameters, remaps, named, space, tuple(ignored))
 
 
@@ -111,46 +111,46 @@ def _split(text: str) -> tuple[str, str, str]:
     return of, name, value
 
 
-def _of_file(path: str, node: str) -> dict[str, Any]:
+def _read_file(path: str, node: str) -> dict[str, Any]:
     """Parameters that a file has for a node of that full name."""
     try:
-        tree = _yaml(Path(path).read_text(encoding="utf-8"))
+        tree = _parse_yaml(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(path, str(error)) from None
     found: dict[str, Any] = {}
-    for pattern, parameters in _nodes(tree, ""):
+    for pattern, parameters in _find_nodes(tree, ""):
         if not isinstance(parameters, dict):
             raise InputError(path, f"expected parameters below ros__parameters of {pattern}, got {parameters!r}")
-        if re.fullmatch(_expression(pattern), node):
+        if re.fullmatch(_node_pattern(pattern), node):
             found |= {name: value for name, value in parameters.items() if not isinstance(value, dict)}
     return found
 
 
-def _nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
     """Name of each node in a tree of parameters, and what is said of it."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name == "ros__parameters":
             yield above, below
         else:
-            yield from _nodes(below, f"{above}/{str(name).strip('/')}")
+            yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
-def _expression(pattern: str) -> str:
+def _node_pattern(pattern: str) -> str:
     """Regular expression of a name in which * is any one part and ** any number of them."""
     parts = {"**": "(/[^/]+)*", "*": "/[^/]+"}
     return "".join(parts.get(part, "/" + re.escape(part)) for part in pattern.split("/")[1:])
 
 
-def _value(text: str) -> Any:  # noqa: ANN401
+def _parse_value(text: str) -> Any:  # noqa: ANN401
     """A number, a truth value or a list as YAML writes them; else the text itself."""
     try:
-        value = _yaml(text)
+        value = _parse_yaml(text)
     except ValueError:
         return text
     return text if value is None or isinstance(value, dict) else value
 
 
-def _yaml(text: str) -> Any:  # noqa: ANN401
+def _parse_yaml(text: str) -> Any:  # noqa: ANN401
     """Read YAML 1.1, as ROS does; raises ValueError where it is none."""
     ruamel = importlib.import_module("ruamel.yaml")  # of rosbags, which reads bags' metadata by it
     reader = ruamel.YAML(typ="safe", pure=True)

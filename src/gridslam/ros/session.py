@@ -22,15 +22,15 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
-from gridslam.ros.accepted import Accepted
+from gridslam.ros.accepted_scan import AcceptedScan
 from gridslam.ros.recording import ScanRecorder
 from gridslam.slam.full_slam import full_slam
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport, Trajectory
 
-__all__ = ["Session", "TakenSession"]
+__all__ = ["Session", "SessionCopy"]
 
-_LATER: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
 """What the filter and `save` import when they first need it, which a robot that drives would wait for."""
 
 
@@ -48,10 +48,10 @@ class Session:
         Where its accepted scans are recorded.
     """
 
-    begins = "a new map is begun"
+    restart_message = "a new map is begun"
 
     def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
-        for name in _LATER:
+        for name in _PRELOADED:
             import_module(name)
         self.configuration, self.seed, self.threads = configuration, seed, threads
         self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
@@ -71,23 +71,23 @@ class Session:
         first, *others = observers
         run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
 
-    def add(self, accepted: Accepted) -> None:
+    def add(self, accepted: AcceptedScan) -> None:
         """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
         scan, log = accepted.measurement.scan, self.log
         if scan.sensor not in log.mountings:
-            yaw = accepted.form.mounting[5]
+            yaw = accepted.laser.mounting[5]
             log.mountings[scan.sensor] = Mounting(np.append(scan.geometry.origin, yaw), f"tf, frame {scan.frame}")
         log.count(accepted.measurement)
         if self._recorder is not None:
             self._recorder.add(accepted)
 
-    def taken(self) -> TakenSession:
+    def copy(self) -> SessionCopy:
         """Copy all that is to be saved; raises ArgumentError before the first scan."""
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
         recorder = self._recorder
         record = recorder.path if recorder is not None and recorder.is_whole else None
-        return TakenSession(
+        return SessionCopy(
             self.configuration, self.seed, self.threads, self.state.to_arrays(), self.trajectory.to_arrays(),
             self.statistics.to_arrays(), copy.deepcopy(self.log), tuple(self._keys),
             copy.deepcopy(self.stopwatch.stages), record,
@@ -106,7 +106,7 @@ class Session:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class TakenSession:
+class SessionCopy:
     """A copy of a session; it shares nothing with the filter, which goes on."""
 
     configuration: Configuration

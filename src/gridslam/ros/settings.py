@@ -10,13 +10,13 @@ from pydantic.dataclasses import dataclass as parameters
 __all__ = ["NodeSettings"]
 
 
-def _bare(frame: str) -> str:
+def _strip_slash(frame: str) -> str:
     if not (bare := frame.lstrip("/")):
         raise ValueError("expected the name of a frame")
     return bare
 
 
-Frame: TypeAlias = Annotated[str, AfterValidator(_bare)]
+Frame: TypeAlias = Annotated[str, AfterValidator(_strip_slash)]
 """Name of a frame; "/odom" of the days before tf2 is "odom"."""
 
 

@@ -10,7 +10,7 @@ from localization_world import drive as localized_drive
 from localization_world import flat_map
 from loops import PROVOKED, loop_drive
 from page_client import PageClient
-from ros_node import Heard, mounting, play, until
+from ros_node import RecordedOutputs, mounting, play, until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
@@ -117,9 +117,9 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
 def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     """Placed by people meanwhile, it stays one session."""
     pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
-    log, heard, seen = localized_drive(3), Heard(), PageClient()
+    log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
     known = Localization(KnownMap(flat_map()), MonteCarloParts())
-    core = NodeCore(NodeSettings(queue_s=60.0), known, heard)
+    core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
     with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
@@ -134,11 +134,11 @@ def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
             assert seen.sees(known.known.grid)
             assert seen.run_info["mode"] == "robot"
             core.start()
-            sent = play(core, heard, log.measurements[:30], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == sent), heard.warnings()
+            sent = play(core, outputs, log.measurements[:30], shift_ns=10**18, ahead=5)
+            assert until(lambda: told()["scans"] == sent), outputs.warnings()
             session = seen.run_info["session"]
-            core.place((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
-            play(core, heard, log.measurements[30:60], shift_ns=10**18, ahead=5)
+            core.set_pose((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
+            play(core, outputs, log.measurements[30:60], shift_ns=10**18, ahead=5)
             assert until(lambda: told()["scans"] == 60)
             assert seen.run_info["session"] == session
             assert seen.status["lost"] is False

@@ -13,7 +13,7 @@ from dds_peer import free_domain
 from ros_node import until
 
 from gridslam.ros import dds
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.messages import GridMessage
 from gridslam.ros.parameters import node_parameters
 from gridslam.ros.ros2_arguments import RosArguments
@@ -25,7 +25,7 @@ STAMP = 1_700_000_000, 5
 
 def scan(beams):
     values = STAMP, "laser"
-    empty = encoded("sensor_msgs/LaserScan", (values, -1.0, 1.0, 2e-8, 0.0, 0.0, 0.1, 30.0, [], []))
+    empty = encode_message("sensor_msgs/LaserScan", (values, -1.0, 1.0, 2e-8, 0.0, 0.0, 0.1, 30.0, [], []))
     return empty[:-8] + beams.to_bytes(4, "little") + np.ones(beams, "<f4").tobytes() + bytes(4)
 
 
@@ -37,7 +37,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
         take["rt/scan"](scan(26_214_400))
         take["rt/scan"](b"\0\1\0\0nonsense")
         take["rt/scan"](b"")
-        take["rt/scan"](encoded("std_msgs/Float64", (1.0,)))
+        take["rt/scan"](encode_message("std_msgs/Float64", (1.0,)))
         take["rt/tf"](b"\0\1\0\0\xff\xff\xff\xff")
         take["rq/gridslam/pauseRequest"](b"\0\1")
         said = []

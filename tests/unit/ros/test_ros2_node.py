@@ -11,7 +11,7 @@ import pytest
 from ros_node import mounting, odometry_message, scan_message, until
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.ros2 import run_ros2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 
@@ -31,7 +31,7 @@ def header(stamp_ns, frame):
 
 def transforms(link):
     values = [(header(link.stamp_ns, link.parent), link.child, (link.pose[:3], link.pose[3:]))]
-    return encoded("tf2_msgs/TFMessage", (values,))
+    return encode_message("tf2_msgs/TFMessage", (values,))
 
 
 def send(world, measurement):
@@ -40,7 +40,7 @@ def send(world, measurement):
     world.subscriptions["/tf"][2](transforms(odometry_message(measurement, SHIFT_NS)))
     values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
     scan = header(message.stamp_ns, message.frame), *values, message.ranges.tolist(), []
-    world.subscriptions["scan"][2](encoded("sensor_msgs/LaserScan", scan))
+    world.subscriptions["scan"][2](encode_message("sensor_msgs/LaserScan", scan))
 
 
 def run(world, script, **options):
@@ -103,7 +103,7 @@ def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
         raise KeyboardInterrupt
 
     world.spun = script
-    run_ros2([], given={"out": str(tmp_path / "out")}, tick=interrupted)
+    run_ros2([], given={"out": str(tmp_path / "out")}, on_poll=interrupted)
     assert world.signals == "NO"
     assert (tmp_path / "out" / "map.pgm").is_file()
     assert f"40 scans, which are written to {tmp_path / 'out'}" in world.logged[-1][1]
@@ -114,7 +114,7 @@ def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, 
     world, cores = fake_rclpy.installed(monkeypatch, {"particles": 4}), []
 
     @contextmanager
-    def watch(core):
+    def open_viewers(core):
         cores.append(core)
         yield
 
@@ -126,7 +126,7 @@ def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, 
         send(world, drive[1])
         assert until(lambda: cores[0].diagnostics().values["accepted"] == "2")
 
-    run(world, script, given={"out": str(tmp_path / "out")}, watch=watch)
+    run(world, script, given={"out": str(tmp_path / "out")}, open_viewers=open_viewers)
     assert (tmp_path / "out" / "map.pgm").is_file()
 
 
@@ -184,7 +184,7 @@ def test_without_ros_the_other_way_is_named():
 def scan_bytes(measurement, **changes):
     message = scan_message(measurement, SHIFT_NS, **changes)
     values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
-    empty = encoded("sensor_msgs/LaserScan", (header(message.stamp_ns, message.frame), *values, [], []))
+    empty = encode_message("sensor_msgs/LaserScan", (header(message.stamp_ns, message.frame), *values, [], []))
     count = len(message.ranges).to_bytes(4, "little")
     return empty[:-8] + count + message.ranges.astype("<f4").tobytes() + bytes(4)
 

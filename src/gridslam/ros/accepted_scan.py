@@ -14,15 +14,15 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["Accepted", "LaserForm", "ScanMaker", "refusal_of"]
+__all__ = ["AcceptedScan", "LaserDescription", "MeasurementBuilder", "find_refusal_reason"]
 
-_KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
+_MAX_GEOMETRIES = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
 _TURN_RAD = 6.3
-_NOTHING = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
-_MOVED_M = 0.005  # and rad: what a mounting on /tf may flutter
+_NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
+_MOUNTING_NOISE_M = 0.005  # and rad: what a mounting on /tf may flutter
 
 
-class LaserForm(NamedTuple):
+class LaserDescription(NamedTuple):
     """What a record says of a laser, number by number.
 
     Attributes
@@ -52,21 +52,21 @@ class LaserForm(NamedTuple):
     beams: int
 
 
-class Accepted(NamedTuple):
+class AcceptedScan(NamedTuple):
     """A measurement for the filter, the form of its laser, and when its message came (s, `time.perf_counter`)."""
 
     measurement: Measurement
-    form: LaserForm
+    laser: LaserDescription
     arrived_s: float
 
 
-def refusal_of(message: ScanMessage, least: int, most: int) -> str:
-    """Say why a message is no scan to be mapped; empty where it is one of `least` to `most` beams."""
+def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) -> str:
+    """Say why a message is no scan to be mapped; empty where it is one of `min_beams` to `max_beams` beams."""
     beams = len(message.ranges)
-    if beams > most:
-        return f"{beams} beams, more than the {most} that a scan may have"
-    if beams < least:
-        return f"{beams} beams are too few to tell where the robot is; at least {least} are needed"
+    if beams > max_beams:
+        return f"{beams} beams, more than the {max_beams} that a scan may have"
+    if beams < min_beams:
+        return f"{beams} beams are too few to tell where the robot is; at least {min_beams} are needed"
     if not message.frame or not message.frame.isprintable() or message.frame != message.frame.strip():
         return f"expected the name of a frame, got {message.frame!r:.60}"
     if not isinstance(message.stamp_ns, int) or not 0 < message.stamp_ns < 1 << 63:
@@ -81,60 +81,62 @@ def refusal_of(message: ScanMessage, least: int, most: int) -> str:
 
 
 @final
-class ScanMaker:
+class MeasurementBuilder:
     """Makes measurements of one laser; geometries are shared as far as angles and mounting are the same.
 
     The mounting goes through its six numbers, and what hit nothing through `inf` and `nan`, as in the record.
     """
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
+        self._geometries: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
         self._matrix: FloatArray = np.full((4, 4), np.nan)
         self._mounting: tuple[float, ...] = ()
 
-    def measurement(
+    def build(
         self,
         message: ScanMessage,
         sensor: str,
         base_from_laser: FloatArray,
         odometry: Odometry | None,
         arrived_s: float,
-    ) -> Accepted:
-        """Make the measurement of a message that `refusal_of` has nothing against."""
-        mounting, beams = self._mounted(base_from_laser), len(message.ranges)
-        start, step, tick = (float(v) for v in (message.angle_min, message.angle_increment, message.time_increment))
+    ) -> AcceptedScan:
+        """Make the measurement of a message that `find_refusal_reason` has nothing against."""
+        mounting, beams = self._stabilize_mounting(base_from_laser), len(message.ranges)
+        start, step, time_increment = (
+            float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
+        )
         scan = LaserScan.from_ros(
             message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
-            range_max=message.range_max, time_increment=tick, geometry=self._shared(mounting, start, step, beams),
-            sensor=sensor, frame=message.frame,
+            range_max=message.range_max, time_increment=time_increment, sensor=sensor, frame=message.frame,
+            geometry=self._share_geometry(mounting, start, step, beams),
         )  # fmt: skip
-        form = LaserForm(
-            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else tick,
+        laser = LaserDescription(
+            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else time_increment,
             scan.range_min_m, scan.range_max_m, beams,
         )  # fmt: skip
-        return Accepted(Measurement(odometry, replace(scan, ranges=_readable(scan))), form, arrived_s)
+        return AcceptedScan(Measurement(odometry, replace(scan, ranges=_normalize_ranges(scan))), laser, arrived_s)
 
-    def _mounted(self, matrix: FloatArray) -> tuple[float, ...]:
-        if not np.abs(matrix - self._matrix).max() <= _MOVED_M:
+    def _stabilize_mounting(self, matrix: FloatArray) -> tuple[float, ...]:
+        if not np.abs(matrix - self._matrix).max() <= _MOUNTING_NOISE_M:
             self._matrix = matrix
             values = *matrix[:3, 3].tolist(), *angles_of_rotation(matrix[:3, :3])
             self._mounting = tuple(value + 0.0 for value in values)  # no -0.0
         return self._mounting
 
-    def _shared(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
+    def _share_geometry(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
         key = *mounting, start, step, beams
-        known = self._known.get(key)
+        known = self._geometries.get(key)
         if known is None:
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*mounting[3:]), mounting[:3]
-            known = self._known[key] = ScanGeometry(start + step * np.arange(beams), matrix)
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
+            known = self._geometries[key] = ScanGeometry(start + step * np.arange(beams), matrix)
+            if len(self._geometries) > _MAX_GEOMETRIES:
+                self._geometries.popitem(last=False)
         return known
 
 
-def _readable(scan: LaserScan) -> FloatArray:
+def _normalize_ranges(scan: LaserScan) -> FloatArray:
     """Ranges (B,) of which only hits keep their value."""
-    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NOTHING[scan.status])
+    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
     ranges.flags.writeable = False
     return ranges
