@@ -167,7 +167,7 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_during_the_last_word_leaves_nothing(call, log, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(progress_module.Progress, "last_word", lambda _: os.kill(os.getpid(), number))
+    monkeypatch.setattr(progress_module.Progress, "show_refinement", lambda _: os.kill(os.getpid(), number))
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
     assert not list(tmp_path.iterdir())
@@ -187,7 +187,7 @@ def test_progress_goes_on_during_the_last_word(capsys, monkeypatch):
     monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
     with progress_module.progress(LogStatistics) as show:
         for _ in range(5):
-            show.last_word()
+            show.show_refinement()
     assert capsys.readouterr().err == (
         "100%  0 scans; the last word, for 5 s\n100%  0 scans; the last word, for 10 s\n"
     )

@@ -65,7 +65,7 @@ def test_localization_is_seen_to_its_end_and_gives_the_same(call, tmp_path, monk
     given = "localize", tmp_path / "flat.clf", "--map", tmp_path / "flat.yaml"
     assert call(*given, "-o", tmp_path / "without")[0] == 0
     client, out = PageClient(), tmp_path / "with"
-    status, _, err = watched(call, monkeypatch, client, *given, "-o", out)
+    status, _, err = run_viewed(call, monkeypatch, client, *given, "-o", out)
     assert status == 0
     assert "live at http://127.0.0.1:" in err
     assert (client.status["stage"], client.status["lost"]) == ("done", False)
@@ -84,7 +84,7 @@ def test_a_map_that_is_none_opens_no_page(call, log, tmp_path):
 
 def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
     client = PageClient()
-    status, _, _ = watched(call, monkeypatch, client, "map", log, *FEW, "-o", tmp_path / "out")
+    status, _, _ = run_viewed(call, monkeypatch, client, "map", log, *FEW, "-o", tmp_path / "out")
     assert status == 0
     assert client.written
     assert client.status["stage"] == "done"
@@ -92,26 +92,26 @@ def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
     assert (tmp_path / "out" / "map.png").is_file()
 
 
-def watched(call, monkeypatch, client, *command):
+def run_viewed(call, monkeypatch, client, *command):
     """Run a command that ends with -o OUT with a viewer, for whom it stays until the end is seen."""
-    port, served = free_port(), live_module.served
+    port, serve_page = free_port(), live_module.serve_page
     viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", client, command[-1]))
 
     @contextmanager
     def seen(page):
-        with served(page) as entered:
+        with serve_page(page) as entered:
             viewer.start()
             assert page.wait_for_viewer(10)
             yield entered
 
-    monkeypatch.setattr(live_module, "served", seen)
+    monkeypatch.setattr(live_module, "serve_page", seen)
     done = call(*command, "--live", "--live-port", port)
     viewer.join(10)
     return done
 
 
 def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(live_module, "_VIEWER_TIMEOUT_S", 0.0)
     status, _, err = call("demo", "-o", tmp_path / "out", "--live", "--live-port", 0)
     assert status == 0
     assert "open the page to begin" in err

@@ -9,10 +9,10 @@ import click
 import numpy as np
 
 from gridslam.cli import STARTED_S
-from gridslam.cli.evaluate import against_truth, tell
+from gridslam.cli.evaluate import format_scores, score_against_truth
 from gridslam.cli.live import live_page, wait_for_viewer
-from gridslam.cli.map import map_shown, summary
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.map import map_with_progress, summary
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
@@ -39,7 +39,7 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
     slowed, configuration = None if live is None else replace(live, speed=_SPEED), Configuration()
     range_max_m = configuration.range_max_m
     with rerun_recording(rerun, "demo", range_max_m) as recording, live_page(slowed, "demo", range_max_m) as page:
-        with opened(out) as folder:
+        with open_output(out) as folder:
             simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
             write_carmen(folder.file(_LOG), simulated.measurements)
             write_tum(folder.file(_TRUTH), simulated.truth)
@@ -47,17 +47,21 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
             wait_for_viewer(page)
             watch.resume()
             log = CarmenLog(folder.file(_LOG))
-            result = map_shown(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
+            result = map_with_progress(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
             result = replace(result, source=out / _LOG)
-            document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
-        errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
+            document = result.write(folder, truth=_align_truth(simulated.truth, result.trajectory))
+        errors, odometry = (score_against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
         if as_json:
             print_json({"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry})
             return
-        lines = [*summary(document, result, out), "against the truth:", *(f"  {line}" for line in tell(errors))]
-        click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in tell(odometry))]))
+        lines = [
+            *summary(document, result, out),
+            "against the truth:",
+            *(f"  {line}" for line in format_scores(errors)),
+        ]
+        click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in format_scores(odometry))]))
 
 
-def _in_map_frame(truth: Trajectory, estimate: Trajectory) -> Trajectory:
+def _align_truth(truth: Trajectory, estimate: Trajectory) -> Trajectory:
     """The truth, moved as a whole to where it fits the estimate best; both have the same scans."""
     return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))

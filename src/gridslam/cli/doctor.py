@@ -7,16 +7,16 @@ from pathlib import Path
 import click
 
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
 from gridslam.doctor.report import document, markdown, picture_name, text
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
 
-__all__ = ["SPOILED", "checked", "doctor_log"]
+__all__ = ["EXIT_FOUND_ERRORS", "check_log", "doctor_log"]
 
-SPOILED = 3
+EXIT_FOUND_ERRORS = 3
 """Exit status where something would spoil the map."""
 
 
@@ -24,43 +24,43 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     """Diagnose a log, say what was found, and write the report and its pictures into a folder where one is given."""
     source = open_log(log, options)
     if out is None:
-        diagnosis = _shown(source, not as_json)
+        diagnosis = _diagnose_with_progress(source, not as_json)
     else:
-        with opened(out) as folder:
-            diagnosis = _shown(source, not as_json)
+        with open_output(out) as folder:
+            diagnosis = _diagnose_with_progress(source, not as_json)
             _write(diagnosis, folder)
     if as_json:
         print_json(document(diagnosis))
     else:
         click.echo("\n".join([*text(diagnosis), *([f"report: {out / 'report.md'}"] if out else [])]))
-    return SPOILED if diagnosis.worst is Severity.SPOILS else 0
+    return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.SPOILS else 0
 
 
-def checked(log: Log, options: LogOptions) -> CheckedLog:
+def check_log(log: Log, options: LogOptions) -> CheckedLog:
     """A log that says on stderr, one line each, what is wrong in its first minute as it is read.
 
     That there is no odometry is no news to who asked for it.
     """
-    told = {"no_odometry"} if options.no_odometry else set()
+    reported = {"no_odometry"} if options.no_odometry else set()
 
-    def tell(found: tuple[Finding, ...]) -> None:
+    def print_findings(found: tuple[Finding, ...]) -> None:
         for finding in found:
-            if finding.code not in told:
-                told.add(finding.code)  # the log may be read twice
+            if finding.code not in reported:
+                reported.add(finding.code)  # the log may be read twice
                 click.echo(f"gridslam: {log.path}: {finding.code}: {finding.says} {finding.remedy}".rstrip(), err=True)
 
-    return CheckedLog(log, tell)
+    return CheckedLog(log, print_findings)
 
 
-def _shown(source: Log, shown: bool) -> Diagnosis:
+def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
     """Diagnose while progress is shown."""
     with reading_progress(lambda: source.statistics, shown=shown) as show:
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
             show()
 
-        return diagnose(source, tick=tick)
+        return diagnose(source, tick=on_progress)
 
 
 def _write(diagnosis: Diagnosis, folder: OutputFolder) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.cli import STARTED_S
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
 from gridslam.io.text_source import sha256_of
@@ -27,8 +27,8 @@ __all__ = ["GRAPH_SCHEMA", "graph_to_folder"]
 GRAPH_SCHEMA = "gridslam.graph/1"
 
 _GRAPH, _PICTURE, _DOCUMENT, _WEIGHTS = "graph.g2o", "graph.png", "graph.json", "weights.csv"
-_KEPT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
-_SHOWN = 10  # rejected edges in the summary
+_MIN_WEIGHT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
+_MAX_LISTED = 10  # rejected edges in the summary
 
 
 def graph_to_folder(
@@ -44,7 +44,7 @@ def graph_to_folder(
     watch.lap("start")
     source = read_g2o(file, skip_unknown=skip_unknown)
     watch.lap("read")
-    with opened(out) as folder:
+    with open_output(out) as folder:
         _import_algebra()
         watch.lap("start")
         solution = solver.solve(source.graph)
@@ -65,9 +65,9 @@ def _import_algebra() -> None:
     GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
 
 
-def _rejected(solution: GraphSolution) -> NDArray[np.bool_]:
+def _find_rejected(solution: GraphSolution) -> NDArray[np.bool_]:
     """Which edges (M,) were found to be false."""
-    return np.asarray(solution.weights < _KEPT)
+    return np.asarray(solution.weights < _MIN_WEIGHT)
 
 
 def _document(
@@ -97,7 +97,7 @@ def _document(
         "seconds": watch.stages["solve"][0],
     }
     if solver.robust is not None:
-        document |= {"rejected": source.edge_ids[_rejected(solution)].tolist(), "weights": _WEIGHTS}
+        document |= {"rejected": source.edge_ids[_find_rejected(solution)].tolist(), "weights": _WEIGHTS}
     return document
 
 
@@ -109,7 +109,7 @@ def _write(
     rejected = None
     if document["robust"]:
         _write_weights(folder.file(_WEIGHTS), source, solution)
-        rejected = _rejected(solution)
+        rejected = _find_rejected(solution)
     watch.lap("write")
     picture = draw_graph(
         solution.graph,
@@ -158,8 +158,8 @@ def _summary(document: dict[str, Any], out: Path) -> list[str]:
         counts = ", ".join(f"{count} {tag}" for tag, count in graph["skipped"].items())
         lines.insert(1, f"passed over: {counts}")
     if document["robust"]:
-        some = ", ".join(f"{first} {second}" for first, second in rejected[:_SHOWN])
-        listed = (": " + some + (", ..." if len(rejected) > _SHOWN else "")) if rejected else ""
+        some = ", ".join(f"{first} {second}" for first, second in rejected[:_MAX_LISTED])
+        listed = (": " + some + (", ..." if len(rejected) > _MAX_LISTED else "")) if rejected else ""
         lines.insert(-1, f"rejected {len(rejected)} loop closures{listed}")
         lines.append(f"weights: {out / _WEIGHTS}")
     return lines

@@ -12,7 +12,7 @@ from gridslam.api.grid import GridModel, map_with_poses
 from gridslam.api.grid_result import GridResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.errors import ArgumentError
 from gridslam.io.log import LogOptions, open_log
@@ -40,17 +40,17 @@ def grid_to_folder(
     """Map a log with known poses into a folder and say what came of it."""
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_log(log, options)
-    with opened(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
+    with open_output(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
 
-        def tick() -> None:
+        def on_progress() -> None:
             stop_if_interrupted()
             show()
 
         try:
             result = map_with_poses(
                 source, trajectory, model=model, half_life_scans=half_life_scans, resolution_m=resolution_m,
-                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads, tick=tick,
-                stopwatch=watch,
+                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads,
+                tick=on_progress, stopwatch=watch,
             )  # fmt: skip
         except ArgumentError as error:
             option = _OPTIONS.get(error.argument, error.argument)

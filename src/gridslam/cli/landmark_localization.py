@@ -10,8 +10,8 @@ import click
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.options import named
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.options import name_option
+from gridslam.cli.output import open_output, print_json
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
@@ -34,8 +34,8 @@ def localize_to_folder(
         raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with opened(out) as folder:
-        with named(pose="--initial-pose"):
+    with open_output(out) as folder:
+        with name_option(pose="--initial-pose"):
             result = localize_by_landmarks(
                 source, landmarks, pose=initial_pose, unknown=unknown, tick=stop_if_interrupted, stopwatch=watch
             )
@@ -48,10 +48,10 @@ def localize_to_folder(
 
 def _summary(document: dict[str, Any], out: Path) -> list[str]:
     """What a person wants to know, in a few lines."""
-    told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
-    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    source_info, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
+    time = f", {source_info['duration_s']:.0f} s" if source_info["stamped"] else ""
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings",
+        f"{Path(source_info['path']).name}: {source_info['steps']} steps{time}, {source_info['sightings']} sightings",
         f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, "
         f"{document['not_believed']} sightings not believed",
     ]

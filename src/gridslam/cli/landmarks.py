@@ -11,7 +11,7 @@ from gridslam.api.landmark_result import LandmarkResult
 from gridslam.api.landmarks import LandmarkMethod, map_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -27,7 +27,7 @@ def landmarks_to_folder(
         raise click.ClickException("--unknown: GraphSLAM has to be told which landmark was seen")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with opened(out) as folder:
+    with open_output(out) as folder:
         try:
             result = map_landmarks(
                 source, method, particles=particles, seed=seed, unknown=unknown, tick=stop_if_interrupted,
@@ -46,12 +46,12 @@ def landmarks_to_folder(
 
 def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> list[str]:
     """What a person wants to know, in a few lines."""
-    told, errors = document["input"], document["errors"]
-    left_out = ", ".join(f"{told[name]} {what}" for name, what in _LEFT_OUT.items() if told[name])
-    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    source_info, errors = document["input"], document["errors"]
+    left_out = ", ".join(f"{source_info[name]} {what}" for name, what in _LEFT_OUT.items() if source_info[name])
+    time = f", {source_info['duration_s']:.0f} s" if source_info["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['sightings']} sightings"
+        f"{Path(source_info['path']).name}: {source_info['steps']} steps{time}, {source_info['sightings']} sightings"
         + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
         f"{document['strange_sightings']} sightings not believed",

@@ -13,11 +13,11 @@ import click
 from gridslam.errors import OutputError
 from gridslam.io.output import OutputFolder
 
-__all__ = ["opened", "print_json"]
+__all__ = ["open_output", "print_json"]
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[OutputFolder]:
+def open_output(path: Path) -> Iterator[OutputFolder]:
     """Open OUT before the long work; one that cannot be written is bad usage."""
     with ExitStack() as stack:
         try:

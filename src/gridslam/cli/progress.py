@@ -32,14 +32,14 @@ def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
         began, scans = time.perf_counter(), 0
         due = began + every_s
 
-        def tell() -> None:
+        def on_scan() -> None:
             nonlocal scans, due
             scans += 1
             if (now := time.perf_counter()) >= due:
                 due = now + every_s
                 show(statistics().share_read, f"{scans} scans, {scans / (now - began):.0f}/s")
 
-        yield tell
+        yield on_scan
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def _bar() -> Iterator[Callable[[float, str], None]]:
 class Progress:
     """Observer that tells rate, effective sample size, size of the map and time left, now and then.
 
-    After the last scan `last_word` tells that the work goes on.
+    After the last scan `show_refinement` tells that the work goes on.
     """
 
     def __init__(
@@ -96,9 +96,9 @@ class Progress:
             self._n_eff = report.n_eff
         if (now := time.perf_counter()) >= self._due:
             self._due = now + self._every_s
-            self._tell(now - self._began, report, state)
+            self._show_rate(now - self._began, report, state)
 
-    def last_word(self) -> None:
+    def show_refinement(self) -> None:
         """Tell for how long the last word has been looked for, now and then."""
         now = time.perf_counter()
         self._ended = min(self._ended, now)
@@ -106,7 +106,7 @@ class Progress:
             self._due = now + self._every_s
             self._show(1.0, f"{self._scans} scans; the last word, for {now - self._ended:.0f} s")
 
-    def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
+    def _show_rate(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()
         share = log.share_read
         height, width = state.maps.tiled(state.best).shape

@@ -17,10 +17,10 @@ from gridslam.ros.core import NodeCore
 from gridslam.ros.localization import Localization
 from gridslam.ros.services import ViewerOpener
 
-__all__ = ["given_parameters", "ros1", "ros2", "watched"]
+__all__ = ["collect_parameters", "make_viewer_opener", "ros1", "ros2"]
 
 
-def given_parameters(
+def collect_parameters(
     preset: str | None = None, particles: int | None = None, seed: int | None = None, threads: int | None = None,
     config: Path | None = None, assignments: Sequence[str] = (), record: Path | None = None, out: Path | None = None,
     map_file: Path | None = None,
@@ -45,7 +45,7 @@ def ros1(
     """Be the node in ROS 1 until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
-    given, open_viewers = given_parameters(**options), watched("ROS 1", live, rerun)
+    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 1", live, rerun)
     run_ros1(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
@@ -59,7 +59,7 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Be the node in ROS 2 until it is stopped: by rclpy where a ROS 2 is sourced, else by Cyclone DDS."""
-    given, open_viewers = given_parameters(**options), watched("ROS 2", live, rerun)
+    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
@@ -72,7 +72,7 @@ def ros2(
     run_ros2(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
-def watched(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:
+def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:
     """Let in those who look on at a node: its page, and its recording."""
 
     @contextmanager

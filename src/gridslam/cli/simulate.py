@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from gridslam.cli.output import opened, print_json
+from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.trajectory import write_tum
@@ -52,16 +52,16 @@ def simulate_to_log(
         raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
-    with opened(out.parent) as folder:
+    with open_output(out.parent) as folder:
         try:
             crowd = PeopleConfig(count=people)
             log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         except ArgumentError as error:
             raise click.ClickException(str(error).replace("name:", "WORLD:", 1)) from None
-        kept = _first(log.truth, scans)
+        kept = _cut(log.truth, scans)
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
         write_tum(folder.file(truth.name), kept)
-    _tell(log, kept, world, seed, out, truth, as_json)
+    _print_summary(log, kept, world, seed, out, truth, as_json)
 
 
 def _truth_name(out: Path) -> str:
@@ -84,11 +84,13 @@ def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> Li
     return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
-def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
+def _cut(trajectory: Trajectory, scans: int | None) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[:scans], trajectory.poses[:scans])
 
 
-def _tell(log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool) -> None:
+def _print_summary(
+    log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool
+) -> None:
     steps = np.diff(kept.poses[:, :2], axis=0)
     length_m, duration_s = float(np.hypot(*steps.T).sum()), float(np.ptp(kept.stamps_ns)) * 1e-9
     if as_json:

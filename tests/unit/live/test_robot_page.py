@@ -14,7 +14,7 @@ from ros_node import RecordedOutputs, mounting, play, until
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gridslam.cli.ros import watched
+from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
 from gridslam.live.control import RobotControl
 from gridslam.live.mapping_monitor import MappingMonitor
@@ -121,7 +121,7 @@ def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     known = Localization(KnownMap(flat_map()), MonteCarloParts())
     core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
+    with make_viewer_opener("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
