@@ -127,7 +127,7 @@ def test_what_is_no_scan_is_named_and_the_node_lives(running, drive):
 def test_another_node_that_says_where_odometry_lies_is_named(running):
     link = StampedTransform(1, "map", "odom", IDENTITY)
     running.robot.moving.write(transforms(running.peer, [link]))
-    assert running.node.says("says where odom lies in map, and this one where in map"), running.node.log.read_text()
+    assert running.node.says("publishes map -> odom, and this node publishes map -> odom"), running.node.log.read_text()
 
 
 def test_two_programs_that_tell_of_one_transform_are_named(running):
@@ -140,7 +140,7 @@ def test_two_programs_that_tell_of_one_transform_are_named(running):
         for writer in (running.robot.moving, other):
             writer.write(transforms(running.peer, [StampedTransform(stamp_ns, "odom", "base_link", IDENTITY)]))
             stamp_ns += 1000
-        return running.node.says("two transforms: base_link is told to lie in odom by publisher ", 1.0)
+        return running.node.says("two transforms: base_link has conflicting transforms (in odom by publisher ", 1.0)
 
     assert until(named), running.node.log.read_text()
 
@@ -157,7 +157,7 @@ def test_a_quality_of_service_that_does_not_fit_is_named(running):
 
 def test_a_publisher_of_another_type_is_named(running):
     kept = running.peer.writer("rt/scan", "std_msgs/Float64")
-    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, and this node takes"
+    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, this node expects"
     assert running.node.says(says), running.node.log.read_text()
     del kept
 
@@ -171,7 +171,7 @@ def test_services_answer(running):
     assert reply.success, reply.message
     assert (running.folder / "out" / "map.pgm").is_file()
     asked(peer, "gridslam/reset", "std_srvs/Empty", 0)
-    assert running.node.says("a new map is begun: reset")
+    assert running.node.says("starting a new map: reset")
 
 
 def test_a_node_that_was_killed_is_started_again(drive, tmp_path):

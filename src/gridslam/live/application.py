@@ -1,4 +1,4 @@
-"""What the server answers: the page, the stream of messages to each viewer, and the map as files."""
+"""The web application: the page, the stream of messages to each viewer, and the map as files."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from gridslam.types import OccupancyGrid
 __all__ = ["BYTES_PER_S", "PERIOD_S", "PageContent", "Viewer", "make_application"]
 
 PERIOD_S = 0.1
-"""Least time between two messages to a viewer."""
+"""Least time between two messages to a viewer, s."""
 BYTES_PER_S = 1e6
-"""What a viewer is sent at most, but for single messages; a larger one is followed by a longer pause."""
+"""Maximum rate for a viewer; a large message is followed by a longer pause."""
 
-_HEARTBEAT_S = 3.0  # a viewer hears something at least as often, lest it take the line for dead
-_MAX_UNACKNOWLEDGED = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
+_HEARTBEAT_S = 3.0  # between messages at most, so that viewers can detect a dead connection
+_MAX_UNACKNOWLEDGED = 2  # messages: a slow connection gets fewer messages, not late ones
 _BAD_TOKEN, _BAD_COMMAND = 4401, 4400  # close codes of the socket
 _HERE = Path(__file__).parent / "static"
 _HEADERS = {
@@ -47,26 +47,26 @@ _HEADERS = {
 
 
 class Viewer(Protocol):
-    """One who looks; used by the server's thread alone."""
+    """A viewer; used by the server's thread only."""
 
     def next_message(self) -> bytes | None:
-        """What the viewer lacks; None where that is nothing."""
+        """Return the next message for the viewer; None if there is nothing new."""
 
     def command(self, command: Mapping[str, Any]) -> None:
-        """Do what the viewer asks; raises ArgumentError, KeyError, TypeError or ValueError where it cannot be done."""
+        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
 
     def close(self) -> None:
-        """Look no more."""
+        """Remove the viewer."""
 
 
 class PageContent(Protocol):
-    """What there is to see; used by the server's thread alone."""
+    """Content of the page; used by the server's thread only."""
 
     def add_viewer(self, notify: Callable[[], None]) -> Viewer:
-        """Take in a viewer, whose `notify` is called whenever there may be something new."""
+        """Add a viewer; `notify` is called whenever there may be something new."""
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
-        """The map that a channel shows; None where there is none."""
+        """Return the map of a channel; None if there is none."""
 
 
 def make_application(content: PageContent, host: str, token: str | None) -> ASGIApp:
@@ -106,7 +106,7 @@ def _is_authorized(connection: HTTPConnection, token: str | None) -> bool:
 
 
 def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
-    """Answer requests only under these names, lest another site's page talk to us by a name of its own; add headers."""
+    """Reject requests for other host names, against DNS rebinding, and add security headers."""
 
     async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
@@ -125,7 +125,7 @@ def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
 
 
 async def _serve_viewer(websocket: WebSocket, content: PageContent) -> None:
-    """Send one viewer what is new, and do what it asks, until it goes."""
+    """Send messages to one viewer and execute its commands until it disconnects."""
     notify, window = asyncio.Event(), asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
     viewer = content.add_viewer(notify.set)
     sender = asyncio.create_task(_send_all(websocket, viewer, notify, window))
@@ -159,7 +159,7 @@ async def _send_all(websocket: WebSocket, viewer: Viewer, notify: asyncio.Event,
 
 
 async def _next_message(viewer: Viewer, notify: asyncio.Event) -> bytes:
-    """What the viewer lacks, as soon as it lacks anything, or nothing in time for it to hear something."""
+    """Wait for the next message of a viewer; returns an empty message as heartbeat."""
     clock = asyncio.get_running_loop().time
     due = clock() + _HEARTBEAT_S
     notify.clear()
@@ -173,7 +173,7 @@ async def _next_message(viewer: Viewer, notify: asyncio.Event) -> bytes:
 
 
 def _zip_map(grid: OccupancyGrid) -> bytes:
-    """map.yaml and map.pgm, as ROS's map_server reads them."""
+    """Return a ZIP archive with map.yaml and map.pgm for ROS's map_server."""
     archive = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as files:
         write_map(Path(folder) / "map.yaml", grid)

@@ -1,4 +1,4 @@
-"""Reads what a command wrote into OUT."""
+"""Reader of a command's output folder."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class FinishedRun(NamedTuple):
     ----------
     results : Results
     run_info : dict
-        What a viewer is told of it first (see `gridslam.live.run.make_run_info`).
+        Constants of the run (see `gridslam.live.run.make_run_info`).
     missing : str
-        What is no more there, in words; empty where nothing is missing.
+        A message about missing files; empty if nothing is missing.
     """
 
     results: Results
@@ -47,7 +47,7 @@ def open_finished_run(folder: str | Path) -> FinishedRun:
     Raises
     ------
     InputError
-        A file is missing or malformed, they are not of one run, or the folder is none of these commands'.
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
     out = Path(folder)
     document = _read_document(out / "run.json")
@@ -89,7 +89,7 @@ def _read_localization(out: Path, document: dict[str, Any], title: str) -> Finis
 def _read_landmark_run(out: Path, document: dict[str, Any], title: str) -> FinishedRun:
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
     path = out / "landmarks.csv"
-    if not path.is_file():  # of a localization among known landmarks
+    if not path.is_file():  # a localization with known landmarks
         return FinishedRun(TrajectoryRun(trajectory, covariances), make_run_info(title, "replay", ("path",), "step"))
     found = read_landmarks(path)
     rows = np.column_stack([found.positions, found.covariances[:, [0, 0, 1], [0, 1, 1]]]).astype(np.float32)
@@ -124,14 +124,14 @@ def _read_document(path: Path) -> dict[str, Any]:
 
 
 def _read_closures(document: dict[str, Any], keys: int) -> IntArray:
-    """Key scans (C, 2) of the loop closures, the older one first; those that the record does not have are left out."""
+    """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
     source = document.get("loop_closure") or {}
     pairs = np.array([closure["key_scans"] for closure in source.get("closures", [])], np.int64).reshape(-1, 2)
     return pairs[(pairs >= 0).all(axis=1) & (pairs < keys).all(axis=1)]
 
 
 def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
-    """The map in which a robot was localized, from where it lay then; None, and why, where it is there no more."""
+    """Return the map of a localization from its original path; None and a message if it cannot be read."""
     source = document.get("input")
     path = Path(str(source.get("map") or "")) if isinstance(source, dict) else Path()
     try:
@@ -141,7 +141,7 @@ def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str
 
 
 def _read_belief(path: Path) -> FloatArray:
-    """Rows of belief.csv as (T, 5): lost, doubt, agreement, particles and effective sample size (NaN where empty)."""
+    """Read belief.csv as (T, 5): lost, lost probability, inlier ratio, particles, effective sample size (or NaN)."""
     header, *lines = read_text(path).splitlines() or [""]
     if header != _BELIEF_HEADER:
         raise InputError(path, f"expected the columns {_BELIEF_HEADER}, got {header!r:.200}", 1)

@@ -1,4 +1,4 @@
-"""What there is to see of a filter that localizes in a known map: the cloud of its particles."""
+"""Monitor of a filter that localizes in a known map."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from gridslam.viz.cloud import fair_share
 
 __all__ = ["LocalizationMonitor"]
 
-_STEPS_PER_UNIT = np.float32(
-    64
-)  # to the m and rad: a cloud's poses are rounded to 1.6 cm and 0.9 degrees, to send less
+_STEPS_PER_UNIT = np.float32(64)  # per m and rad: poses are rounded to 1.6 cm and 0.9 degrees, which compress better
 
 
 @final
 class LocalizationMonitor:
-    """Of a filter that localizes in a known map.
+    """Monitor of a filter that localizes in a known map.
 
     Parameters
     ----------
@@ -33,25 +31,25 @@ class LocalizationMonitor:
     """
 
     def __init__(self, known: OccupancyGrid) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
         self._resolution_m = known.resolution_m
         self.reset()
 
     def reset(self) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
         self._path = RowBuffer(2)
 
     def record(self, report: LocalizationReport, scan: LaserScan | None) -> int:
-        """Take note of a scan: of where the robot was, unless that is a guess."""
+        """Record the pose at a scan, NaN if the robot is lost."""
         if report.skipped is None:
             self._path.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
         return 0
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show nothing: there is one map."""
+        """Do nothing: all particles share one map."""
 
     def view(self, report: LocalizationReport, state: MonteCarloState) -> StateView:
-        """See the state as it is now."""
+        """Return a view of the current state."""
         return _LocalizationView(self._resolution_m, report, state.snapshot(), self._path.rows)
 
 
@@ -67,7 +65,7 @@ class _LocalizationView:
     rows: dict[int, int] = field(default_factory=lambda: {BEST: 0})
 
     def particles(self) -> Float32Array:
-        """At most a thousand, moved on by odometry since the last update."""
+        """Return at most a thousand particles, predicted by odometry since the last update."""
         chosen, shares = fair_share(np.exp(self.state.log_weights))
         moved = between(self.state.estimate.pose, self.report.pose)
         poses = compose(self.state.poses[chosen], moved).astype(np.float32)

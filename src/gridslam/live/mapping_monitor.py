@@ -1,4 +1,4 @@
-"""What there is to see of a filter that maps."""
+"""Monitor of a filter that maps."""
 
 from __future__ import annotations
 
@@ -24,30 +24,30 @@ _MAX_RESAMPLINGS = 256  # resamplings
 
 @final
 class MappingMonitor:
-    """Of a filter that maps.
+    """Monitor of a filter that maps.
 
     Parameters
     ----------
     range_max_m : float, m
-        Beams of this range or more write nothing; infinite if it is not known.
+        Beams of this range or more do not change the map; infinite if unknown.
     """
 
     def __init__(self, range_max_m: float) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
         self._range_max_m = range_max_m
         self.reset()
 
     def reset(self) -> None:
-        """Begin before the first scan, with other maps than those looked at until now."""
+        """Start before the first scan of a new session with new maps."""
         self._all_changed, self._keys = True, 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
         self._closures: list[tuple[int, int]] = []
         self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
         self._detectors = {BEST: TileChangeDetector()}
-        self._lines: dict[int, IntArray] = {}  # of each channel the particles that continue the chosen one
+        self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
 
     def record(self, report: StepReport, scan: LaserScan | None) -> int:
-        """Take note of a scan; `CORRECTED` where the past was."""
+        """Record a scan; returns `CORRECTED` after a correction."""
         self._closures += report.closures
         if report.skipped is not None:
             return 0
@@ -61,7 +61,7 @@ class MappingMonitor:
         return CORRECTED * report.corrected
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and of who continues it; no longer if it is -1."""
+        """Show the map of a particle and its descendants as a channel; -1 closes the channel."""
         if particle < 0:
             self._detectors.pop(channel, None)
             self._lines.pop(channel, None)
@@ -73,7 +73,7 @@ class MappingMonitor:
         self._detectors[channel], self._lines[channel] = TileChangeDetector(), line
 
     def view(self, report: StepReport, state: GridFastSlamState) -> StateView:
-        """See the state as it is now, and what of the maps has changed since the last look."""
+        """Return a view of the current state, with all changes of the maps since the last view."""
         rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
         rows[BEST] = state.best
         written = None if self._all_changed else self._written_box()
@@ -89,7 +89,7 @@ class MappingMonitor:
         )  # fmt: skip
 
     def _written_box(self) -> Box | None:
-        """Where maps were written to since the last look."""
+        """Return the box in which maps may have changed since the last view; None if unknown."""
         if not self._written:
             return EMPTY_BOX
         reach = 0.0
@@ -112,7 +112,7 @@ class _MappingView:
     poses: FloatArray
     log_weights: FloatArray
     ancestry: Ancestry
-    pairs: IntArray  # of key scans that show one place
+    pairs: IntArray  # of key scans at the same place
 
     def particles(self) -> Float32Array:
         now = compose(self.poses, self.report.key_from_base) if self.report.skipped else self.poses
@@ -122,7 +122,7 @@ class _MappingView:
         return thin_tree(self.ancestry)
 
     def closures(self) -> Float32Array:
-        """Where they are as the best particle has it; they move when the past is corrected."""
+        """Return the end points of the closures on the best particle's path, which corrections move."""
         if not len(self.pairs):
             return NO_CLOSURES
         positions = self.ancestry.trajectory(self.rows[BEST])[:, :2]
@@ -134,5 +134,5 @@ class _MappingView:
 
 
 def _find_children(line: IntArray, parents: IntArray) -> IntArray:
-    """The particles that continue one of `line`."""
+    """Return the particles whose parent is one of `line`."""
     return np.flatnonzero(np.isin(parents, line))

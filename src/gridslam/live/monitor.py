@@ -1,7 +1,6 @@
-"""What filters let the page see: looked at by the filter's thread, worked out by the server's.
+"""Interface between filters and the page: sampled in the filter's thread, rendered in the server's.
 
-SLAM and localization tell the page the same things; what one of them does not have (pasts, closures, maps of its own)
-is empty there.
+SLAM and localization share it; localization has no ancestry, closures and maps per particle, which are empty.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ from gridslam.types import FloatArray, LaserScan
 __all__ = ["BEST", "CORRECTED", "LOST", "FilterMonitor", "ScanReport", "StateView"]
 
 BEST = 0
-"""The channel that shows the best particle's map, whichever that is."""
+"""The channel that always shows the map of the best particle."""
 LOST, CORRECTED = 1, 8
-"""Flags of a key scan: the robot was lost (as in a record); the past was corrected after it."""
+"""Flags of a key scan: the robot was lost (as in a record); a correction of the trajectory followed."""
 
 R = TypeVar("R", contravariant=True)
 S = TypeVar("S", contravariant=True)
 
 
 class ScanReport(Protocol):
-    """What the reports of all filters tell of one scan; attributes as of `gridslam.types.StepReport`."""
+    """Report of any filter on one scan; a subset of `gridslam.types.StepReport`."""
 
     @property
     def stamp_ns(self) -> int:
@@ -33,15 +32,15 @@ class ScanReport(Protocol):
 
     @property
     def pose(self) -> FloatArray:
-        """Where the robot is, (3,)."""
+        """Pose of the robot, (3,)."""
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the pose, (3, 3)."""
+        """Covariance of the pose, (3, 3)."""
 
     @property
     def lost(self) -> bool:
-        """Whether the pose is a guess."""
+        """Whether the robot is lost."""
 
     @property
     def n_eff(self) -> float:
@@ -49,52 +48,52 @@ class ScanReport(Protocol):
 
     @property
     def skipped(self) -> Enum | None:
-        """Why the particles took no step."""
+        """Why the particles were not updated; None if they were."""
 
     @property
     def poses(self) -> FloatArray | None:
-        """The particles (N, 3) where they took a step."""
+        """Poses (N, 3) of the particles; None if they were not updated."""
 
 
 class StateView(Protocol):
-    """What can be seen of a state; its methods are called by the server's thread, and see the state as it was."""
+    """An immutable view of a filter's state; its methods are called in the server's thread."""
 
     @property
     def maps(self) -> dict[int, TileChanges]:
-        """What has changed in the map of each channel."""
+        """Changed tiles of the map of each channel."""
 
     @property
     def rows(self) -> dict[int, int]:
-        """The particle of each channel; -1 where its line has died out."""
+        """Particle of each channel; -1 if it has no descendants."""
 
     @property
     def resolution_m(self) -> float:
-        """Side of a cell of the maps."""
+        """Side of the maps' cells, m."""
 
     def particles(self) -> Float32Array:
-        """Those that are shown, (K, 4): x m, y m, theta rad and weight."""
+        """Return the displayed particles (K, 4): x m, y m, theta rad and weight."""
 
     def path_and_tree(self) -> tuple[Float32Array, AncestryTree]:
-        """The way (T, 2) as far as all particles agree, and where they do not."""
+        """Return the path (T, 2) that all particles share, and the tree of their differing paths."""
 
     def closures(self) -> Float32Array:
-        """The two places x, y that each loop closure joins, (C, 4), m."""
+        """Return the end points x, y of each loop closure, (C, 4), m."""
 
     def status(self) -> dict[str, Any]:
-        """What else the page tells, as JSON values; ``particles``, how many there are, among it."""
+        """Return further status values for JSON, including ``particles``, their number."""
 
 
 class FilterMonitor(Protocol[R, S]):
-    """Looks at a filter's reports and states; belongs to the filter's thread."""
+    """Collects what changes from a filter's reports and states; used by the filter's thread only."""
 
     def reset(self) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
 
     def record(self, report: R, scan: LaserScan | None) -> int:
-        """Take note of a scan; gives flags beside `LOST`."""
+        """Record a scan; returns flags in addition to `LOST`."""
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and of who continues it (see `LiveObserver.show_particle`)."""
+        """Show the map of a particle and its descendants (see `LiveObserver.show_particle`)."""
 
     def view(self, report: R, state: S) -> StateView:
-        """See the state as it is now, and what has changed since the last look."""
+        """Return a view of the current state, with all changes since the last view."""

@@ -1,4 +1,4 @@
-"""The filter's side: an observer of the pipeline that now and then takes a snapshot of what can be seen."""
+"""The filter's side: a pipeline observer that takes snapshots at a bounded rate."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from gridslam.types import LaserScan, Odometry
 __all__ = ["UNVIEWED_PERIOD_S", "VIEWED_PERIOD_S", "LiveObserver", "Snapshot"]
 
 VIEWED_PERIOD_S, UNVIEWED_PERIOD_S = 0.1, 1.0
-"""Time between snapshots while somebody looks, and while nobody does, s."""
+"""Time between snapshots with and without viewers, s."""
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
-_FINAL_SNAPSHOT_S = 1.0  # after the last scan the snapshot before is waited for, so that the page has the end
+_FINAL_SNAPSHOT_S = 1.0  # to wait for the previous snapshot after the last scan, so that the page shows the end
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What can be seen of a run after one scan; arrays in it are never written to.
+    """State of a run after one scan; its arrays are never modified.
 
     Attributes
     ----------
     report : ScanReport
-        Of that scan.
+        Report on that scan.
     view : StateView
-        Of the filter's state after it.
+        View of the filter's state after it.
     scan : LaserScan or None
-        The scan, where it went through `LiveObserver.pace`.
+        The scan, if it passed through `LiveObserver.pace`.
     scans, keys : int
-        How many scans and key scans there were.
+        Number of scans and key scans.
     series : list of (float, float, float, int, int)
-        Of each key scan since the last snapshot its stamp, s, effective sample size, latency, s, flags, and the number
-        of particles.
+        Stamp, s, effective sample size, latency, s, flags and number of particles of each key scan since the last
+        snapshot.
     progress : float
-        How much of the log is read, in [0, 1]; NaN where that is unknown.
+        Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
         `time.perf_counter()` of the snapshot.
     """
@@ -59,32 +59,32 @@ class Snapshot:
 
 @final
 class LiveObserver:
-    """Takes snapshots at a bounded rate and hands them over; never waits for who takes them.
+    """Takes snapshots at a bounded rate and posts them; never waits for the receiver.
 
-    A snapshot is taken only once the one before is done with (`release`), so a slow reader gets fewer of them, each of
-    which brings all that has changed since.
+    A snapshot is taken only after the previous one is released (`release`), so a slow receiver gets fewer snapshots,
+    each with all changes since the previous one.
 
     Parameters
     ----------
     post : callable
-        Gets each snapshot, on the filter's thread, and returns at once.
+        Called with each snapshot in the filter's thread; must not block.
     control : Control or RobotControl
-        Holds back the scans that come through `pace`.
+        Delays the scans that pass through `pace`.
     monitor : FilterMonitor
-        What there is to see of this filter.
+        Monitor of the filter.
 
     Attributes
     ----------
     period_s : float, s
-        Least time between two snapshots; set by whoever knows whether somebody looks.
+        Least time between two snapshots; set by the server's thread.
     progress : callable
-        Tells how much of the source is read, in [0, 1]; NaN where that is unknown.
+        Returns the ratio of the source that is read, in [0, 1]; NaN if unknown.
     """
 
     def __init__(
         self, post: Callable[[Snapshot], None], control: Control | RobotControl, monitor: FilterMonitor[Any, Any]
     ) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan
         self._post, self._control, self._monitor = post, control, monitor
@@ -92,7 +92,7 @@ class LiveObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Begin before the first scan, with another state than that looked at until now."""
+        """Start before the first scan of a new session."""
         self._scans = self._keys = 0
         self._is_new = False
         self._scan: LaserScan | None = None
@@ -102,7 +102,7 @@ class LiveObserver:
         self._monitor.reset()
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
+        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
         for measurement in source:
             if stopwatch is not None:
                 stopwatch.lap("read")
@@ -117,13 +117,13 @@ class LiveObserver:
         self._take_snapshot(time.perf_counter())
 
     def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a source that nobody holds back."""
+        """Yield the measurements of a source without delay."""
         for measurement in source:
             self._scan = measurement[1]
             yield measurement
 
     def __call__(self, report: ScanReport, state: Any, seconds: float) -> None:  # noqa: ANN401
-        """Take note of one scan, and a snapshot if it is time."""
+        """Record a scan, and take a snapshot if due."""
         self._scans += 1
         self._latest, self._is_new = (report, state), True
         flags = LOST * report.lost | self._monitor.record(report, self._scan)
@@ -136,20 +136,20 @@ class LiveObserver:
             self._take_snapshot(now)
 
     def take_pending_snapshot(self) -> None:
-        """Take a snapshot of what is new while no scan comes; in the filter's thread."""
+        """Take a snapshot of pending changes while no scan arrives; call from the filter's thread."""
         if not self._busy and (self._is_new or self._requests):
             self._take_snapshot(time.perf_counter())
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle, and of who continues it, as `channel`; called by any thread.
+        """Show the map of a particle and its descendants as `channel`; thread-safe.
 
-        `particle` is its index after so many key scans; -1 ends the channel.
+        `particle` is its index after `keys` key scans; -1 closes the channel.
         """
         self._requests.append((channel, particle, keys))
         self._control.wake()
 
     def release(self) -> None:
-        """The last snapshot has been taken over; called by any thread."""
+        """Permit the next snapshot, after the last one was applied; thread-safe."""
         self._busy = False
 
     def _take_snapshot(self, now: float) -> None:

@@ -1,4 +1,4 @@
-"""A run of the filter, shown in the browser while it goes on."""
+"""The page of a running filter."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ _RECONNECT_S = 3.0
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run` (or to what drives a localization), and `pace(source)` as its source, or
-    `follow_session(source)` where that is a robot. The filter's result is the same with and without.
+    Pass `observer` to `gridslam.pipeline.run` (or to a localization), and `pace(source)` as its source, or
+    `follow_session(source)` for a robot. The page never changes the filter's result.
 
     Parameters
     ----------
     title : str
-        What is mapped, or in which map the robot is.
+        Title of the page.
     options : LiveOptions
-        Where the page is served.
+        Address of the page.
     range_max_m : float, m
-        The filter's, beyond which beams are not used.
+        Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
-        The map, where that is known: the filter is one that localizes then.
+        The known map of a filter that localizes.
     robot : RobotControl, optional
-        What a pause comes to, where a robot drives, which cannot be held back as a log can.
+        Control of a live robot, which can be paused but not delayed.
 
     Attributes
     ----------
     control : Control or RobotControl
         Pause, step and speed.
     observer : LiveObserver
-        To be called with each report.
+        Observer to pass to the pipeline.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class LivePage:
         known: OccupancyGrid | None = None,
         robot: RobotControl | None = None,
     ) -> None:
-        """Serve nothing yet."""
+        """Create the page without serving it."""
         options = options or LiveOptions()
         self.control = robot or Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m, known)
@@ -72,7 +72,7 @@ class LivePage:
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
-        """Serve; raises OutputError where the port is taken."""
+        """Serve; raises OutputError if the port is in use."""
         self._server.__enter__()
         return self
 
@@ -83,49 +83,49 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address of the page."""
         return self._server.url
 
     @property
     def viewers(self) -> int:
-        """How many are looking."""
+        """Number of viewers."""
         return self._run.viewers
 
     def set_progress(self, progress: Callable[[], float]) -> None:
-        """Let the page tell how much of the source is read: what `progress` returns, in [0, 1]."""
+        """Set the function that returns the ratio of the source that is read, in [0, 1]."""
         self.observer.progress = progress
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
+        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
         yield from self.observer.pace(source, stopwatch)
         self._server.call(self._run.set_stage, self._last_stage)
 
     def follow_session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a robot's session as they come; the page forgets what was before."""
+        """Reset the page, and yield the measurements of a robot's new session without delay."""
         self._server.call(self._run.reset)
         self.observer.reset()
         return self.observer.follow(source)
 
     def show_message(self, message: str) -> None:
-        """Bring the page up to date while no scan comes, in the filter's thread; words are shown, unless empty."""
+        """Update the page while no scan arrives, and show a message unless empty; call from the filter's thread."""
         self.observer.take_pending_snapshot()
         self._server.call(self._run.show_message, message)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
-        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        """Show the final map, poses (T, 3) of the key scans, and end points (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
 
     def wait_for_viewer(self, timeout_s: float) -> bool:
-        """Return once someone looks, or after some seconds; whether someone does."""
+        """Wait for a viewer, at most `timeout_s`; return whether there is one."""
         until = time.perf_counter() + timeout_s
         while not self.viewers and time.perf_counter() < until:
             time.sleep(0.05)
         return bool(self.viewers)
 
     def serve_until_left(self) -> None:
-        """Say that all is done and written, and stay as long as someone looks.
+        """Mark the run as done, and serve until the last viewer has left.
 
-        A lost connection has some seconds to come back.
+        A lost connection has some seconds to reconnect.
         """
         self._server.call(self._run.set_stage, "done")
         alone_since = -math.inf if not self.viewers else time.perf_counter()
@@ -136,7 +136,7 @@ class LivePage:
 
     def _post(self, snapshot: Snapshot) -> None:
         if not self._server.call(self._apply, snapshot):
-            self.observer.period_s = math.inf  # nobody will look any more
+            self.observer.period_s = math.inf  # the server has stopped
 
     def _apply(self, snapshot: Snapshot) -> None:
         try:

@@ -4,8 +4,8 @@ A message is zlib(N, header, data): N is a little-endian uint32, the header N by
 that the data begin at a multiple of 4), and the data are the arrays that the header lists under ``arrays`` as [name,
 dtype, shape], little-endian, one after the other, each padded to a multiple of 4 bytes.
 
-A map is told in levels, 0 for an unknown cell and 1 to 15 for log-odds in steps of `STEP_NATS`, 8 being even odds. They
-saturate where the eye has seen enough, so a tile that was looked at a few times does not change any more.
+A map is sent as levels, 0 for an unknown cell and 1 to 15 for log-odds in steps of `STEP_NATS`, 8 being even odds. The
+levels saturate early, so a tile that was observed a few times no longer changes.
 """
 
 from __future__ import annotations

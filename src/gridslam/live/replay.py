@@ -1,4 +1,4 @@
-"""A finished run, shown again from its folder, with a time line: each viewer looks at a time of its own."""
+"""The page of a finished run, read from its folder: each viewer has its own time line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Replay", "ReplayPage", "ReplayViewer"]
 
 @final
 class Replay:
-    """The results of a finished run, as a show.
+    """The results of a finished run, as content of the page.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Replay:
     Raises
     ------
     InputError
-        It holds no results, or these are malformed (see `open_finished_run`).
+        The folder contains no results, or they are malformed (see `open_finished_run`).
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -43,20 +43,20 @@ class Replay:
         self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
 
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
-        """Take in a viewer, who looks at the end of the run; `notify` is never called: nothing happens here."""
+        """Add a viewer at the end of the run; `notify` is never called, as the content does not change."""
         return ReplayViewer(self)
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
-        """The map, whatever the channel."""
+        """Return the map, which all channels share."""
         return self.results.grid
 
 
 @final
 class ReplayViewer:
-    """One who looks at a finished run, at a time of its own."""
+    """A viewer of a finished run, with its own time."""
 
     def __init__(self, replay: Replay) -> None:
-        """Look at the end."""
+        """Start at the end."""
         self._replay, self._results, self._sent = replay, replay.results, SentState()
         self._last = len(self._results.times_s) - 1
         self._at, self._time_s = self._last, float(self._results.times_s[-1])
@@ -66,13 +66,13 @@ class ReplayViewer:
         self._frame: tuple[int, ReplayFrame] | None = None
 
     def next_message(self) -> bytes | None:
-        """What the viewer lacks; None where that is nothing."""
+        """Return the next message for the viewer; None if there is nothing new."""
         if self._playing:
             self._play()
         return self._sent.next_message(self._scene())
 
     def command(self, command: Mapping[str, Any]) -> None:
-        """Do what the viewer asks; raises ArgumentError, KeyError, TypeError or ValueError where it cannot be done."""
+        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
         what = command["do"]
         if what == "pause":
             self._playing = False
@@ -93,7 +93,7 @@ class ReplayViewer:
             raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
 
     def close(self) -> None:
-        """Look no more."""
+        """Do nothing: the replay keeps no list of viewers."""
 
     def _play(self) -> None:
         now = time.perf_counter()
@@ -117,7 +117,7 @@ class ReplayViewer:
         self._selected = None if particle is None else check_particle(particle, self._results.particles)
 
     def _scene(self) -> Scene:
-        """The scene now; what is as in the one before stays the same object."""
+        """Return the current scene; unchanged parts are the same objects as before."""
         results, frame = self._results, self._current_frame()
         status = {
             **results.status(self._at, self._time_s), "at": self._at, "last": self._last, "time_s": self._time_s,
@@ -137,22 +137,22 @@ class ReplayViewer:
 
 @final
 class ReplayPage:
-    """Serves the page of a finished run while its context is entered; reads the run at once (InputError).
+    """Serves the page of a finished run while its context is entered; the constructor reads the run (InputError).
 
     Attributes
     ----------
     missing : str
-        What of the run is no more there; empty where nothing is missing.
+        A message about missing files of the run; empty if nothing is missing.
     """
 
     def __init__(self, folder: str | Path, options: LiveOptions | None = None) -> None:
-        """Serve nothing yet."""
+        """Read the run without serving it."""
         replay = Replay(folder)
         self.missing = replay.missing
         self._server = PageServer(replay, options or LiveOptions())
 
     def __enter__(self) -> ReplayPage:
-        """Serve; raises OutputError where the port is taken."""
+        """Serve; raises OutputError if the port is in use."""
         self._server.__enter__()
         return self
 
@@ -162,5 +162,5 @@ class ReplayPage:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address of the page."""
         return self._server.url

@@ -1,4 +1,4 @@
-"""What is seen of a finished run at any time of it, whichever command wrote it."""
+"""The results of a finished run of any command, at any time of the run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["MappedRun", "ReplayFrame", "Results", "StaticMap", "TrajectoryRun"]
 
 
 class ReplayFrame(NamedTuple):
-    """What is seen at one step: parts of a `gridslam.live.scene.Scene`; the way goes as far as that step."""
+    """The parts of a `gridslam.live.scene.Scene` at one step; the path ends at that step."""
 
     path: Float32Array
     particles: Float32Array = NO_PARTICLES
@@ -40,11 +40,11 @@ class Results(Protocol):
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The map; None where there is none."""
+        """The map; None if there is none."""
 
     @property
     def particles(self) -> int:
-        """How many particles there are to choose from."""
+        """Number of selectable particles."""
 
     @property
     def times_s(self) -> FloatArray:
@@ -52,24 +52,24 @@ class Results(Protocol):
 
     @property
     def series(self) -> Float32Array:
-        """As of a scene; (T, 5), or (0, 5) where nothing is drawn over time."""
+        """As in a scene; (T, 5), or (0, 5) without charts."""
 
     @property
     def path(self) -> Float32Array:
-        """All of the way that is drawn, (T, 2); (0, 2) where there is none."""
+        """The full path (T, 2); (0, 2) if there is none."""
 
     @property
     def landmarks(self) -> Float32Array:
-        """As of a scene."""
+        """As in a scene."""
 
     def frame(self, at: int) -> ReplayFrame:
-        """What is seen at a step."""
+        """Return the frame at a step."""
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a time at or after step `at`, as JSON values."""
+        """Return the status values for JSON of a time at or after step `at`."""
 
     def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Who at step `after` descends from, or is the past of, a particle at `before`; -1 where nobody is."""
+        """Return the descendant or ancestor at step `after` of a particle at `before`; -1 if there is none."""
 
 
 @final
@@ -79,11 +79,11 @@ class MappedRun:
     Parameters
     ----------
     record : Record
-        What the particles did; at least one key scan.
+        The particles at each key scan; at least one key scan.
     trajectory : Trajectory
-        A pose for each scan, told from the end.
+        The final pose of each scan.
     key_poses : (T, 3) float64
-        The key scans', told from the end.
+        The final poses of the key scans.
     grid : OccupancyGrid
         The map.
     closures : (C, 2) int64
@@ -95,7 +95,7 @@ class MappedRun:
     def __init__(
         self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, closures: IntArray
     ) -> None:
-        """Lay out what is told at every time."""
+        """Precompute the path and the series."""
         self.grid, self.particles = grid, record.poses.shape[1]
         self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
         self.path: Float32Array = key_poses[:, :2].astype(np.float32)
@@ -109,7 +109,7 @@ class MappedRun:
         self._closure_ends = key_poses[closures[order], :2].reshape(-1, 4).astype(np.float32)
 
     def frame(self, at: int) -> ReplayFrame:
-        """What is seen at a key scan."""
+        """Return the frame at a key scan."""
         record = self._record
         particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
         return ReplayFrame(
@@ -120,7 +120,7 @@ class MappedRun:
         )
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a time at or after a key scan."""
+        """Return the status values of a time at or after a key scan."""
         record = self._record
         scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
         return {
@@ -131,7 +131,7 @@ class MappedRun:
         }  # fmt: skip
 
     def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Who at key scan `after` descends from, or is the past of, a particle at `before`; -1 where nobody is."""
+        """Return the descendant or ancestor at key scan `after` of a particle at `before`; -1 if there is none."""
         return self._ancestry.find_relative(particle, before, after)
 
     def _count_closures(self, at: int) -> int:
@@ -140,21 +140,21 @@ class MappedRun:
 
 @final
 class TrajectoryRun:
-    """A way without particles, as `gridslam localize` and `gridslam landmarks` leave it.
+    """A trajectory without particles, as `gridslam localize` and `gridslam landmarks` write it.
 
     Parameters
     ----------
     trajectory : Trajectory
         T poses.
     covariances : (T, 3, 3) float64
-        Of the poses.
+        Covariances of the poses.
     grid : OccupancyGrid, optional
         The map.
     landmarks : (L, 5) float32
-        As of a scene.
+        As in a scene.
     belief : (T, 5) float64, optional
-        At each pose whether the robot was lost, the doubt, the share of beams that agree, the number of particles, and
-        the effective sample size, NaN where nothing was weighed.
+        At each pose whether the robot was lost, the lost probability, the inlier ratio, the number of particles, and
+        the effective sample size, NaN without an update.
     """
 
     particles = 0
@@ -167,7 +167,7 @@ class TrajectoryRun:
         landmarks: Float32Array = NO_LANDMARKS,
         belief: FloatArray | None = None,
     ) -> None:
-        """Lay out what is told at every time."""
+        """Precompute the path and the series."""
         self.grid, self.landmarks = grid, landmarks
         self.times_s = _elapsed(trajectory.stamps_ns, trajectory.stamps_ns[0])
         self.path: Float32Array = trajectory.poses[:, :2].astype(np.float32)
@@ -176,18 +176,20 @@ class TrajectoryRun:
         if belief is not None:
             lost, _, _, particles, n_eff = belief.T
             unknown = np.full(len(lost), np.nan)
-            weighed_of = np.fmax(np.append(particles[:1], particles[:-1]), n_eff)  # at least; more where it was lost
+            weighed_of = np.fmax(
+                np.append(particles[:1], particles[:-1]), n_eff
+            )  # a lower bound while the robot is lost
             self.series = np.column_stack([self.times_s, n_eff, unknown, LOST * lost, weighed_of]).astype(np.float32)
             self.path[lost > 0] = np.nan
             weighed = np.where(np.isnan(n_eff), 0, np.arange(len(n_eff)))
-            self._weighed: IntArray = np.maximum.accumulate(weighed)  # the last step of which n_eff is known
+            self._weighed: IntArray = np.maximum.accumulate(weighed)  # the last step with a known n_eff
 
     def frame(self, at: int) -> ReplayFrame:
-        """What is seen at a pose."""
+        """Return the frame at a pose."""
         return ReplayFrame(self.path[: at + 1])
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """What there is to say of a pose."""
+        """Return the status values of a pose."""
         values = {"pose": self._poses[at].tolist(), "covariance": self._covariances[at].tolist()}
         if self._belief is None:
             return {**values, "keys": at + 1, "landmarks": len(self.landmarks)}
@@ -199,13 +201,13 @@ class TrajectoryRun:
         }  # fmt: skip
 
     def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Nobody: there are no particles."""
+        """Return -1: there are no particles."""
         return -1
 
 
 @final
 class StaticMap:
-    """A map, and nothing that happened, as `gridslam grid` leaves it.
+    """A map without a trajectory, as `gridslam grid` writes it.
 
     Parameters
     ----------
@@ -216,20 +218,20 @@ class StaticMap:
     particles, path, series, landmarks = 0, NO_POINTS, NO_SERIES, NO_LANDMARKS
 
     def __init__(self, grid: OccupancyGrid) -> None:
-        """One moment."""
+        """Create a single step."""
         self.grid, self.times_s = grid, np.zeros(1)
 
     def frame(self, at: int) -> ReplayFrame:
-        """What is seen."""
+        """Return the only frame."""
         return ReplayFrame(self.path)
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """How large it is."""
+        """Return the size of the map."""
         height, width = (side * self.grid.resolution_m for side in self.grid.known.shape)
         return {"size_m": [width, height]}
 
     def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Nobody: there are no particles."""
+        """Return -1: there are no particles."""
         return -1
 
 

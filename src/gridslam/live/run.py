@@ -1,4 +1,4 @@
-"""The viewers' side of a run: what its snapshots add up to, and what each viewer has of it."""
+"""The viewers' side of a run: the state accumulated from its snapshots, and one viewer per connection."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _RATE_SNAPSHOTS = 12  # snapshots
 def make_run_info(
     title: str, mode: str, layers: tuple[str, ...], step: str = "key scan", grid: OccupancyGrid | None = None
 ) -> dict[str, Any]:
-    """What a viewer is told first.
+    """Return the constants of a session, which a viewer receives first.
 
-    `session` tells one start of a server from another, `layers` names the layers and figures that there are, and `step`
-    says what a row of the series is. The cells of a known `grid` lie off the tiles' by `offset_m`.
+    `session` identifies a start of the server, `layers` lists the available layers and charts, and `step` names a row
+    of the series. `offset_m` is the offset of the cells of a known `grid` from the grid of the tiles.
     """
     return {
         "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "layers": layers,
@@ -45,24 +45,24 @@ def make_run_info(
 
 
 def finite_or_none(value: float) -> float | None:
-    """As JSON can say it."""
+    """Return a finite value, else None: JSON has no NaN."""
     return value if math.isfinite(value) else None
 
 
 @final
 class LiveRun:
-    """What there is to see of a run; belongs to the server's thread.
+    """Content of the page of a run; used by the server's thread only.
 
     Parameters
     ----------
     title : str
-        What is mapped.
+        Title of the page.
     control : Control or RobotControl
-        What viewers' pause, step and speed go to.
+        Target of the viewers' pause, step and speed.
     range_max_m : float, m
-        Beams of this range or more are not drawn.
+        Beams of this range or more are not displayed.
     known : OccupancyGrid, optional
-        The map, where that is known: then the robot is localized in it.
+        The known map of a localization.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class LiveRun:
         range_max_m: float = math.inf,
         known: OccupancyGrid | None = None,
     ) -> None:
-        """Begin before the first snapshot."""
+        """Start before the first snapshot."""
         self.observer: LiveObserver | None = None
         self.control = control
         self._title, self._range_max_m, self._known = title, range_max_m, known
@@ -81,7 +81,7 @@ class LiveRun:
         self.reset()
 
     def reset(self) -> None:
-        """Begin before the first snapshot, with an empty map or the known one."""
+        """Start before the first snapshot of a session, with an empty map or the known one."""
         mode = "live" if isinstance(self.control, Control) else "robot"
         if self._known is None:
             self._run_info = make_run_info(self._title, mode, LIVE_SLAM)
@@ -102,7 +102,7 @@ class LiveRun:
         self.notify_viewers()
 
     def apply(self, snapshot: Snapshot) -> None:
-        """Take over a snapshot."""
+        """Apply a snapshot."""
         view = snapshot.view
         if self._stage == "waiting":
             self._run_info = {**self._run_info, "resolution_m": view.resolution_m}
@@ -124,7 +124,7 @@ class LiveRun:
         self._update_status(snapshot)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
-        """Show the last word: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
+        """Show the final map, poses (T, 3) of the key scans, and end points (C, 4) of the loop closures, m."""
         for replica in self._replicas.values():
             replica.replace(split_into_tiles(grid))
         self._path = self._path.with_positions(poses[:, :2].astype(np.float32))
@@ -134,41 +134,41 @@ class LiveRun:
         self.set_stage("writing")
 
     def set_stage(self, stage: str) -> None:
-        """Go over to another stage: "running", "last word", "writing" (what came of it) or "done"."""
+        """Set the stage: "running", "last word", "writing" (of the results) or "done"."""
         self._stage = stage
         self.notify_viewers()
 
     def show_message(self, message: str) -> None:
-        """Have viewers read this until something else is said; nothing if empty."""
+        """Show a message until the next one; an empty message clears it."""
         self._message = message
         self.notify_viewers()
 
     def add_viewer(self, notify: Callable[[], None]) -> LiveViewer:
-        """Take in a viewer, whose `notify` is called whenever there may be something new."""
+        """Add a viewer; `notify` is called whenever there may be something new."""
         viewer = LiveViewer(self)
         self._viewers[viewer] = notify
         self._count_viewers()
         return viewer
 
     def remove_viewer(self, viewer: LiveViewer) -> None:
-        """Let a viewer go."""
+        """Remove a viewer."""
         self._viewers.pop(viewer, None)
         self._count_viewers()
 
     @property
     def viewers(self) -> int:
-        """How many are looking."""
+        """Number of viewers."""
         return len(self._viewers)
 
     def channel_map(self, channel: int) -> OccupancyGrid:
-        """The map that a channel shows; the best particle's where there is no such channel."""
+        """Return the map of a channel; the best particle's if there is no such channel."""
         if self._known is not None:
             return self._known
         resolution_m = self._run_info["resolution_m"] or 1.0
         return self._replicas.get(channel, self._replicas[BEST]).grid(resolution_m)
 
     def open_channel(self, particle: int) -> int:
-        """Open a channel for the map of a particle; raises ArgumentError where there is none, or too many are open."""
+        """Open a channel for the map of a particle; raises ArgumentError if there is none, or too many are open."""
         if self._known is not None:
             raise ArgumentError("do", "something else, as all particles have one map", "select")
         particle = check_particle(particle, self._status["particles"])
@@ -187,7 +187,7 @@ class LiveRun:
             self.observer.show_particle(channel, -1, 0)
 
     def make_scene(self, channel: int) -> Scene:
-        """What a viewer of this channel can see now."""
+        """Return the current scene of a channel."""
         row = self._rows.get(channel, -1)
         stage = "paused" if self._stage in ("waiting", "running") and self.control.paused else self._stage
         status = {
@@ -201,7 +201,7 @@ class LiveRun:
         )  # fmt: skip
 
     def notify_viewers(self) -> None:
-        """Let every viewer look."""
+        """Notify all viewers of a change."""
         for notify in self._viewers.values():
             notify()
 
@@ -235,21 +235,18 @@ class LiveRun:
 
 @final
 class LiveViewer:
-    """One who looks at a run."""
+    """A viewer of a run."""
 
     def __init__(self, run: LiveRun) -> None:
-        """Look at the best particle's map."""
+        """Show the best particle's map."""
         self._run, self._sent, self._channel = run, SentState(), BEST
 
     def next_message(self) -> bytes | None:
-        """What the viewer lacks; None where that is nothing."""
+        """Return the next message for the viewer; None if there is nothing new."""
         return self._sent.next_message(self._run.make_scene(self._channel))
 
     def command(self, command: Mapping[str, Any]) -> None:
-        """Do what the viewer asks.
-
-        Raises ArgumentError, KeyError or TypeError where that is nothing that can be asked.
-        """
+        """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
         run, what = self._run, command["do"]
         if what == "pause":
             run.control.pause()
@@ -266,12 +263,12 @@ class LiveViewer:
         run.notify_viewers()
 
     def close(self) -> None:
-        """Look no more."""
+        """Remove the viewer."""
         self._select(None)
         self._run.remove_viewer(self)
 
     def show_best(self) -> None:
-        """Look at the best particle's map: the one that was looked at is no more."""
+        """Show the best particle's map, after the selected one has ceased to exist."""
         self._channel = BEST
 
     def _select(self, particle: int | None) -> None:

@@ -1,4 +1,4 @@
-"""What there is to see at one moment, and what of it one viewer has not got yet."""
+"""The scene at one time, and the part of it that a viewer has not received yet."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ __all__ = [
 Float32Array = NDArray[np.float32]
 
 _MAX_TILES = 1024
-_MAX_NODES = 1500  # of a tree of pasts; of more every second, third, ... step is drawn
-_STEPS_PER_UNIT = np.float32(64)  # to the m: its places are rounded to 1.6 cm, which halves what is sent of them
+_MAX_NODES = 1500  # of an ancestry tree; larger trees are thinned to every second, third, ... step
+_STEPS_PER_UNIT = np.float32(64)  # per m: positions are rounded to 1.6 cm, which halves their compressed size
 NO_POINTS: Float32Array = np.zeros((0, 2), np.float32)
 NO_PARTICLES: Float32Array = np.zeros((0, 4), np.float32)
 NO_CLOSURES: Float32Array = np.zeros((0, 4), np.float32)
@@ -43,18 +43,18 @@ NO_SERIES: Float32Array = np.zeros((0, 5), np.float32)
 
 @final
 class RowBuffer:
-    """Rows of numbers that become more and more; those that were given out stay as they are.
+    """Append-only rows of numbers; rows already returned never change.
 
     Parameters
     ----------
     width : int
-        Numbers in a row.
+        Numbers per row.
     """
 
     __slots__ = ("_count", "_rows")
 
     def __init__(self, width: int) -> None:
-        """Begin without any."""
+        """Start without rows."""
         self._rows, self._count = np.zeros((256, width), np.float32), 0
 
     def append(self, rows: FloatArray) -> None:
@@ -67,20 +67,20 @@ class RowBuffer:
 
     @property
     def rows(self) -> Float32Array:
-        """All rows until now."""
+        """All rows so far."""
         return self._rows[: self._count]
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotPath:
-    """Places (T, 2) of the robot at the key scans, NaN where it was lost; of one `revision` they begin alike."""
+    """Positions (T, 2) of the robot at the key scans, NaN where lost; paths of one `revision` share their prefix."""
 
     positions: Float32Array = field(default_factory=lambda: NO_POINTS)
     revision: int = 0
 
     def with_positions(self, positions: Float32Array) -> RobotPath:
-        """The path as it is now: of the same edition if nothing but its end is new."""
+        """Return the path with new positions: of the same revision if positions were only appended."""
         common = min(len(positions), len(self.positions))
         same = np.array_equal(positions[:common], self.positions[:common], equal_nan=True)
         return RobotPath(positions, self.revision if same else self.revision + 1)
@@ -89,16 +89,16 @@ class RobotPath:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class AncestryTree:
-    """What the particles have not in common of their pasts.
+    """The part of the particles' paths that they do not share.
 
     Attributes
     ----------
     positions : (M, 2) float32
-        Where they were, to 1.6 cm.
+        Positions of the nodes, to 1.6 cm.
     parents : (M,) int32
-        For each place the one before it; -1 for the end of the path that is drawn, -2 where there is none before it.
+        Parent of each node; -1: the end of the shared path, -2: none.
     leaves : (N,) int32
-        Place of each particle; -1 where all share all.
+        Node of each particle; -1: the end of the shared path.
     """
 
     positions: Float32Array
@@ -107,11 +107,11 @@ class AncestryTree:
 
 
 NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
-"""Of particles without pasts."""
+"""The tree of particles without ancestry."""
 
 
 def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
-    """The path (T, 2) that all particles share, and the tree that it ends in, thinned to about `max_nodes` nodes."""
+    """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`."""
     arrays = ancestry.to_arrays()
     counts, parents, leaves = arrays["counts"], arrays["parents"], arrays["leaves"]
     begins = np.concatenate([[0], np.cumsum(counts)])
@@ -136,7 +136,7 @@ def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32A
 
 
 def full_tree(ancestry: Ancestry) -> AncestryTree:
-    """All pasts as a tree that begins with what they share."""
+    """Return all paths as one tree that includes the shared path."""
     trunk, tree = thin_tree(ancestry)
     count = len(trunk)
     stem = np.arange(-1, count - 1, dtype=np.int32)
@@ -150,33 +150,33 @@ def full_tree(ancestry: Ancestry) -> AncestryTree:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All that can be seen at one moment; what did not change is the same object as in the scene before.
+    """Everything displayed at one time; unchanged parts are the same objects as in the previous scene.
 
     Attributes
     ----------
     run_info : dict
-        What does not change during a session.
+        Constants of a session.
     status : dict
-        What changes with every scene: numbers and words.
+        Values that change with every scene.
     replica : TileReplica
-        The map that is shown.
+        The displayed map.
     path : RobotPath
-        Where the robot was, as far as all particles agree.
+        Path of the robot that all particles share.
     tree : AncestryTree
-        Where they do not.
+        The differing paths of the particles.
     particles : (N, 4) float32
-        Their x m, y m, theta rad, and weight.
+        x m, y m, theta rad, and weight.
     scan : (K, 2) float32, m
-        Ends of the current scan's beams, seen from the robot.
+        End points of the current scan in the robot frame.
     closures : (C, 4) float32, m
-        The two places x, y that each loop closure joins.
+        End points x, y of each loop closure.
     series : (S, 5) float32
         For each key scan its time since the first, s, effective sample size, latency, ms, flags
-        (`gridslam.live.monitor`) and number of particles; NaN where that is not known.
+        (`gridslam.live.monitor`) and number of particles; NaN if unknown.
     plan : (P, 2) float32, m
-        Where the robot will go; empty where nobody knows.
+        The future path of the robot; empty if unknown.
     landmarks : (L, 5) float32
-        Their x m, y m, and covariance xx, xy, yy, m^2.
+        x m, y m, and covariance xx, xy, yy, m^2.
     """
 
     run_info: dict[str, Any]
@@ -194,12 +194,12 @@ class Scene:
 
 @final
 class SentState:
-    """What one viewer has got; `message` brings the rest."""
+    """What a viewer has received; `next_message` encodes the rest."""
 
     __slots__ = ("_length", "_number", "_objects", "_replica", "_revision", "_run_info", "_series", "_status")
 
     def __init__(self) -> None:
-        """Begin with a viewer who has got nothing."""
+        """Start with a viewer that has received nothing."""
         self._reset()
 
     def _reset(self) -> None:
@@ -211,7 +211,7 @@ class SentState:
         self._status: dict[str, Any] = {}
 
     def next_message(self, scene: Scene) -> bytes | None:
-        """What a viewer lacks of a scene; None where that is nothing. Of many tiles the rest is left for the next."""
+        """Encode the missing part of a scene; None if nothing is missing. Many tiles take several messages."""
         header: dict[str, Any] = {}
         arrays: dict[str, NDArray[Any]] = {}
         if self._run_info and scene.run_info["session"] != self._run_info["session"]:

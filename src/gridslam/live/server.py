@@ -1,4 +1,4 @@
-"""The server of the page: its own thread, its own event loop."""
+"""The web server, with its own thread and event loop."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from gridslam.live.options import LiveOptions
 __all__ = ["PageServer"]
 
 _TOKEN = "GRIDSLAM_LIVE_TOKEN"
-"""Environment variable that may hold the token, so that it outlasts a restart."""
+"""Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
 
 
 @final
 class PageServer:
-    """Serves a show while its context is entered.
+    """Serves the page while its context is entered.
 
     Parameters
     ----------
     content : PageContent
-        What is shown; from now on only this server's thread may use it, see `call`.
+        Content of the page; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
-        Where.
+        Address of the page.
 
     Raises
     ------
     OutputError
-        On entering: the port is taken, or the address is none of this machine.
+        On entering: the port is in use, or the address is not one of this machine.
     """
 
     def __init__(self, content: PageContent, options: LiveOptions) -> None:
-        """Listen at nothing yet."""
+        """Create the server without listening."""
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
@@ -70,7 +70,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address of the page."""
         if self._socket is None:
             raise OutputError("the page is not served")
         name, port = self._socket.getsockname()[:2]
@@ -80,7 +80,7 @@ class PageServer:
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
 
     def call(self, function: Callable[..., None], *arguments: object) -> bool:
-        """Let the server's thread call something soon; from any thread. False if it has ended."""
+        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
         if self._loop is None:
             return False
         try:

@@ -1,4 +1,4 @@
-"""From a scan's message to the measurement that is mapped and recorded: the record is read back to the same bits."""
+"""Conversion of scan messages to measurements, exactly as they are read back from the record."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeom
 
 __all__ = ["AcceptedScan", "LaserDescription", "MeasurementBuilder", "find_refusal_reason"]
 
-_MAX_GEOMETRIES = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
+_MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
 _TURN_RAD = 6.3
 _NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
-_MOUNTING_NOISE_M = 0.005  # and rad: what a mounting on /tf may flutter
+_MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
 
 
 class LaserDescription(NamedTuple):
-    """What a record says of a laser, number by number.
+    """The columns of a record that describe a laser.
 
     Attributes
     ----------
@@ -34,11 +34,11 @@ class LaserDescription(NamedTuple):
     angle_min, angle_increment : float, rad
         Of the beams.
     time_increment_s : float or None
-        Between beams, where it is told.
+        Between beams; None if unknown.
     range_min_m, range_max_m : float, m
         Limits of the sensor.
     beams : int
-        How many.
+        Number of beams.
     """
 
     sensor: str
@@ -53,7 +53,7 @@ class LaserDescription(NamedTuple):
 
 
 class AcceptedScan(NamedTuple):
-    """A measurement for the filter, the form of its laser, and when its message came (s, `time.perf_counter`)."""
+    """A measurement for the filter, its laser, and the arrival time of its message (s, `time.perf_counter`)."""
 
     measurement: Measurement
     laser: LaserDescription
@@ -61,18 +61,18 @@ class AcceptedScan(NamedTuple):
 
 
 def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) -> str:
-    """Say why a message is no scan to be mapped; empty where it is one of `min_beams` to `max_beams` beams."""
+    """Return why a scan cannot be used; empty if it is valid and has `min_beams` to `max_beams` beams."""
     beams = len(message.ranges)
     if beams > max_beams:
-        return f"{beams} beams, more than the {max_beams} that a scan may have"
+        return f"{beams} beams, more than the maximum of {max_beams}"
     if beams < min_beams:
-        return f"{beams} beams are too few to tell where the robot is; at least {min_beams} are needed"
+        return f"{beams} beams are too few to localize; at least {min_beams} are required"
     if not message.frame or not message.frame.isprintable() or message.frame != message.frame.strip():
         return f"expected the name of a frame, got {message.frame!r:.60}"
     if not isinstance(message.stamp_ns, int) or not 0 < message.stamp_ns < 1 << 63:
         return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
     if message.range_min == math.inf:
-        return "its least range is infinite, so that no range is valid"
+        return "range_min is infinite, so no range is valid"
     start, step = message.angle_min, message.angle_increment
     span = abs(step) * (beams - 1)
     if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
@@ -82,9 +82,9 @@ def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) ->
 
 @final
 class MeasurementBuilder:
-    """Makes measurements of one laser; geometries are shared as far as angles and mounting are the same.
+    """Builds measurements of one laser; scans of the same angles and mounting share their geometry.
 
-    The mounting goes through its six numbers, and what hit nothing through `inf` and `nan`, as in the record.
+    The mounting is rounded through its six numbers, and beams without a hit become `inf` or `nan`, as in the record.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class MeasurementBuilder:
         odometry: Odometry | None,
         arrived_s: float,
     ) -> AcceptedScan:
-        """Make the measurement of a message that `find_refusal_reason` has nothing against."""
+        """Build the measurement of a message that `find_refusal_reason` accepts."""
         mounting, beams = self._stabilize_mounting(base_from_laser), len(message.ranges)
         start, step, time_increment = (
             float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
@@ -136,7 +136,7 @@ class MeasurementBuilder:
 
 
 def _normalize_ranges(scan: LaserScan) -> FloatArray:
-    """Ranges (B,) of which only hits keep their value."""
+    """Return ranges (B,) in which only hits keep their value."""
     ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
     ranges.flags.writeable = False
     return ranges

@@ -1,4 +1,4 @@
-"""The messages of ROS 2 that the node speaks: their fields, once, and how they lie in bytes.
+"""Fields and encoding of the node's ROS 2 messages.
 
 Source: the public definitions of common_interfaces (sensor_msgs, nav_msgs, ...); OMG, DDS-XTypes 1.3, section 7.4.3
 (plain CDR, little-endian).
@@ -16,10 +16,10 @@ PRIMITIVES: Final[Mapping[str, str]] = {
     "bool": "?", "uint8": "B", "int8": "b", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
     "float64": "d",
 }  # fmt: skip
-"""Numbers, and how `struct` writes them; each is aligned to its size."""
+"""Numeric types and their `struct` formats; each value is aligned to its size."""
 
 _HEADER = "std_msgs/Header header"
-_REQUEST_HEADER = "uint64 guid, int64 sequence"  # what rmw_cyclonedds puts before requests and replies
+_REQUEST_HEADER = "uint64 guid, int64 sequence"  # that rmw_cyclonedds prepends to requests and replies
 _EMPTY = "uint8 structure_needs_at_least_one_member"
 
 FIELDS: Final[Mapping[str, str]] = {
@@ -60,13 +60,13 @@ FIELDS: Final[Mapping[str, str]] = {
     "std_srvs/Trigger_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
     "std_srvs/Trigger_Response": f"{_REQUEST_HEADER}, bool success, string message",
 }
-"""Fields of each type in their order."""
+"""Fields of each type, in order."""
 
 
 class Field(NamedTuple):
-    """A field of a message: the type of one element, how many there are, and its name.
+    """A field of a message: element type, length and name.
 
-    `length` is None for a single value, 0 for any number.
+    `length` is None for a single value, 0 for a sequence of any length.
     """
 
     type: str
@@ -75,7 +75,7 @@ class Field(NamedTuple):
 
 
 def parse_fields(message_type: str) -> list[Field]:
-    """Fields of a type in `FIELDS`."""
+    """Return the fields of a type in `FIELDS`."""
     found = []
     for text in FIELDS[message_type].split(", "):
         kind, name = text.split(" ")
@@ -88,15 +88,15 @@ _FIELD_LISTS: Final = {name: parse_fields(name) for name in FIELDS}
 
 
 def encode_message(message_type: str, values: Sequence[Any]) -> bytes:
-    """Bytes of a message, from the four that tell plain CDR on.
+    """Encode a message, beginning with the four bytes of the CDR header.
 
     Parameters
     ----------
     message_type : str
         One of `FIELDS`.
     values : sequence
-        A value for each field in order: numbers, str, nested sequences for nested types, and for an array of int8
-        bytes, which are taken as they are.
+        A value for each field, in order: numbers, str, nested sequences for nested types; an array of int8 may be
+        bytes.
     """
     writer = _Writer()
     writer.message(message_type, values)
@@ -145,7 +145,7 @@ class _Writer:
 
 
 def decode_message(message_type: str, data: bytes) -> list[Any]:
-    """Values of a message without arrays and strings (a clock, a request); raises ValueError where it is none."""
+    """Decode a message without arrays and strings (a clock, a request); raises ValueError if the bytes are invalid."""
     if data[:2] not in (b"\0\0", b"\0\1"):
         raise ValueError(f"expected plain CDR (00 00 or 00 01), got {data[:2].hex(' ') or 'nothing'}")
     order, offset = "<" if data[1] else ">", 4

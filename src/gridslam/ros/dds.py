@@ -1,9 +1,9 @@
-"""The node on the wire of ROS 2, without any ROS: by Cyclone DDS.
+"""ROS 2 topics by Cyclone DDS, without ROS.
 
-Messages are encoded and decoded by `gridslam.ros.cdr`, and the library only carries their bytes. It asks the class of
-a topic's messages to `serialize` and `deserialize` them, and these classes answer with the bytes as they are: a grid of
-1000 x 1000 cells costs half a millisecond, and as a list it would cost a hundred. Where the library is of another
-version than the one that is known to ask so, it gets messages as objects and encodes them itself.
+`gridslam.ros.cdr` encodes and decodes the messages; the library only transports their bytes. It calls `serialize` and
+`deserialize` of a topic's message class, and these classes return the bytes unchanged: a grid of 1000 x 1000 cells
+costs half a millisecond instead of a hundred for a list. Other versions of the library, which may not call these
+methods, receive messages as objects and encode them themselves.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _POLL_NS = 200_000_000
 _MAX_MESSAGES = 64
 
 Handler: TypeAlias = Callable[[bytes, str], None]
-"""Takes the bytes of a message, and a name of who sent it."""
+"""Called with the bytes of a message and a name of its sender."""
 
 
 def _library() -> Any:  # noqa: ANN401
@@ -36,22 +36,22 @@ def _library() -> Any:  # noqa: ANN401
         return importlib.import_module("cyclonedds")
     except ImportError as error:
         hint = "pip install 'gridslam[ros2]', or source a ROS 2"
-        raise ConfigurationError(f"Cyclone DDS is not there ({error}): {hint}") from None
+        raise ConfigurationError(f"Cyclone DDS is not available ({error}): {hint}") from None
 
 
 @final
 class DdsParticipant:
-    """Writers and readers of one participant; handlers are called by one thread, in the order of what came.
+    """Writers and readers of one participant; one thread calls the handlers in the order of arrival.
 
     Parameters
     ----------
     domain : int
         ROS_DOMAIN_ID.
     interfaces : sequence of str
-        Addresses or names of the network interfaces to use; those that the library chooses if empty.
+        Addresses or names of the network interfaces; if empty, the library chooses them.
     on_mismatch : callable
-        Told what of another program does not fit, so that nothing passes: "quality of service" or "message type",
-        of which topic, and in a sentence.
+        Called if another program's endpoint is incompatible, so that no message passes: with "quality of service" or
+        "message type", the topic, and a description.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class DdsParticipant:
         self._thread = threading.Thread(target=self._listen, name="gridslam-dds", daemon=True)
 
     def add_writer(self, topic: str, message_type: str, *, latched: bool = False, depth: int = 10) -> None:
-        """Make ready to publish on a DDS topic; `latched`: late joiners get the last message, too."""
+        """Add a writer for a DDS topic; `latched`: late subscribers receive the last message."""
         qos = self._qos(reliable=True, latched=latched, depth=1 if latched else depth)
         listener = self._dds.core.Listener(
             on_offered_incompatible_qos=lambda writer, status: self._mismatch(topic, "subscriber asks for more", status)
@@ -96,7 +96,7 @@ class DdsParticipant:
         self, topic: str, message_type: str, handle: Handler, *, reliable: bool = True, latched: bool = False,
         depth: int = 10,
     ) -> None:  # fmt: skip
-        """Have the bytes of each message on a DDS topic taken; to be called before `start`."""
+        """Add a handler for the bytes of each message on a DDS topic, before `start`."""
         dds, qos = self._dds, self._qos(reliable=reliable, latched=latched, depth=depth)
         listener = dds.core.Listener(
             on_requested_incompatible_qos=lambda reader, status: self._mismatch(topic, "publisher offers less", status)
@@ -106,7 +106,7 @@ class DdsParticipant:
         self._readers.append((reader, handle))
 
     def start(self) -> None:
-        """Begin to listen."""
+        """Start the thread that reads messages."""
         self._thread.start()
 
     def publish(self, topic: str, data: bytes) -> None:
@@ -115,7 +115,7 @@ class DdsParticipant:
         writer.write(writer.data_type.deserialize(data))
 
     def close(self) -> None:
-        """Leave."""
+        """Stop the thread."""
         self._closed.set()
         if self._thread.ident is not None:
             self._thread.join(timeout=5)
@@ -125,7 +125,7 @@ class DdsParticipant:
             self._wait_set.wait(_POLL_NS)
             for reader, handle in self._readers:
                 for message in reader.take(_MAX_MESSAGES):
-                    if message.sample_info.valid_data:  # else it only says that a writer has gone
+                    if message.sample_info.valid_data:  # otherwise a writer has left
                         sender = f"publisher {message.sample_info.publication_handle:x}"
                         handle(message.serialize(use_version_2=False), sender)
 
@@ -139,23 +139,21 @@ class DdsParticipant:
         self._wait_set.attach(core.ReadCondition(reader, states))
 
     def _check_type(self, topic: str, typename: str) -> None:
-        """Tell of a publisher whose messages are of another type than a reader's: the library says nothing."""
+        """Report a publisher whose message type differs from a reader's, which the library does not report."""
         for reader, _ in self._readers:
             expected = reader.topic.typename
             if reader.topic.name == topic and typename != expected:
-                self._on_mismatch(
-                    "message type", topic, f"a publisher sends {typename}, and this node takes {expected}"
-                )
+                self._on_mismatch("message type", topic, f"a publisher sends {typename}, this node expects {expected}")
 
     def _mismatch(self, topic: str, who: str, status: Any) -> None:  # noqa: ANN401
         policy = _POLICIES.get(status.last_policy_id, f"policy {status.last_policy_id}")
-        self._on_mismatch("quality of service", topic, f"a {who} {policy} than this node, and nothing passes")
+        self._on_mismatch("quality of service", topic, f"a {who} {policy} than this node, so no message passes")
 
     def _topic(self, name: str, message_type: str) -> Any:  # noqa: ANN401
         return self._dds.topic.Topic(self._participant, name, self._carrier(message_type))
 
     def _carrier(self, message_type: str) -> Any:  # noqa: ANN401
-        """Class of a type whose messages are their own bytes."""
+        """Return a message class that consists of its encoded bytes."""
         if not self._carries_bytes:
             return self._struct(message_type)
         kind = f"{message_type}*"
@@ -166,7 +164,7 @@ class DdsParticipant:
         return self._types[kind]
 
     def _struct(self, message_type: str) -> Any:  # noqa: ANN401
-        """Class by which the library knows a type: its name and its fields."""
+        """Return the library's class of a type, with its name and fields."""
         types, fields = self._dds.idl.types, {}
         for kind, length, name in parse_fields(message_type):
             one = self._element(kind)
@@ -214,7 +212,7 @@ _PLAIN: Final[Mapping[str, Any]] = {"string": str, "bool": bool}
 
 
 def _configuration(interfaces: Sequence[str]) -> str:
-    """Cyclone DDS's configuration for these interfaces alone; on the loopback one participants find each other."""
+    """Return Cyclone DDS's configuration for these interfaces; on loopback with unicast discovery."""
     named = [
         f"<NetworkInterface {'address' if name[0].isdigit() or ':' in name else 'name'}={quoteattr(name)}/>"
         for name in interfaces

@@ -1,4 +1,4 @@
-"""Where people say that the robot is: geometry_msgs/PoseWithCovarianceStamped, as RViz sends it on `initialpose`."""
+"""The initial pose: geometry_msgs/PoseWithCovarianceStamped, which RViz sends on `initialpose`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, 
 
 
 def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
-    """Let the robot be where a message says; raises MessageError where that is no pose in the node's map."""
+    """Set the pose of a message; raises MessageError if it is not a pose in the node's map."""
     try:
         frame, end = wire.string(data, 12)
         if wire.aligned:

@@ -1,4 +1,4 @@
-"""The transform buffer of a running robot, whose clock may be set back."""
+"""The transform buffer of a running robot, tolerant to a clock that is set back."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from gridslam.transforms import TransformBuffer
 __all__ = ["LiveTransforms"]
 
 _KEEP_S = 10.0
-_SIMULTANEOUS_NS = 2_000_000_000  # what two say within this they say at the same time
+_SIMULTANEOUS_NS = 2_000_000_000  # two publishers within this time publish at the same time
 
 
 @final
 class LiveTransforms:
-    """Feeds a `TransformBuffer`; where the stamps of a link jump back and stay there, all that moves begins anew.
+    """Fills a `TransformBuffer`; restarts all dynamic links when the stamps of a link jump back and stay there.
 
     Parameters
     ----------
     jump_s : float, s
-        What counts as a jump: two readings in a row so much before the link's latest.
+        Two readings in a row that are this much older than the latest of their link are a jump.
     warn : ThrottledWarnings
-        Told of readings that are no transforms.
+        Called for invalid transforms.
 
     Attributes
     ----------
     buffer : TransformBuffer
-        The present one.
+        The current buffer.
     """
 
     def __init__(self, jump_s: float, warn: ThrottledWarnings) -> None:
@@ -43,7 +43,7 @@ class LiveTransforms:
         self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
 
     def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
-        """Take readings; those that are none, or that contradict what another publisher says, are told."""
+        """Add readings; warns about invalid ones and about conflicting publishers."""
         for transform in transforms:
             try:
                 if static:
@@ -57,7 +57,7 @@ class LiveTransforms:
                 self._warn("transform refused", f"{transform.parent} <- {transform.child}: {error}")
 
     def newest_ns(self, parent: str) -> int | None:
-        """Stamp of the newest reading of what moves in a frame; None where there is none."""
+        """Return the stamp of the latest dynamic reading with this parent; None if there is none."""
         return max((stamp_ns for (above, _), stamp_ns in self._latest_ns.items() if above == parent), default=None)
 
     def _add(self, transform: StampedTransform, static: bool) -> None:
@@ -65,7 +65,7 @@ class LiveTransforms:
         self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
 
     def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
-        """Tell where a frame has two parents, or one that two publishers tell of."""
+        """Warn if a frame has two parents, or one parent from two publishers."""
         stamp_ns, parent, child, _ = transform
         sources = self._sources.setdefault(child, {})
         sources[parent, "" if static else publisher] = None if static else stamp_ns
@@ -73,7 +73,8 @@ class LiveTransforms:
             differs = other != parent or (of != publisher and not static and at_ns is not None)
             if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _SIMULTANEOUS_NS):
                 where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
-                self._warn("two transforms", f"{child} is told to lie {' and '.join(where)}: end one of the two")
+                links = " and ".join(where)
+                self._warn("two transforms", f"{child} has conflicting transforms ({links}): stop one publisher")
 
     def _detect_jump(self, transform: StampedTransform) -> bool:
         """Whether this is the second reading in a row from long before the latest."""

@@ -1,4 +1,4 @@
-"""What the node does in a known map: Monte Carlo localization, in the place of map_server and AMCL."""
+"""The node in a known map: Monte Carlo localization, a replacement for map_server and AMCL."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from gridslam.types import FloatArray, LaserScan, Odometry
 __all__ = ["KnownMapPublisher", "Localization", "LocalizationSession"]
 
 InitialPose = tuple[FloatArray, FloatArray] | None
-"""A pose (3,) and its covariance (3, 3); None where nothing is known."""
+"""A pose (3,) and its covariance (3, 3); None if the pose is unknown."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Localization:
-    """What decides how the robot is localized.
+    """Map, filter and initial pose of a localization.
 
     Attributes
     ----------
     known : KnownMap
-        Where it is.
+        The map.
     parts : MonteCarloParts
-        Of the filter.
+        Configuration of the filter.
     initial_pose : (pose (3,), covariance (3, 3)) or None
-        Where it is at first; it is found where that is not known.
+        Initial pose; None: global localization.
     """
 
     known: KnownMap
@@ -52,25 +52,25 @@ class Localization:
 
     @property
     def range_max_m(self) -> float:
-        """Range from which on beams are not used, m."""
+        """Range from which beams are ignored, m."""
         return self.parts.range_max_m
 
 
 @final
 class LocalizationSession:
-    """From its first scan until time jumps back or the end; belongs to the filter's thread.
+    """A localization session, from its first scan to a jump of time or the end; used by the filter's thread only.
 
     Parameters
     ----------
     localization : Localization
         Map and filter.
     seed : int
-        Of the filter.
+        Seed of the filter.
     record : Path or None
-        Where its accepted scans are recorded, to be localized again.
+        File for the accepted scans.
     """
 
-    restart_message = "localization begins anew"
+    restart_message = "restarting the localization"
 
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
         self._localization = localization
@@ -80,49 +80,49 @@ class LocalizationSession:
         self.set_pose(localization.initial_pose)
 
     def set_pose(self, pose: InitialPose) -> None:
-        """Let the robot be somewhere else from the next scan on; nowhere that is known, if None."""
+        """Set the pose from the next scan on; None: the pose is unknown."""
         self.state: MonteCarloState = self._mcl.init() if pose is None else self._mcl.around(*pose, self._rng)
 
     def add(self, accepted: AcceptedScan) -> None:
-        """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
+        """Record a measurement before the filter processes it; raises OutputError if the record cannot be written."""
         if self._recorder is not None:
             self._recorder.add(accepted)
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Callable[[Any, Any, float], None]]) -> None:
-        """Take all measurements of a source, one after the other."""
+        """Run the filter on all measurements of a source."""
         run(source, self, rng=self._rng, observers=observers, state=self.state)
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Take one measurement from the session's own state, which `set_pose` may have changed since the last one."""
+        """Process a measurement from the session's own state, which `set_pose` may have changed since the last scan."""
         self.state, report = self._mcl.step(self.state, odometry, scan, rng)
         return self.state, report
 
     def copy(self) -> None:
-        """Raise ArgumentError: there is no map of one's own to be saved."""
+        """Raise ArgumentError: a localization has no map to save."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
     def close(self) -> None:
-        """End the record."""
+        """Close the record."""
         if self._recorder is not None:
             self._recorder.close()
 
 
 @final
 class KnownMapPublisher:
-    """Publishes the known map, once; to the rest of the node it is like a `MapRenderer` that is always at work.
+    """Publishes the known map once; otherwise behaves like a `MapRenderer` that is always busy.
 
     Parameters
     ----------
     localization : Localization
-        Of which the map is.
+        Provides the map.
     values : str
-        As of `map_cells`.
+        As for `map_cells`.
     frame : str
-        Of the map.
+        Frame of the map.
     publish : callable
-        Takes the map.
+        Publishes the map.
     """
 
     is_idle = False
@@ -145,11 +145,11 @@ class KnownMapPublisher:
         self._publish(self.latest)
 
     def render(self, state: Any, stamp_ns: int) -> int:  # noqa: ANN401
-        """Draw nothing."""
+        """Do nothing: the map does not change."""
         return 0
 
     def reset(self) -> None:
-        """Forget nothing."""
+        """Do nothing: the map does not change."""
 
     def close(self) -> None:
-        """End nothing."""
+        """Do nothing: there is no thread."""

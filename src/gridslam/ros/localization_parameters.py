@@ -1,4 +1,4 @@
-"""Parameters of a node that localizes: AMCL's by their own names, and the node's own beside them."""
+"""Parameters of a node that localizes: those of AMCL, and the node's own."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ NODE_NAMES: Final[Mapping[str, str]] = {
     "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
     "transform_tolerance": "tf_delay",
 }  # fmt: skip
-"""AMCL's names of what the node calls otherwise."""
+"""The node's names of AMCL's parameters."""
 
 
 def read_localization(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
-    """How the robot is localized, and which of AMCL's parameters mean nothing here.
+    """Return the localization, and the given parameters of AMCL that have no effect.
 
     Parameters
     ----------
     given : mapping
-        What the user has set by ROS names: ``map_file``, ``set``, ``threads`` and AMCL's; others are left alone.
+        ROS parameters set by the user: ``map_file``, ``set``, ``threads`` and AMCL's; others are ignored.
 
     Raises
     ------
     ConfigurationError
-        There is no ``map_file``, or a parameter is unknown, of a wrong type or out of range.
+        ``map_file`` is missing, or a parameter is unknown, has a wrong type or is out of range.
     InputError
-        The file is no map in which a robot could be.
+        The file is not a valid map.
     """
     path = given.get("map_file")
     if not path:
-        raise ConfigurationError("map_file: expected the YAML file of the map to be localized in, got none")
+        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
     changed = override_parts(amcl.parts, [part for part in str(given.get("set", "")).split(";") if part.strip()])
     source = changed if changed.pose is not None else amcl

@@ -1,4 +1,4 @@
-"""Between the callbacks and the filter: a bounded queue in which scans wait for their transforms."""
+"""The bounded queue between callbacks and filter, in which scans wait for their transforms."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from gridslam.types import BeamStatus, FloatArray, Odometry
 
 __all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
 
-_CONTINUES_M = 0.5  # and rad: the robot goes on where it was
-_LATE_S, _IGNORED_S, _MIN_LATE_SCANS = 0.5, 10.0, 10  # one after the other: a single one was held up
-_MAX_STEP, _MAX_SPEED = 1.0, 10.0  # m and rad, and both per second: no robot moves so
+_CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
+_LATE_S, _IGNORED_S, _MIN_LATE_SCANS = 0.5, 10.0, 10  # in a row: a single scan may be delayed
+_MAX_STEP, _MAX_SPEED = 1.0, 10.0  # m and rad; m/s and rad/s: faster than any robot
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
 
@@ -47,13 +47,13 @@ class _Waiting(NamedTuple):
 
 @final
 class Counts:
-    """What became of the scans that came.
+    """Counts of scans.
 
     Attributes
     ----------
     received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused as `ThrottledWarnings` tells; dropped
-        because the filter was behind; given to the filter; times that the stamps jumped back.
+        All scans; skipped by `throttle_scans`; skipped while paused; refused with a warning; dropped because the
+        filter was behind; passed to the filter; number of times that the stamps jumped back.
     """
 
     __slots__ = ("accepted", "dropped", "jumps", "paused", "received", "refused", "throttled")
@@ -64,23 +64,23 @@ class Counts:
 
 @final
 class MeasurementQueue:
-    """Takes messages from any thread, and gives measurements to the one thread that asks.
+    """Accepts messages from any thread and passes measurements to the filter's thread.
 
     Parameters
     ----------
     settings : NodeSettings
         Bounds and frames.
     warn : ThrottledWarnings
-        Told of what is refused, by name.
+        Called with the reason for each refused message.
     clock : callable
-        Time in s, ascending: that of all waiting.
+        Monotonic time, s.
 
     Attributes
     ----------
     counts : Counts
-        Of the scans.
+        Counts of scans.
     is_paused : bool
-        Whether scans are left out for the present.
+        Whether incoming scans are dropped.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class MeasurementQueue:
         self._pending_jump = False
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
-        """Queue a scan, or refuse it; never waits."""
+        """Queue a scan, or refuse it; never blocks."""
         arrived_s, settings, counts = self._clock(), self._settings, self.counts
         with self._changed:
             counts.received += 1
@@ -119,12 +119,12 @@ class MeasurementQueue:
                 return
             source = sensor, message.frame
             if self._received_ns.get(source) == message.stamp_ns:
-                self._refuse("scan refused", f"{sensor}: one of this stamp has come; are there two publishers?")
+                self._refuse("scan refused", f"{sensor}: duplicate stamp; are there two publishers?")
                 return
             self._received_ns[source] = message.stamp_ns
             jumped = self._detect_jump(message.stamp_ns, sensor)
             if jumped is None:
-                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the one ahead")
+                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the previous one")
                 return
             if jumped:
                 counts.jumps += 1
@@ -140,20 +140,20 @@ class MeasurementQueue:
     def add_transforms(
         self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
     ) -> None:
-        """Take transforms; never waits."""
+        """Add transforms; never blocks."""
         with self._changed:
             self._transforms.add(transforms, static=static, publisher=publisher)
             if self._scans:
                 self._changed.notify()
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have something done by the thread that takes, between two scans."""
+        """Run a call in the filter's thread between two scans."""
         with self._changed:
             self._calls.append(call)
             self._changed.notify()
 
     def end_session(self, why: SessionEnd) -> None:
-        """End the session: what is queued is dropped; a closed intake gives nothing any more."""
+        """End the session and drop all queued scans; a closed queue returns no more measurements."""
         with self._changed:
             if self._session_end is not SessionEnd.CLOSED:
                 self._session_end = why
@@ -161,7 +161,7 @@ class MeasurementQueue:
             self._changed.notify()
 
     def take(self) -> AcceptedScan | Callable[[], None] | SessionEnd:
-        """Wait for what is next: what was posted, a measurement, or the end of the session."""
+        """Wait for the next posted call, measurement, or end of the session."""
         with self._changed:
             while True:
                 if self._calls:
@@ -183,7 +183,7 @@ class MeasurementQueue:
         return why
 
     def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
-        """The first scan, where it need not wait any longer; else for how long."""
+        """Return the first scan if its transforms are known, else the time to wait, s."""
         scans, counts = self._scans, self.counts
         while scans:
             waiting = scans[0]
@@ -191,7 +191,9 @@ class MeasurementQueue:
             try:
                 accepted = self._make_measurement(waiting, last=late_s >= 0)
             except MissingTransform as missing:
-                if late_s < 0 and (missing.coverage in _MAY_ARRIVE or waiting.after_jump):  # theirs may jump after it
+                if late_s < 0 and (
+                    missing.coverage in _MAY_ARRIVE or waiting.after_jump
+                ):  # its transforms may jump later
                     return None, -late_s
                 self._discard()
                 self._refuse("missing transform", str(missing))
@@ -212,7 +214,7 @@ class MeasurementQueue:
         return None, None
 
     def _make_measurement(self, waiting: _Waiting, *, last: bool) -> AcceptedScan:
-        """Measurement of a scan; raises MissingTransform where it is not known yet, or will never be."""
+        """Build the measurement of a scan; raises MissingTransform if a transform is not known (yet)."""
         message, sensor, settings = waiting.message, waiting.sensor, self._settings
         odometry: Odometry | None = None
         if settings.odometry != "none":
@@ -238,7 +240,7 @@ class MeasurementQueue:
         odometry, scan = accepted.measurement
         self._latest_ns[scan.sensor] = scan.stamp_ns
         if not (scan.status == BeamStatus.HIT).any():
-            self._warn("nothing seen", f"{scan.sensor}: no beam of {len(scan.status)} hits anything in range")
+            self._warn("no returns", f"{scan.sensor}: none of {len(scan.status)} beams hits anything in range")
         if odometry is None:
             return
         if self._odometry is not None:
@@ -250,13 +252,13 @@ class MeasurementQueue:
         self._odometry = odometry
 
     def _continues(self, odometry: Odometry | None) -> bool:
-        """Whether the odometry goes on where it was: then only a clock was set."""
+        """Whether the odometry continues: then only a clock was set back."""
         if odometry is None or self._odometry is None:
             return False
         return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _CONTINUES_M)
 
     def _detect_jump(self, stamp_ns: int, sensor: str) -> bool | None:
-        """Whether time has jumped back; None for the first scan that says so, which may be astray."""
+        """Whether time has jumped back; None for the first early scan, which may be an outlier."""
         jump_ns = round(self._settings.jump_s * 1e9)
         latest_ns = self._latest_ns.get(sensor, stamp_ns)
         stray_ns = self._strays.pop(sensor, None)
@@ -269,23 +271,23 @@ class MeasurementQueue:
         return None
 
     def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
-        """Tell of scans that are always older than the odometry which came before: each would get an old pose."""
+        """Warn if scans are always older than the latest odometry, so that each gets an old pose."""
         newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
         self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _IGNORED_S else 0
         if self._late[sensor] >= _MIN_LATE_SCANS:
-            problem = f"{sensor} is stamped {late_s:.2f} s before the odometry that came: it is late, or clocks differ"
+            problem = f"{sensor} is stamped {late_s:.2f} s before the latest odometry: it is late, or the clocks differ"
             self._warn("late scans", problem)
 
     def _drop_old(self, now_s: float) -> None:
-        """Keep the newest scans."""
+        """Drop the oldest scans beyond the limits of the queue."""
         scans, settings = self._scans, self._settings
         while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > settings.queue_s:
             self._discard()
             self.counts.dropped += 1
 
     def _discard(self) -> None:
-        """Leave out the first scan; where time jumped before it, it jumped before the next one."""
+        """Drop the first scan; a jump of time before it now belongs to the next scan."""
         if self._scans.popleft().after_jump:
             if self._scans:
                 self._scans[0] = self._scans[0]._replace(after_jump=True)

@@ -1,4 +1,4 @@
-"""slam_gmapping's parameters by their own names and defaults, and the node's own beside them.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -31,13 +31,13 @@ GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
     "delta": 0.05, "llsamplerange": 0.01, "llsamplestep": 0.01, "lasamplerange": 0.005, "lasamplestep": 0.005,
     "transform_publish_period": 0.05, "tf_delay": 0.05, "occ_thresh": 0.25, "maxRange": 80.0,
 }  # fmt: skip
-"""slam_gmapping's parameters with their defaults; that of `maxRange` is the laser's, of `tf_delay` the period above."""
+"""slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
 
 NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
     "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "", "mode": "mapping", "map_file": "",
 }  # fmt: skip
-"""The node's own parameters: see docs/ros.md."""
+"""The node's own parameters and defaults: see docs/ros.md."""
 
 _FILTER: Final[Mapping[str, str]] = {
     "particles": "particles",
@@ -57,7 +57,7 @@ _FILTER: Final[Mapping[str, str]] = {
     "lskip": "sensor.skip",
     "delta": "mapper.resolution_m",
 }
-"""Where the filter keeps the value of a parameter."""
+"""The filter's parameter for each parameter of slam_gmapping."""
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
@@ -65,7 +65,7 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "maxUrange": ("range_max_m",),
     "maxRange": ("range_max_m",),
 }
-"""... and what it derives from one or from several."""
+"""The filter's parameters that are derived from one or several parameters of slam_gmapping."""
 
 _ALMOST_ZERO = 1e-9
 
@@ -81,30 +81,30 @@ _UNSUPPORTED: Final[Mapping[str, str]] = {
     **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
     **dict.fromkeys(
         ("llsamplerange", "llsamplestep", "lasamplerange", "lasamplestep"),
-        "the likelihood is not sampled around a match",
+        "the likelihood around a match is not sampled",
     ),
     "temporalUpdate": "a robot at rest adds nothing to the map",
     "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
-    "inverted_laser": "the transforms tell how the laser is mounted",
+    "inverted_laser": "the transforms contain the mounting of the laser",
 }
-"""What nothing here corresponds to, and why."""
+"""Parameters without an equivalent, with the reason."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class NodeParameters:
-    """What parameters by their ROS names come to.
+    """Settings and configuration from ROS parameters.
 
     Attributes
     ----------
     settings : NodeSettings
-        Of the node.
+        Settings of the node.
     configuration : Configuration or Localization
-        Of the filter; the second where the map is known.
+        Configuration of the filter; `Localization` if the map is known.
     warning : str
-        What was given and is ignored, with the reasons, in one sentence; empty where nothing is.
+        The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
-        The record of accepted scans, and the folder for results.
+        File for the accepted scans, and output folder.
     """
 
     settings: NodeSettings
@@ -115,7 +115,7 @@ class NodeParameters:
 
 
 def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
-    """Turn parameters by their ROS names into the node's settings and the filter's configuration.
+    """Convert ROS parameters to the node's settings and the filter's configuration.
 
     With the preset "gmapping" all of `GMAPPING_DEFAULTS` hold unless they are given. Another preset is changed only by
     what is given, and parameters that it has no part for are ignored.
@@ -123,14 +123,14 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     Parameters
     ----------
     given : mapping
-        What the user has set: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`; others are ignored.
+        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`; others are ignored.
     preset_name : str
-        The preset where `given` has none.
+        The preset if `given` has none.
 
     Raises
     ------
     ConfigurationError
-        A value is of a wrong type or out of range, or there is no such preset.
+        A value has a wrong type or is out of range, or the preset does not exist.
     """
     node_values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
     if node_values["mode"] not in ("mapping", "localization"):
@@ -138,7 +138,7 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     if node_values["mode"] == "localization":
         return _parse_localization(given, node_values)
     if node_values["map_file"]:
-        raise ConfigurationError("map_file: needs the mode localization; in mapping a map is made")
+        raise ConfigurationError("map_file: requires the mode localization")
     name = str(node_values["preset"]) or preset_name
     base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
     current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
@@ -160,14 +160,14 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
 
 
 def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
-    """In a known map: AMCL's parameters in the place of slam_gmapping's."""
+    """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
     localization, ignored = read_localization(given)
     by_node_name = {NODE_NAMES.get(name, name): value for name, value in given.items()}
     elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
-    reasons = dict.fromkeys(ignored, "nothing here corresponds to it")
+    reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
         if name in elsewhere:
-            reasons[name] = "the node localizes, and makes no map"
+            reasons[name] = "the node localizes and builds no map"
         elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
             reasons[name] = f"there is no such parameter{meant(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
     return NodeParameters(
@@ -184,7 +184,7 @@ def _path_or_none(text: object) -> Path | None:
 
 
 def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
-    """A value as slam_gmapping takes it: 30.0 is a number of particles, and of thresholds 0 is one, too."""
+    """Convert a value as slam_gmapping does: 30.0 is a number of particles, and a threshold may be 0."""
     if isinstance(GMAPPING_DEFAULTS.get(name), int) and isinstance(value, float) and value.is_integer():
         return int(value)
     if name in ("linearUpdate", "angularUpdate", "resampleThreshold") and value == 0:
@@ -193,20 +193,20 @@ def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
 
 
 def _with_ros_name(error: ConfigurationError) -> ConfigurationError:
-    """The same error, of the parameter that was given."""
+    """Replace the filter's name of a parameter by its ROS name."""
     path, _, problem = str(error).partition(": ")
     ros_names = [name for name in GMAPPING_DEFAULTS if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
     return ConfigurationError(f"{' and '.join(ros_names) or path}: {problem}")
 
 
 def _direct_values(base: Configuration, current: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted names, of what corresponds one to one."""
+    """Return the values of parameters with a direct equivalent, by dotted names."""
     there = set(names(base))
     return {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
 
 
 def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted names, of what depends on several parameters."""
+    """Return the values of derived parameters, by dotted names."""
     values: dict[str, Any] = {}
     there = set(names(base))
 
@@ -228,7 +228,7 @@ def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapp
 
 
 def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables of values by dotted names."""
+    """Convert values by dotted names to nested tables."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         *above, last = path.split(".")
@@ -253,7 +253,7 @@ def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
 
 
 def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
-    """One sentence of all that was given and does nothing."""
+    """Return a message about all given parameters without effect."""
     there, reasons = set(names(base)), {}
     for name in given:
         if name in _UNSUPPORTED:
@@ -268,9 +268,9 @@ def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str,
 
 
 def _group_by_reason(reasons: Mapping[str, str]) -> str:
-    """One sentence of what is ignored, by reason."""
+    """Return a message with the ignored parameters, grouped by reason."""
     by_reason: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         by_reason.setdefault(reason, []).append(name)
     ignored_text = "; ".join(f"{', '.join(ignored)} ({reason})" for reason, ignored in by_reason.items())
-    return f"parameters that are ignored: {ignored_text}" if ignored_text else ""
+    return f"ignored parameters: {ignored_text}" if ignored_text else ""

@@ -1,4 +1,4 @@
-"""The record of what was accepted: a CSV of scans that `gridslam map` maps to the same bytes."""
+"""The record of accepted scans: a CSV file from which `gridslam map` computes identical output files."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ __all__ = ["ScanRecorder"]
 
 @final
 class ScanRecorder:
-    """Writes each accepted scan as one whole row, so that a node which is killed has lost none of them.
+    """Writes each accepted scan as one row in one write, so that a killed node loses none of them.
 
-    Where a row cannot be written, as the disk is full, the record ends with the row before.
+    If a row cannot be written because the disk is full, the record ends with the previous row.
 
     Parameters
     ----------
     path : str or Path
-        A new file, or one that is replaced.
+        The file, which is replaced if it exists.
 
     Raises
     ------
     OutputError
-        The file cannot be written; from `add`, too.
+        The file cannot be written; also raised by `add`.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -41,12 +41,12 @@ class ScanRecorder:
         self._write(",".join(COLUMNS))
 
     def add(self, accepted: AcceptedScan) -> None:
-        """Write a row, exactly what the filter is given; nothing where the record has ended."""
+        """Write a row, exactly as passed to the filter; nothing after the record has ended."""
         if not self.is_whole:
             return
         (odometry, scan), laser = accepted.measurement, accepted.laser
         if laser not in self._cells_of_laser:
-            self._cells_of_laser = {laser: _format_laser(laser)}  # the last one: the others come back seldom
+            self._cells_of_laser = {laser: _format_laser(laser)}  # only the last one: lasers rarely alternate
         names, description = self._cells_of_laser[laser]
         pose = "," * 3 if odometry is None else ",".join(map(repr, odometry.pose.tolist())) + ","
         ranges = " ".join(map(repr, scan.ranges.tolist()))
@@ -54,11 +54,11 @@ class ScanRecorder:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all scans that came are in it, and those that come will be."""
+        """Whether the record contains all scans so far."""
         return not self._file.closed
 
     def close(self) -> None:
-        """End the file."""
+        """Close the file."""
         self._file.close()
 
     def _write(self, line: str) -> None:
@@ -74,7 +74,7 @@ class ScanRecorder:
 
 
 def _format_laser(laser: LaserDescription) -> tuple[str, str]:
-    """Cells of the names, and those from the mounting to the range limits."""
+    """Return the cells of the names, and those from the mounting to the range limits."""
     time_increment = "" if laser.time_increment_s is None else repr(laser.time_increment_s)
     numbers = map(repr, (*laser.mounting, laser.angle_min, laser.angle_increment))
     limits = f"{laser.range_min_m!r},{laser.range_max_m!r}"

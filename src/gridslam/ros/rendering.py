@@ -1,4 +1,4 @@
-"""From the best particle's map to the message that is published, beside the filter and not in its way."""
+"""Conversion of the best particle's map to a message, in a thread of its own."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ MapArrays = Mapping[str, NDArray[Any]]
 
 
 def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
-    """Cells (H, W) of nav_msgs/OccupancyGrid.
+    """Return the cells (H, W) of nav_msgs/OccupancyGrid.
 
     Parameters
     ----------
     grid : OccupancyGrid
         The map.
     values : str
-        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, just as `write_map` has it;
-        "probability": in per cent, -1 where nothing is known.
+        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, as in `write_map`;
+        "probability": in per cent, -1 where unknown.
     """
     cells = np.full(grid.known.shape, -1, np.int8)
     if values == "trinary":
@@ -43,25 +43,25 @@ def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) ->
 
 @final
 class MapRenderer:
-    """Draws the latest map that was taken, in a thread of its own.
+    """Renders maps in a thread of its own.
 
-    A map is taken by the filter's thread, which copies its tiles: that costs what is known, not the whole rectangle.
+    The filter's thread copies only the tiles of the map, so its cost depends on the mapped area, not on the rectangle.
 
     Parameters
     ----------
     mapper : OccupancyGridMapping
-        That of the filter.
+        Mapper of the filter.
     values : str
-        As of `map_cells`.
+        As for `map_cells`.
     frame : str
-        Of the map.
+        Frame of the map.
     publish : callable
-        Takes each map, in the renderer's thread.
+        Publishes each map; called in the renderer's thread.
 
     Attributes
     ----------
     latest : GridMessage or None
-        What was drawn last.
+        The last rendered map.
     """
 
     def __init__(
@@ -79,16 +79,16 @@ class MapRenderer:
         self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
 
     def start(self, stamp_ns: int) -> None:
-        """Begin to draw; there is no map yet."""
+        """Start the thread; there is no map yet."""
         self._thread.start()
 
     @property
     def is_idle(self) -> bool:
-        """Whether the last map is drawn."""
+        """Whether the last map is rendered."""
         return not self._busy
 
     def render(self, state: GridFastSlamState, stamp_ns: int) -> int:
-        """Copy the best particle's map, and have it drawn; returns the memory that all maps take, bytes."""
+        """Copy the best particle's map for rendering; returns the memory of all maps, bytes."""
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
         with self._changed:
             self._pending, self._busy = (stamp_ns, arrays), True
@@ -96,13 +96,13 @@ class MapRenderer:
         return state.maps.nbytes
 
     def reset(self) -> None:
-        """Have no map any more, as a new session begins."""
+        """Discard the map at the start of a new session."""
         with self._changed:
             self._changed.wait_for(lambda: not self._busy, timeout=10)
             self.latest = None
 
     def close(self) -> None:
-        """Draw what was taken, and end."""
+        """Render the pending map and stop the thread."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -1,7 +1,7 @@
-"""The node in ROS 1: a drop-in for slam_gmapping, by rospy.
+"""The node in ROS 1 by rospy: a drop-in replacement for slam_gmapping.
 
-Scans and transforms are decoded from their bytes, so that neither a large scan nor NumPy's version matters, and the
-map's cells are sent as they lie in memory.
+Scans and transforms are decoded from their bytes, which is fast for large scans and works with any version of NumPy.
+The cells of the map are sent without a copy into Python objects.
 
 Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 """
@@ -34,7 +34,7 @@ _POLL_S = 0.2
 
 
 def _modules() -> dict[str, Any]:
-    """rospy and the packages of messages; raises ConfigurationError where ROS 1 is not there."""
+    """Import rospy and the message packages; raises ConfigurationError if ROS 1 is not installed."""
     names = (
         "rospy", "std_msgs.msg", "std_srvs.srv", "nav_msgs.msg", "nav_msgs.srv", "geometry_msgs.msg", "tf2_msgs.msg",
         "diagnostic_msgs.msg",
@@ -43,7 +43,7 @@ def _modules() -> dict[str, Any]:
         return {name: importlib.import_module(name) for name in names}
     except ImportError as error:
         hint = "source its setup.bash, or install python3-rospy and the messages' packages"
-        raise ConfigurationError(f"ROS 1 is not there ({error}): {hint}") from None
+        raise ConfigurationError(f"ROS 1 is not available ({error}): {hint}") from None
 
 
 @final
@@ -53,7 +53,7 @@ class Ros1Node:
     Parameters
     ----------
     parameters : NodeParameters
-        What the node's private parameters come to.
+        Settings and configuration from the node's private parameters.
     """
 
     def __init__(self, parameters: NodeParameters) -> None:
@@ -76,14 +76,14 @@ class Ros1Node:
         self._out = parameters.out or Path("gridslam-map")
 
     def start(self) -> None:
-        """Begin to take messages and requests."""
+        """Start the core, services and subscribers."""
         self.core.start()
         self._advertise_services()
         self._subscribe()
         self.log(Level.OK, describe_topics(self._ros["rospy"].resolve_name("scan"), self.core))
 
     def now_ns(self) -> int:
-        """Time now, or that of the simulation, ns."""
+        """Return the current time, simulated or not, ns."""
         return int(self._ros["rospy"].Time.now().to_nsec())
 
     def map(self, message: GridMessage) -> None:
@@ -135,7 +135,7 @@ class Ros1Node:
         """Log to the console and /rosout."""
         rospy = self._ros["rospy"]
         {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
-        sys.stdout.flush()  # what rospy leaves in a file's buffer
+        sys.stdout.flush()  # rospy does not flush
 
     def _subscribe(self) -> None:
         rospy = self._ros["rospy"]
@@ -167,7 +167,7 @@ class Ros1Node:
             rospy.Subscriber(topic, rospy.AnyMsg, self._make_callback(topic, handle), queue_size=None, **large)
 
     def _bytes(self, message: Any, kind: str, expected: str) -> bytes:  # noqa: ANN401
-        """Bytes of a message of that kind; none, and a complaint, for another one."""
+        """Return the bytes of a message of the expected type; warns and returns none for another type."""
         header: Mapping[str, str] = message._connection_header
         if kind_of(header["type"]) == kind:
             data: bytes = message._buff
@@ -176,7 +176,7 @@ class Ros1Node:
         return b""
 
     def _make_callback(self, topic: str, handle: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Call back, and complain of bytes that are no message."""
+        """Return a callback that handles messages and warns about invalid bytes."""
 
         def on_message(message: Any) -> None:  # noqa: ANN401
             try:
@@ -234,7 +234,7 @@ class Ros1Node:
         try:
             if not rospy.is_shutdown():
                 publisher.publish(message)
-        except rospy.ROSException:  # shut down in this very moment
+        except rospy.ROSException:  # shut down in the meantime
             return
 
 
@@ -255,25 +255,25 @@ def run_ros1(
     open_viewers: ViewerOpener = nullcontext,
     on_poll: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+    """Run the node until ROS or Ctrl-C shuts it down, then write the results if the parameter `out` is set.
 
     Parameters
     ----------
     arguments : sequence of str
-        ROS's own: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
+        ROS arguments: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
     given : mapping, optional
-        Parameters of the node that hold whatever its private parameters say.
+        Parameters that override the node's private parameters.
     open_viewers : callable
-        Gets the core before it is started: see `gridslam.ros.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.services.ViewerOpener`.
     on_poll : callable
-        Called now and then; may raise KeyboardInterrupt.
+        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
     ConfigurationError
-        ROS 1 is not there, or an argument or parameter is wrong.
+        ROS 1 is not available, or an argument or parameter is invalid.
     GridslamError
-        The node cannot be started, or its filter has failed.
+        The node cannot be started, or its filter failed.
     """
     rospy = _modules()["rospy"]
     check_ros1_arguments(arguments)

@@ -1,4 +1,4 @@
-"""Arguments as ROS 1 takes them: rospy reads them itself, and leaves alone what it does not understand."""
+"""Check of ROS 1 arguments, of which rospy ignores those that it does not understand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["check_ros1_arguments"]
 
 
 def check_ros1_arguments(arguments: Sequence[str]) -> None:
-    """Raise ConfigurationError for what is no ``name:=value``, and for a parameter without its underscore."""
+    """Raise ConfigurationError for an argument other than ``name:=value`` and a parameter without its underscore."""
     for argument in arguments:
         name, sign, _ = argument.partition(":=")
         if not sign or not name or name.startswith("-"):

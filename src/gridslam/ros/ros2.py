@@ -1,8 +1,8 @@
-"""The node in ROS 2, by rclpy, where a sourced ROS 2 provides it.
+"""The node in ROS 2 by rclpy, which a sourced ROS 2 provides.
 
-Scans, transforms and what the node says go through rclpy as bytes: no message becomes a Python object on its way.
-With the parameter `lifecycle` it is a managed node: it maps while it is active, pauses when it is deactivated, and
-forgets when it is cleaned up.
+All topics pass through rclpy as bytes: no message becomes a Python object.
+With the parameter `lifecycle` it is a managed node: it maps while active, pauses when deactivated, and resets when
+cleaned up.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NODE_NAME = "gridslam"
 
 _POLL_S = 0.2
 _ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
-"""Parameters that rclpy sees to, or that are read before the node is made."""
+"""Parameters that rclpy handles, or that are read before the node is created."""
 
 
 def _module(name: str) -> Any:  # noqa: ANN401
@@ -37,7 +37,7 @@ def _module(name: str) -> Any:  # noqa: ANN401
         return importlib.import_module(name)
     except ImportError as error:
         hint = "source a ROS 2's setup.bash, or use --transport dds"
-        raise ConfigurationError(f"ROS 2 is not there ({error}): {hint}") from None
+        raise ConfigurationError(f"ROS 2 is not available ({error}): {hint}") from None
 
 
 def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
@@ -52,9 +52,9 @@ class Ros2Node:
     Parameters
     ----------
     node : rclpy.node.Node
-        Or a managed one.
+        Or a managed node.
     parameters : NodeParameters
-        What its parameters come to.
+        Settings and configuration from the node's parameters.
     """
 
     def __init__(self, node: Any, parameters: NodeParameters) -> None:  # noqa: ANN401
@@ -72,14 +72,14 @@ class Ros2Node:
             self.log(Level.WARN, parameters.warning)
 
     def start(self) -> None:
-        """Begin to take messages and requests."""
+        """Start the core, services and subscriptions."""
         self.core.start()
         self._advertise_services()
         self._subscribe()
         self.log(Level.OK, describe_topics(self._node.resolve_topic_name("scan"), self.core))
 
     def log(self, level: Level, text: str) -> None:
-        """Log to the console and /rosout; rclpy wants each line of code to keep to one severity."""
+        """Log to the console and /rosout; rclpy requires one severity per line of code."""
         logger = self._node.get_logger()
         if level is Level.OK:
             logger.info(text)
@@ -130,7 +130,7 @@ class Ros2Node:
             node.create_subscription(_type(kind), topic, self._make_callback(topic, handle), profile, raw=True)
 
     def _make_callback(self, topic: str, handle: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Call back, and complain of bytes that are no message."""
+        """Return a callback that handles messages and warns about invalid bytes."""
 
         def on_message(data: bytes) -> None:
             try:
@@ -170,7 +170,7 @@ class Ros2Node:
             response.success, response.message = save_results(core, self._out)
             return response
 
-        # A service that takes its time must not hold up the scans.
+        # A slow service must not block the scans.
         apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         node.create_service(_type("nav_msgs/GetMap", "srv"), "dynamic_map", dynamic_map)
         for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
@@ -180,13 +180,13 @@ class Ros2Node:
 
 
 def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Parameters that launch files and arguments have set; no others are declared, so that presets hold."""
+    """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
     there = node.get_parameters_by_prefix("")
     return {name: held.value for name, held in there.items() if name not in _ROS_S and "." not in name}
 
 
 def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
-    """Node class whose transitions pause and reset the core."""
+    """Return a node class whose transitions pause and reset the core."""
     done = _module("rclpy.lifecycle").TransitionCallbackReturn.SUCCESS
 
     class Managed(base):  # type: ignore[misc]
@@ -219,7 +219,7 @@ def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
 
 
 def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
-    """Initialize rclpy, whose handlers of signals would end it before the last map is told."""
+    """Initialize rclpy without its signal handlers, which would shut it down before the last map is published."""
     unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
     if unknown:
         raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
@@ -233,23 +233,23 @@ def run_ros2(
     open_viewers: ViewerOpener = nullcontext,
     on_poll: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until ROS or Ctrl-C shuts it down, then write the results where `out` says so.
+    """Run the node until ROS or Ctrl-C shuts it down, then write the results if the parameter `out` is set.
 
     Parameters
     ----------
     arguments : sequence of str
-        ROS's own: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
+        ROS arguments: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
     given : mapping, optional
-        Parameters that hold whatever ROS's say.
+        Parameters that override those from ROS.
     open_viewers : callable
-        Gets the core before it is started: see `gridslam.ros.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.services.ViewerOpener`.
     on_poll : callable
-        Called now and then; may raise KeyboardInterrupt.
+        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
     ConfigurationError
-        There is no ROS 2, or a parameter is wrong.
+        ROS 2 is not available, or a parameter is invalid.
     """
     rclpy = _module("rclpy")
     _init_rclpy(rclpy, ["gridslam", *arguments])

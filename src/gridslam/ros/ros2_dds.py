@@ -1,4 +1,4 @@
-"""The node on the wire of ROS 2: topics and services as `ros2 topic` and rclcpp see them, by Cyclone DDS."""
+"""The node in ROS 2 without ROS: topics and services by Cyclone DDS, compatible with `ros2 topic` and rclcpp."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _LEVELS = {Level.OK: "INFO", Level.WARN: "WARN", Level.ERROR: "ERROR"}
 class DdsNode:
     """Writers, readers and services of the node.
 
-    The services answer clients on rmw_cyclonedds alone: other vendors put who asks elsewhere.
+    The services only answer clients on rmw_cyclonedds: other vendors identify the client elsewhere.
 
     Parameters
     ----------
     arguments : RosArguments
-        Names.
+        Names and remappings.
     parameters : NodeParameters
-        What the node's parameters come to.
+        Settings and configuration from the node's parameters.
     domain : int
         ROS_DOMAIN_ID.
     interfaces : sequence of str
-        Network interfaces; those that the library chooses if empty.
+        Network interfaces; if empty, the library chooses them.
     simulated : bool
-        Whether the time is that of /clock.
+        Whether to use the time of /clock.
     """
 
     def __init__(
@@ -74,13 +74,13 @@ class DdsNode:
         self._advertise_services()
 
     def start(self) -> None:
-        """Begin to take messages and requests."""
+        """Start the core and the participant."""
         self.core.start()
         self._participant.start()
         self._log(Level.OK, describe_topics(self._arguments.resolve("scan"), self.core))
 
     def close(self, out: Path | None) -> None:
-        """End, and write what was mapped to `out`, where that is given."""
+        """Stop the node, and write its map to `out` if given."""
         try:
             close_node(self.core, out, self._log)
         finally:
@@ -161,7 +161,7 @@ class DdsNode:
     def _add_service(
         self, service: str, kind: str, serve: Callable[[Any], tuple[Any, ...]], *, slow: bool = False
     ) -> None:
-        """Answer requests; a slow service does so in a thread of its own."""
+        """Add a service; a slow one answers in a thread of its own."""
         name = self._arguments.resolve(service)
         reply = f"rr{name}Reply"
         self._participant.add_writer(reply, f"{kind}_Response")
@@ -187,7 +187,7 @@ _EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.
 
 
 def _is_local(environment: Mapping[str, str]) -> bool:
-    """Whether ROS's own variables (of Humble; of Jazzy) keep it to this machine."""
+    """Whether ROS's environment variables (Humble; Jazzy) restrict it to this machine."""
     reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     return environment.get("ROS_LOCALHOST_ONLY") == "1" or reach == "LOCALHOST"
 
@@ -200,25 +200,25 @@ def run_dds(
     open_viewers: ViewerOpener = nullcontext,
     on_poll: Callable[[], None] = lambda: None,
 ) -> None:
-    """Be the node until Ctrl-C, then write the results where `out` says so.
+    """Run the node until Ctrl-C, then write the results if the parameter `out` is set.
 
     Parameters
     ----------
     arguments : sequence of str
-        ROS's own, see `parse_ros_arguments`.
+        ROS arguments, see `parse_ros_arguments`.
     given : mapping, optional
-        Parameters that hold whatever the arguments say.
+        Parameters that override the arguments.
     interfaces : sequence of str
-        Network interfaces, by address or name; if empty those that ROS's variables or the library choose.
+        Network interfaces by address or name; if empty, ROS's environment variables or the library choose them.
     open_viewers : callable
-        Gets the core before it is started: see `gridslam.ros.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.services.ViewerOpener`.
     on_poll : callable
-        Called now and then; may raise KeyboardInterrupt.
+        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
     ConfigurationError
-        Cyclone DDS is not installed, or an argument or parameter is wrong.
+        Cyclone DDS is not installed, or an argument or parameter is invalid.
     """
     ros = parse_ros_arguments(arguments)
     values = {**ros.parameters, **(given or {})}

@@ -1,4 +1,4 @@
-"""What the node says in ROS 2, as bytes, for whatever carries them."""
+"""The node's ROS 2 messages, encoded as bytes for any transport."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ TOPICS: Final = {
     "particlecloud": "geometry_msgs/PoseArray",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
-"""What is published, and its type."""
+"""Published topics and their types."""
 
 LATCHED: Final = ("map", "map_metadata", "~/entropy")
-"""What late joiners get, too: published reliable and transient-local."""
+"""Topics published reliable and transient-local, so that late subscribers receive the last message."""
 
 _LEVEL_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 @final
 class Ros2Outputs:
-    """Outputs of the core that encodes them.
+    """Encodes the outputs of the core.
 
     Parameters
     ----------
     publish : callable
-        Takes the name of one of `TOPICS`, and the bytes.
+        Called with the name of one of `TOPICS` and the bytes.
     now_ns : callable
         The node's clock.
     log : callable
-        Tells people.
+        Writes a message to the log.
     name : str
-        Of the node.
+        Name of the node.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class Ros2Outputs:
         self._publish, self._now_ns, self._log, self._name = publish, now_ns, log, name
 
     def now_ns(self) -> int:
-        """Time now, or that of the simulation, ns."""
+        """Return the current time, simulated or not, ns."""
         return self._now_ns()
 
     def log(self, level: Level, text: str) -> None:
-        """Tell people."""
+        """Write to the log."""
         self._log(level, text)
 
     def map(self, message: GridMessage) -> None:
@@ -88,7 +88,7 @@ class Ros2Outputs:
         self._send("~/entropy", (nats,))
 
     def particles(self, message: CloudMessage) -> None:
-        """Publish on particlecloud; thousands of poses as they lie in memory."""
+        """Publish on particlecloud, directly from memory."""
         head = encode_message(TOPICS["particlecloud"], (_header(message.stamp_ns, message.frame), []))[:-4]
         head += len(message.poses).to_bytes(4, "little")
         self._publish("particlecloud", head + bytes((4 - len(head)) % 8) + message.data())
@@ -103,7 +103,7 @@ class Ros2Outputs:
 
 
 def grid_values(message: GridMessage) -> tuple[Any, ...]:
-    """Fields of nav_msgs/OccupancyGrid."""
+    """Return the fields of nav_msgs/OccupancyGrid."""
     height, width = message.cells.shape
     x, y = message.origin
     origin = (x, y, 0.0), _LEVEL_TURN

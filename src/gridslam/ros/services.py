@@ -1,4 +1,4 @@
-"""What the transports share: who looks on, the service that saves, and the end."""
+"""Shared by the transports: viewers, the save service, and shutdown."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from gridslam.ros.messages import Level
 __all__ = ["ViewerOpener", "check_folder", "close_node", "describe_topics", "save_results"]
 
 ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
-"""Entered with the core before it is started, and left when it has ended: where those who look on come in."""
+"""Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
 
 def check_folder(out: Path | None) -> None:
-    """Raise OutputError where results cannot be written; said now, not when the robot has driven for an hour."""
+    """Raise OutputError if results cannot be written, before the run rather than after it."""
     if out is not None:
         with OutputFolder(out):
             pass
 
 
 def describe_topics(scans: str, core: NodeCore) -> str:
-    """Tell what a node listens to."""
+    """Return a message that names the topics and frames the node waits for."""
     base, odom = core.settings.base_frame, core.settings.odom_frame
     return f"waiting for scans on {scans}" + ("" if core.settings.odometry == "none" else f" and for {base} in {odom}")
 
 
 def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
-    """Save, and tell whether that went well and what came of it."""
+    """Save the results; return whether it succeeded, and a message."""
     try:
         document = core.save(folder)
     except GridslamError as error:
@@ -41,8 +41,8 @@ def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
 
 
 def close_node(core: NodeCore, out: Path | None, log: Callable[[Level, str], None]) -> None:
-    """End the node; what it has mapped is written to `out`, where that is given and there is anything."""
+    """Stop the node, and write its map to `out` if given and if there is a map."""
     session = core.close()
     if out is not None and session is not None:
-        log(Level.OK, f"{session.log.scan_count} scans, which are written to {out.resolve()}")
+        log(Level.OK, f"writing {session.log.scan_count} scans to {out.resolve()}")
         session.save(out)

@@ -1,4 +1,4 @@
-"""One session: from its first scan until time jumps back, a reset or the end; and the files that tell of it."""
+"""A mapping session, from its first scan to a reset, a jump of time or the end, and its output files."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from gridslam.types import StepReport, Trajectory
 __all__ = ["Session", "SessionCopy"]
 
 _PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
-"""What the filter and `save` import when they first need it, which a robot that drives would wait for."""
+"""Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
 @final
 class Session:
-    """What a session leaves behind; belongs to the filter's thread.
+    """A mapping session; used by the filter's thread only.
 
     Parameters
     ----------
     configuration : Configuration
-        Of the filter.
+        Configuration of the filter.
     seed, threads : int
-        Of the filter.
+        Seed and threads of the filter.
     record : Path or None
-        Where its accepted scans are recorded.
+        File for the accepted scans.
     """
 
-    restart_message = "a new map is begun"
+    restart_message = "starting a new map"
 
     def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
         for name in _PRELOADED:
@@ -62,17 +62,17 @@ class Session:
 
     @property
     def observers(self) -> list[Observer]:
-        """What watches the filter for this session's sake."""
+        """The session's own observers."""
         return [self.trajectory, self.statistics, self._note]
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
-        """Map all measurements of a source, one after the other."""
+        """Run the filter on all measurements of a source."""
         slam, rng = build(self.configuration, self.threads), np.random.default_rng(self.seed)
         first, *others = observers
         run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
 
     def add(self, accepted: AcceptedScan) -> None:
-        """Take note of a measurement, before the filter does; raises OutputError where it cannot be recorded."""
+        """Record a measurement before the filter processes it; raises OutputError if the record cannot be written."""
         scan, log = accepted.measurement.scan, self.log
         if scan.sensor not in log.mountings:
             yaw = accepted.laser.mounting[5]
@@ -82,7 +82,7 @@ class Session:
             self._recorder.add(accepted)
 
     def copy(self) -> SessionCopy:
-        """Copy all that is to be saved; raises ArgumentError before the first scan."""
+        """Copy everything that `save` needs; raises ArgumentError before the first scan."""
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
         recorder = self._recorder
@@ -94,7 +94,7 @@ class Session:
         )  # fmt: skip
 
     def close(self) -> None:
-        """End the record."""
+        """Close the record."""
         if self._recorder is not None:
             self._recorder.close()
 
@@ -107,7 +107,7 @@ class Session:
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionCopy:
-    """A copy of a session; it shares nothing with the filter, which goes on."""
+    """A copy of a session that shares nothing with the running filter."""
 
     configuration: Configuration
     seed: int
@@ -121,7 +121,7 @@ class SessionCopy:
     record: Path | None
 
     def save(self, folder: str | Path) -> dict[str, Any]:
-        """Write what `gridslam map` writes, the last word included; takes its time. Returns what run.json says.
+        """Compute the final map, write the output files of `gridslam map` and return the contents of run.json.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class SessionCopy:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
     def result(self) -> MapResult:
-        """Find the full answer, as `gridslam map` does at the end of a log."""
+        """Compute the full result, as `gridslam map` does at the end of a log."""
         config, watch, record = self.configuration, Stopwatch(), RecordWriter()
         watch.stages = self.stages
         state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)

@@ -1,4 +1,4 @@
-"""What decides how the node listens and speaks; what the filter does is decided by `Configuration`."""
+"""Settings of the node itself; `Configuration` has those of the filter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def _strip_slash(frame: str) -> str:
 
 
 Frame: TypeAlias = Annotated[str, AfterValidator(_strip_slash)]
-"""Name of a frame; "/odom" of the days before tf2 is "odom"."""
+"""Name of a frame without tf1's leading slash: "/odom" becomes "odom"."""
 
 
 @final
@@ -28,30 +28,30 @@ class NodeSettings:
     Parameters
     ----------
     base_frame, odom_frame, map_frame : str
-        The robot, its odometry, and the map that is made.
+        Frames of the robot, its odometry and the map.
     odometry : str
-        "needed": a scan without odometry is refused; "optional": it is matched without; "none": none is asked for.
+        "needed": scans without odometry are refused; "optional": they are matched without; "none": odometry is ignored.
     map_update_interval_s : float, s
-        Between two maps; 0: one after each scan, as fast as they are drawn.
+        Time between two maps; 0: a map after each scan, as fast as rendering permits.
     transform_publish_period_s : float, s
-        Between two transforms from map to odometry; 0: none is published.
+        Time between two transforms from map to odometry; 0: no transform is published.
     tf_delay_s : float, s
-        How far in the future that transform is stamped: until then it may be used.
+        How far in the future that transform is stamped, i.e. how long it is valid.
     throttle_scans : int
-        Take every so many-th scan.
+        Process every n-th scan.
     transform_wait_s : float, s
         How long a scan waits for the transforms at its stamp.
     queue_s, queue_scans : float in s, int
-        Scans that came so long before the newest one, or are more than so many, are dropped, oldest first: the filter
-        is never further behind. Half a second bridges the correction of a loop.
+        Limits on the age and number of queued scans; the oldest are dropped, which bounds the delay of the filter. Half
+        a second bridges the correction of a loop.
     jump_s : float, s
-        Two scans in a row that are stamped so much before the last one: time has jumped back.
+        Time has jumped back if two scans in a row are stamped this much before the last one.
     map_values : str
-        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where nothing is known.
+        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
     min_beams, max_beams : int
-        Scans of fewer or more are refused.
+        Scans with fewer or more beams are refused.
     seed, threads : int
-        As of `map_log`: the first begins anew with each session, the second never changes a result.
+        As for `map_log`; each session restarts the random numbers, and threads never change a result.
     """
 
     base_frame: Frame = "base_link"

@@ -1,4 +1,4 @@
-"""What the node tells after each scan and by the clock."""
+"""Publishing after each scan and by timers."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ __all__ = ["StatePublisher"]
 Report: TypeAlias = StepReport | LocalizationReport
 
 _MAX_CLOCK_OFFSET_NS = 5_000_000_000
-_MAX_LATENCIES = 2000  # the last ones, of which the diagnostics tell
+_MAX_LATENCIES = 2000  # of the last scans, for the diagnostics
 _RECENT_S = 2.0
 _REPEAT_PERIOD_S = 1.0
 _SILENT_S = 5.0
 _WAITING = Level.WARN, "waiting for a scan"
-_MAX_OWN_TRANSFORMS = 1000  # the last transforms that are known again when they come back
+_MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them on /tf
 
 
 @final
 class StatePublisher:
-    """Observer that publishes: at each scan pose and transform, at key scans the entropy, and the first map.
+    """Observer that publishes pose and transform at each scan, entropy and particles at key scans, and the first map.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ class StatePublisher:
     outputs : Outputs
         The transport.
     renderer : MapRenderer or KnownMapPublisher
-        Draws the map.
+        Renders and publishes the map.
     queue : MeasurementQueue
-        Of the scans, for the diagnostics.
+        Provides the counts for the diagnostics.
     warn : ThrottledWarnings
-        Told of scans whose clock is not the node's.
+        Called for scans whose clock differs from the node's.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class StatePublisher:
     ) -> None:
         self._settings, self._outputs, self._renderer = settings, outputs, renderer
         self._queue, self._warn = queue, warn
-        self._lock = threading.Lock()  # of what is published by the filter's thread and by the clock's
+        self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
         self._measurement: AcceptedScan | None = None
         self._report: Report | None = None
         self._key: Report | None = None
@@ -76,27 +76,27 @@ class StatePublisher:
         self._repeat_after_s = 0.0
         self._memory_bytes = 0
         self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
-        self._logged_state = _WAITING  # by the transport
+        self._logged_state = _WAITING  # the transports log it when they start
         self.sessions = 0
 
     def start_session(self) -> None:
-        """Begin with a new session."""
+        """Start a new session."""
         self.sessions += 1
         self._report = self._key = self._mapped_report = None
 
     def set_measurement(self, accepted: AcceptedScan) -> None:
-        """Take note of the measurement that the next report is about."""
+        """Set the measurement that the next report belongs to."""
         self._measurement = accepted
         behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
         if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
-            way = "before" if behind_s > 0 else "after"
+            side = "before" if behind_s > 0 else "after"
             self._warn(
-                "clock differs", f"scans are stamped {abs(behind_s):.1f} s {way} the node's clock: are the clocks set,"
-                " and use_sim_time where a log is played?",
+                "clock differs", f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
+                " clocks, or set use_sim_time when a log is played",
             )  # fmt: skip
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
-        """Tell of one scan."""
+        """Publish the results of one scan."""
         accepted, outputs, frame = self._measurement, self._outputs, self._settings.map_frame
         assert accepted is not None
         odometry = accepted.measurement.odometry
@@ -119,13 +119,13 @@ class StatePublisher:
             self.publish_map(state)
 
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
-        """Have the map drawn and published, in the filter's thread; not one that was, nor while another one is."""
+        """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
         if self._report is not None and self._report is not self._mapped_report and self._renderer.is_idle:
             self._mapped_report = self._report
             self._memory_bytes = self._renderer.render(state, self._report.stamp_ns)
 
     def publish_transform(self) -> None:
-        """Publish where the odometry frame lies in the map, stamped `tf_delay_s` ahead; nothing before a first scan."""
+        """Publish the transform from map to odometry, stamped `tf_delay_s` ahead; nothing before the first scan."""
         settings = self._settings
         with self._lock:
             if self._report is None:
@@ -135,14 +135,14 @@ class StatePublisher:
             current = stamp_ns, self._report
             if (
                 current == self._published and now_s < self._repeat_after_s
-            ):  # a clock at rest: tf complains of repetitions
+            ):  # the clock stands still: tf warns about repeated transforms
                 return
             self._published, self._repeat_after_s = current, now_s + _REPEAT_PERIOD_S
             x, y, theta = self._map_from_odom.tolist()
             half = 0.5 * theta
             pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
             transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
-            self._own_transforms[transform] = None  # before it is published: it comes back at once
+            self._own_transforms[transform] = None  # before publishing: it may return at once on /tf
             if len(self._own_transforms) > _MAX_OWN_TRANSFORMS:
                 del self._own_transforms[next(iter(self._own_transforms))]
             self._outputs.transform(transform)
@@ -150,19 +150,20 @@ class StatePublisher:
     def drop_own_transforms(
         self, transforms: Sequence[StampedTransform], publisher: str = ""
     ) -> Sequence[StampedTransform]:
-        """Leave out the transforms that this node tells; one from elsewhere of the same child is complained of."""
+        """Drop the transforms that this node publishes; warn if another node publishes one with the same child."""
         child = self._child
         if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
             return transforms
         for transform in transforms:
             if transform.child == child and transform not in self._own_transforms:
-                told = f"{publisher or 'it'} says where {child} lies in {transform.parent}, and this one where in"
-                end = "end one of them (a localization, or the bag itself)"
-                self._warn("transform of another node", f"{told} {self._settings.map_frame}: {end}")
+                other = f"{publisher or 'it'} publishes {transform.parent} -> {child}"
+                own = f"this node publishes {self._settings.map_frame} -> {child}"
+                remedy = "stop one of them (a localization, or the bag itself)"
+                self._warn("transform of another node", f"{other}, and {own}: {remedy}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:
-        """How the node does."""
+        """Return counts, latency and the current problem or state."""
         counts, report = self._queue.counts, self._report
         latency = Latency.of(np.array(tuple(self._latencies)))
         values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
@@ -180,7 +181,7 @@ class StatePublisher:
         return Diagnostics(Level.WARN, problem, values) if problem else Diagnostics(*self._state(), values)
 
     def log_state(self) -> None:
-        """Log what the node is at, where that has changed."""
+        """Log the state of the node if it has changed."""
         state = self._state()
         if state != self._logged_state:
             self._logged_state = state
@@ -193,9 +194,9 @@ class StatePublisher:
         if report is None or accepted is None:
             return _WAITING
         if time.perf_counter() - accepted.arrived_s > _SILENT_S:
-            return Level.WARN, f"no scan has been taken for {_SILENT_S:g} s"
+            return Level.WARN, f"no scan accepted for {_SILENT_S:g} s"
         maps = isinstance(report, StepReport)
         if report.lost:
-            why = "the scan agrees with the map too little" if maps else "it may be elsewhere, or the map is another"
+            why = "the scan does not match the map" if maps else "the pose or the map may be wrong"
             return Level.WARN, f"lost: {why}"
         return Level.OK, "mapping" if maps else "localizing"

@@ -1,4 +1,4 @@
-"""What is wrong is said once a second, however often it happens."""
+"""Throttled warnings: each problem is logged at most once per second."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ __all__ = ["ThrottledWarnings"]
 
 @final
 class ThrottledWarnings:
-    """Counts what is wrong by its kind, and tells of each kind at most once in `every_s` seconds.
+    """Counts problems by kind, and logs each kind at most once every `every_s` seconds.
 
     Parameters
     ----------
     log : callable
-        Tells people.
+        Writes a message to the log.
     every_s : float, s
-        Between two sentences of one kind.
+        Least time between two messages of one kind.
     clock : callable
-        Time in s, ascending.
+        Monotonic time, s.
 
     Attributes
     ----------
     counts : Counter of str
-        How often each kind happened.
+        Number of problems of each kind.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class ThrottledWarnings:
         self._last = "", 0.0
 
     def __call__(self, kind: str, problem: str) -> None:
-        """Take note of one more of a kind, and say what the problem is if it is time to."""
+        """Count a problem, and log it unless its kind was logged recently."""
         now = self._clock()
         with self._lock:
             self.counts[kind] += 1
@@ -53,10 +53,10 @@ class ThrottledWarnings:
                 return
             self._due[kind] = now + self._every_s
             suppressed = self._suppressed.pop(kind, 0)
-        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} times more before)" if suppressed else ""))
+        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} more before)" if suppressed else ""))
 
     def latest(self, within_s: float) -> str:
-        """The last problem, if there was one within the last seconds; else empty."""
+        """Return the last problem within this many seconds; empty if there was none."""
         with self._lock:
             problem, when = self._last
             return problem if problem and self._clock() - when <= within_s else ""

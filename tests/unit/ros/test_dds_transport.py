@@ -45,7 +45,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
         values = node.core.diagnostics().values
         assert values["refused"] == "1"
         assert values["message refused, times"] == "4"
-        assert "scan refused: /scan: 26214400 beams, more than the 100000 that a scan may have" in "".join(said)
+        assert "scan refused: /scan: 26214400 beams, more than the maximum of 100000" in "".join(said)
         assert not node.core.ended.is_set()
     finally:
         node.close(None)

@@ -92,7 +92,7 @@ def test_people_say_where_the_robot_is(map_file, log):
     core.reset()
     play(core, outputs, log.measurements[30:31], shift_ns=SHIFT_NS)
     assert until(lambda: len(outputs.poses) == 31)
-    assert core.diagnostics().summary.startswith("lost: it may be elsewhere")
+    assert core.diagnostics().summary.startswith("lost: the pose or the map may be wrong")
     assert "begins anew" not in outputs.warnings()
     core.close()
 
@@ -137,8 +137,8 @@ def test_amcl_s_parameters_by_their_names(map_file):
     assert (found.settings.odom_frame, found.settings.tf_delay_s) == ("wheels", 0.2)
     parts = found.configuration.parts
     assert (parts.kld.particles_min, parts.kld.particles_max, parts.max_beams) == (50, 200, 33)
-    assert "do_beamskip (nothing here corresponds to it)" in found.warning
-    assert "preset (the node localizes, and makes no map)" in found.warning
+    assert "do_beamskip (it has no equivalent)" in found.warning
+    assert "preset (the node localizes and builds no map)" in found.warning
     assert "particels (there is no such parameter" in found.warning
     assert found.configuration.initial_pose is None
 
@@ -148,7 +148,7 @@ def test_amcl_s_parameters_by_their_names(map_file):
     [
         ({"mode": "localisation"}, ConfigurationError, "mode: expected mapping or localization"),
         ({"mode": "localization"}, ConfigurationError, "map_file: expected the YAML file"),
-        ({"map_file": "a.yaml"}, ConfigurationError, "map_file: needs the mode localization"),
+        ({"map_file": "a.yaml"}, ConfigurationError, "map_file: requires the mode localization"),
         ({"mode": "localization", "map_file": "none.yaml"}, InputError, r"none\.yaml"),
     ],
 )

@@ -167,7 +167,7 @@ def test_what_it_is_at_is_logged_when_it_changes(drive, monkeypatch):
     assert core.diagnostics().summary == "waiting for a scan"
     drive_all(core, outputs, drive[:3])
     assert until(lambda: (Level.OK, "mapping") in outputs.logs)
-    assert until(lambda: (Level.WARN, "no scan has been taken for 0.3 s") in outputs.logs)
+    assert until(lambda: (Level.WARN, "no scan accepted for 0.3 s") in outputs.logs)
     drive_all(core, outputs, drive[3:5])
     assert until(lambda: outputs.logs[-1] == (Level.OK, "mapping"))
     core.pause(True)
@@ -243,7 +243,7 @@ def test_reset_begins_anew(drive, tmp_path):
     assert taken.log.scan_count == len(drive) - 60
     assert len((tmp_path / "scans.csv").read_text().splitlines()) == 61
     assert taken.record == tmp_path / "scans-2.csv"
-    assert "a new map is begun: reset" in outputs.warnings()
+    assert "starting a new map: reset" in outputs.warnings()
 
 
 def test_a_log_that_is_played_twice_gives_the_same_map_twice(drive):

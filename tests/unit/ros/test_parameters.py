@@ -111,7 +111,7 @@ def test_another_preset_keeps_what_is_not_given():
 def test_all_that_is_ignored_is_named_in_one_sentence():
     given = {"xmin": -50.0, "ymax": 50.0, "occ_thresh": 0.3, "srr": 0.1, "particels": 5, "delta": 0.1}
     warning = node_parameters(given, "default").warning
-    assert warning.count("parameters that are ignored") == 1
+    assert warning.count("ignored parameters") == 1
     assert "xmin, ymax (the map grows by itself)" in warning
     assert "occ_thresh (cells are occupied above" in warning
     assert "srr (the preset default has no such part)" in warning
