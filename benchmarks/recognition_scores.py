@@ -66,7 +66,9 @@ def mapped(measurements: list[Measurement], config: Configuration, seed: int = 0
     said = full_slam(state, recorder.keys, recorder.from_key, config.mapper, config.closure, config.last_word)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     searched = np.empty((0, 2), np.int64) if said.loops is None else said.loops.closures
-    return Mapped(said.poses, recorder.online().poses, said.graph, keys, searched, time.process_time() - began)
+    return Mapped(
+        said.poses, recorder.online_trajectory().poses, said.graph, keys, searched, time.process_time() - began
+    )
 
 
 def kept(graph: PoseGraph) -> NDArray[np.bool_]:

@@ -144,7 +144,7 @@ class SessionCopy:
             record.add(report, seconds)
         full = full_slam(state, trajectory.keys, trajectory.from_key, config.mapper, config.closure, config.last_word)
         watch.lap("last word")
-        online = trajectory.online()
+        online = trajectory.online_trajectory()
         return MapResult(
             trajectory=Trajectory(online.stamps_ns, full.poses),
             covariances=full.covariances,

@@ -85,7 +85,7 @@ def test_a_particle_is_picked_and_its_map_is_seen(browser, drive, screenshot):
         ActionChains(browser).move_to_element_with_offset(strip, int(left), 0).click().perform()
         wait(lambda: told(browser)["selected"] == "2", "particle 2 is chosen")
         wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
-        assert "map of number 2" in browser.find_element("id", "selected").text
+        assert "map of particle 2" in browser.find_element("id", "selected").text
         screenshot("chosen")
         click(browser, "best")
         wait(lambda: told(browser)["selected"] == "", "the best again")

@@ -1,4 +1,4 @@
-// Puts the page together: messages change the world, and what has changed is drawn.
+// Entry of the page: applies messages to the displayed state and redraws.
 
 import { Camera } from "./camera.js";
 import { Chart, COLUMNS, WeightBars } from "./chart.js";
@@ -29,7 +29,7 @@ function reset() {
   });
 }
 
-// A copy of the first `kept` items and then others.
+// Returns the first `kept` items followed by new ones.
 function splice(before, kept, added) {
   const joined = new Float32Array(kept + added.length);
   joined.set(before.subarray(0, kept));
@@ -75,7 +75,7 @@ function redraw() {
   });
 }
 
-// Moves the camera to what it is to show.
+// Moves the camera as its mode demands.
 function moveCamera() {
   const pose = world.status.pose;
   if (camera.mode === "follow" && pose && camera.approach(pose[0], pose[1])) redraw();
@@ -86,7 +86,7 @@ function moveCamera() {
   $("#follow").setAttribute("aria-pressed", camera.mode === "follow");
 }
 
-// The scale bar: a round length of about 100 px.
+// Draws the scale bar: a round length of about 100 px.
 function drawScaleBar() {
   const power = 10 ** Math.floor(Math.log10(100 / camera.scale));
   const metres = power * [5, 2, 1].find((step) => step * power * camera.scale <= 120);
@@ -94,7 +94,7 @@ function drawScaleBar() {
   $("#scale span").textContent = metres >= 1 ? `${metres} m` : `${Math.round(100 * metres)} cm`;
 }
 
-// Whether particles have maps or ancestry of their own.
+// Whether particles can be selected.
 const isSelectable = () => world.runInfo.layers?.includes("weights");
 
 function selectParticle(particle) {

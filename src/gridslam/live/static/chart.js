@@ -20,9 +20,9 @@ export const COLUMNS = 5; // of the series: time, effective sample size, latency
 const FLAGS = 3, PARTICLES = 4;
 const LOST = 1, CORRECTED = 8;
 
-// One quantity of the series; of all key scans that fall on one pixel the range is drawn.
+// A chart of one column of the series; key scans on the same pixel are drawn as their range.
 export class Chart {
-  // `column` of the series; as a `share` of the particles, of which half are marked, where that is asked for.
+  // `column` of the series; `share`: as a ratio of the number of particles, with a line at one half.
   constructor(canvas, column, { share = false, unit = "" } = {}) {
     Object.assign(this, { canvas, column, share, unit, pointer: null });
     canvas.addEventListener("pointermove", (event) => { this.pointer = event.offsetX; this.again?.(); });
@@ -65,7 +65,7 @@ export class Chart {
     return this.share ? value / series[COLUMNS * k + PARTICLES] : value;
   }
 
-  // Where the robot was lost, from one step to the next, and where the past was corrected.
+  // Marks where the robot was lost, and where a correction happened.
   drawMarks(context, series, steps, toX, height, colours) {
     context.globalAlpha = 0.4;
     const flag = (k) => series[COLUMNS * k + FLAGS], x = (k) => Math.round(toX(series[COLUMNS * Math.min(k, steps - 1)]));
@@ -97,7 +97,7 @@ export class Chart {
     context.fillRect(Math.round(x), 10, 1, height - 10);
   }
 
-  // What was there at the time under the pointer.
+  // Draws the value at the time under the pointer.
   drawReading(context, { series, steps }, time, toX, toY, width, colours) {
     let [low, high] = [0, steps - 1];
     while (low < high) {

@@ -1,8 +1,8 @@
-// Draws the world: the map, where the robot was, what it sees, and what the particles believe.
+// Draws the map, paths, scan, robot and particles.
 
 const ROBOT = 9; // px
 
-// A line through points; it is broken where there is NaN.
+// Draws a line through points, interrupted at NaN.
 function line(context, points, camera) {
   let broken = true;
   context.beginPath();
@@ -14,7 +14,7 @@ function line(context, points, camera) {
   context.stroke();
 }
 
-// The past of one particle, from itself back to where all ancestry are one.
+// The path of one particle, from its pose back to the path that all particles share.
 export function ancestryPoints(world, particle) {
   const points = [], [x, y] = world.particles.subarray(4 * particle, 4 * particle + 2);
   if (x !== undefined) points.push(x, y);
@@ -100,7 +100,7 @@ export class Drawing {
     }
   }
 
-  // What the laser sees now, from where the robot stands: or the selected particle, whose map is shown.
+  // Draws the current scan at the pose of the robot, or of the selected particle.
   scan(context, colour) {
     const { world, camera } = this, pose = this.scanPose();
     if (!pose || !world.scan.length) return;
@@ -163,7 +163,7 @@ export class Drawing {
     context.restore();
   }
 
-  // Within two deviations, where that is large enough to be seen.
+  // Draws the ellipse of two standard deviations if it is large enough to be visible.
   ellipse(context, a, b, c, colour, filled = true) {
     const mean = (a + c) / 2, spread = Math.hypot((a - c) / 2, b);
     const radii = [mean + spread, Math.max(mean - spread, 0)].map((variance) => 2 * Math.sqrt(variance) * this.camera.scale);
@@ -177,7 +177,7 @@ export class Drawing {
     context.globalAlpha = 1;
   }
 
-  // Landmarks, and where they may be.
+  // Draws the landmarks and their covariances.
   landmarks(context, colour) {
     const { landmarks } = this.world, side = 7;
     for (let k = 0; k < landmarks.length; k += 5) {
@@ -191,7 +191,7 @@ export class Drawing {
     }
   }
 
-  // What holds the way and the landmarks: [x0, y0, x1, y1], or null.
+  // The bounding box of paths and landmarks: [x0, y0, x1, y1], or null.
   extent() {
     let box = null;
     for (const [points, stride] of [[this.world.plan, 2], [this.world.path, 2], [this.world.landmarks, 5]]) {
@@ -205,7 +205,7 @@ export class Drawing {
     return box && [box[0] - 1, box[1] - 1, box[2] + 1, box[3] + 1];
   }
 
-  // The particle nearest to a place on the screen; -1 where none is near.
+  // The particle nearest to a point of the screen; -1 if none is near.
   particleAt(u, v, reach = 14) {
     let nearest = -1;
     for (let k = 0; 4 * k < this.world.particles.length; k++) {

@@ -1,4 +1,4 @@
-// The words and buttons about the map.
+// The texts and controls around the map.
 
 import { COLUMNS } from "./chart.js";
 
@@ -11,7 +11,7 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
-const WORDS = { "last word": "finding the final map", writing: "writing the results", done: "finished" };
+const WORDS = { "last word": "finding the final map", writing: "writing results", done: "finished" };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
 const percent = (value) => `${(100 * value).toFixed(0)} %`;
 const oneDecimal = (value) => value.toFixed(value < 100 ? 1 : 0);
@@ -41,7 +41,7 @@ export class Panel {
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
     for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
     $("#latency-of").textContent = `Time per ${runInfo.step}`;
-    document.body.dataset.mode = runInfo.mode; // of which the style sheet knows what there is to hold
+    document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
     if (replay) unlimited?.remove();
   }
@@ -56,12 +56,12 @@ export class Panel {
     if (!$("#step").disabled) this.ask({ do: "step", to_key_scan: !shift });
   }
 
-  // Whether there is a connection; `why` is told where the server has refused it.
+  // Shows whether there is a connection; `why` is the server's reason to refuse it.
   connected(is, why, finished) {
     const notice = $("#notice");
     notice.hidden = is || finished;
     this.online = is;
-    notice.textContent = why ? `The server says: ${why}.` : "The connection is lost; trying again…";
+    notice.textContent = why ? `Refused by the server: ${why}.` : "Connection lost; trying again…";
     if (is) return;
     document.body.dataset.stage = finished ? "done" : "offline";
     $("#stage").textContent = finished ? "finished, server closed" : "offline";
@@ -72,12 +72,12 @@ export class Panel {
     const { status } = world;
     if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.message, status.message ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
-    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, the robot is lost" : WORDS[status.stage] ?? status.stage;
+    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     $("#pause").disabled = !going;
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
-    $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
+    $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
     $("#summary").textContent = this.summarize(world).join(" · ");
     this.robot(status);
@@ -119,11 +119,11 @@ export class Panel {
     put("n_eff", status.n_eff == null ? "" : `${oneDecimal(status.n_eff)} of ${count}`);
     put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
-    const replay = runInfo.mode === "replay", what = replay ? "past" : "map";
-    $("#selected span").textContent = ["writing", "done"].includes(status.stage) ? "map as the end tells it"
-      : status.selected_particle < 0 ? "the chosen one has died out"
-      : status.selected_particle != null ? `${what} of number ${status.selected_particle}`
-      : replay ? "map as the end tells it" : status.best === undefined ? "" : `map of the best, number ${status.best}`;
+    const replay = runInfo.mode === "replay", what = replay ? "path" : "map";
+    $("#selected span").textContent = ["writing", "done"].includes(status.stage) ? "final map"
+      : status.selected_particle < 0 ? "no descendants left"
+      : status.selected_particle != null ? `${what} of particle ${status.selected_particle}`
+      : replay ? "final map" : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
     $("#best").hidden = status.selected_particle == null;
   }
 

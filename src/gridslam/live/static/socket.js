@@ -1,7 +1,7 @@
-// The line to the server: messages in, commands out, and another try whenever it is lost.
+// The connection to the server: receives messages, sends commands, and reconnects when lost.
 
 const FIRST_PAUSE_MS = 400, LONGEST_PAUSE_MS = 5000;
-const TIMEOUT_MS = 10000; // the server says something every 3 s: after so long the line is dead, though nobody said so
+const TIMEOUT_MS = 10000; // the server sends a heartbeat every 3 s; after this time the connection is dead
 
 async function inflate(data) {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -10,7 +10,7 @@ async function inflate(data) {
 
 const KINDS = { f4: Float32Array, i4: Int32Array, u1: Uint8Array };
 
-// Reads what gridslam.live.protocol.encode wrote: {header, arrays}, each array with its shape.
+// Decodes a message of gridslam.live.protocol.encode: {header, arrays}.
 export async function decode(data) {
   const buffer = await inflate(data);
   const length = new DataView(buffer).getUint32(0, true);
@@ -26,7 +26,7 @@ export async function decode(data) {
 }
 
 export class Connection {
-  // `received` gets every message in its order; `changed` whether there is a connection, and why not.
+  // `received` is called with each message in order; `changed` with whether there is a connection, and why not.
   constructor(received, changed) {
     this.received = received;
     this.changed = changed;
@@ -69,13 +69,13 @@ export class Connection {
     this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
   }
 
-  // Give a line up that is dead: closing it would wait for an answer.
+  // Drops a dead connection without waiting for the closing handshake.
   drop() {
     this.socket.close();
     this.lost(0, "");
   }
 
-  // Try again at once: the network is back, or somebody looks again.
+  // Reconnects at once: the network is back, or the page is visible again.
   reconnect() {
     if (this.socket) return;
     clearTimeout(this.timer);
