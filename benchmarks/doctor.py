@@ -150,7 +150,9 @@ CASES: Mapping[str, Case] = {
 """By name; the first eight after `clean` are those that must be named in 19 of 20 logs."""
 
 
-def doctor(report: Report, seeds: Sequence[int], cases: Iterable[str] = tuple(CASES), verbose: bool = False) -> None:
+def doctor(
+    report: Report, seeds: Sequence[int], cases: Iterable[str] = tuple(CASES), verbose: bool = False
+) -> None:
     """Diagnose each log with each fault in turn, and with none; add one table and its targets to the report."""
     rows = [_row(name, CASES[name], seeds, report, verbose) for name in cases]
     report.sections.append(f"## What the doctor finds: seeds {seeds[0]} to {seeds[-1]}\n\n{table(_HEAD, rows)}")

@@ -99,7 +99,9 @@ def record(particles: int = 30, scans: int = 400) -> Situation:
     raise ValueError(f"no key scan after scan {scans} of {len(log)}")
 
 
-def _work(calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m: float) -> dict[str, tuple[int, str]]:
+def _work(
+    calls: dict[str, Call], poses: FloatArray, beams: Beams, resolution_m: float
+) -> dict[str, tuple[int, str]]:
     rays = beams.ends - beams.origin
     reach, bearing = np.hypot(*rays.T), np.arctan2(rays[:, 1], rays[:, 0])
     angles = poses[:, 2:] + bearing

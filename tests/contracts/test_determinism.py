@@ -44,7 +44,9 @@ def test_same_bytes_for_any_number_of_blas_threads(log, tmp_path, alone, blas_th
     assert read(tmp_path) == alone
 
 
-def test_same_bytes_for_any_number_of_threads_where_a_loop_is_closed_and_the_past_corrected(loop_log, tmp_path):
+def test_same_bytes_for_any_number_of_threads_where_a_loop_is_closed_and_the_past_corrected(
+    loop_log, tmp_path
+):
     first = map_log(loop_log, configuration=PROVOKED, seed=3)
     assert len(first.loops.closures)
     assert first.statistics.corrections

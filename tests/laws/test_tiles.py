@@ -31,7 +31,9 @@ def line(start, end):
     """Cells (y, x) from start to just before end, in whole numbers."""
     steps = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
     (y, dy), (x, dx) = ((a, b - a) for a, b in zip(start, end, strict=True))
-    return [(y + (2 * i * dy + steps) // (2 * steps), x + (2 * i * dx + steps) // (2 * steps)) for i in range(steps)]
+    return [
+        (y + (2 * i * dy + steps) // (2 * steps), x + (2 * i * dx + steps) // (2 * steps)) for i in range(steps)
+    ]
 
 
 def insert(model, start, ends):

@@ -26,7 +26,6 @@ from closure_worlds import DECEPTIVE, deceptive
 CONFIG = Configuration()
 PARTICLES = 10
 
-
 @dataclass(frozen=True)
 class Driven:
     """A drive of 100 to 200 m, its true poses, and what was made of it."""

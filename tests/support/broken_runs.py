@@ -35,7 +35,9 @@ def run_broken_logs(folder: Path, count: int, seed: int, whole_command_every: in
 
     A log is cut off as often read as far as it goes as not; every so many-th is given to the command itself.
     """
-    return _came(folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library)
+    return _came(
+        folder, count, seed, lambda number: _by_command if number % whole_command_every == 0 else _by_library
+    )
 
 
 def read_broken_logs(folder: Path, count: int, seed: int) -> Counter[str]:

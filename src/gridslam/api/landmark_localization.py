@@ -122,7 +122,9 @@ def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> K
         raise InputError(landmarks, str(error)) from None
 
 
-def _start(log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None) -> FloatArray:
+def _start(
+    log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None
+) -> FloatArray:
     """Where the robot begins, where nothing is said."""
     if landmarks is not None:
         return np.zeros(3)

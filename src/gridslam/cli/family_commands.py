@@ -33,9 +33,7 @@ __all__ = ["FAMILY_COMMANDS"]
 )  # fmt: skip
 @json_option
 def landmarks_command(
-    landmarks: Path | None,
-    initial_pose: tuple[float, float, float] | None,
-    **options: Any,  # noqa: ANN401
+    landmarks: Path | None, initial_pose: tuple[float, float, float] | None, **options: Any  # noqa: ANN401
 ) -> None:
     """Map the landmarks that LOG tells of, and where the robot was.
 

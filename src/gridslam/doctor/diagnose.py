@@ -21,7 +21,6 @@ from gridslam.io.measurement import Measurement
 
 __all__ = ["Doctor", "diagnose"]
 
-
 @final
 class Doctor:
     """Sees every measurement of a log, in its order, and tells at any time what was found.

@@ -210,7 +210,9 @@ class _Odometer:
         return Odometry(odometry.stamp_ns, self._pose, odometry.covariance)
 
 
-def _unskewed(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
+def _unskewed(
+    measurements: Iterable[Measurement], skew_s: float, sensor: str | None
+) -> Iterator[Measurement]:
     """Give each scan of the laser the odometry of `skew_s` before its stamp."""
     skew_ns = round(skew_s * 1e9)
     if skew_ns == 0:

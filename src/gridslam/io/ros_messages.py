@@ -196,3 +196,4 @@ def decode_transforms(data: bytes, wire: Wire) -> list[StampedTransform]:
     except struct.error as error:
         raise MessageError(str(error)) from None
     return found
+

@@ -78,7 +78,9 @@ def correlate(
     """
     poses = [np.zeros((0, 4), np.int64)]
     for index, heading in enumerate(headings.tolist()):
-        sums = np.where(_within(window, heading, centre, information, distance), _sums(fine, ends, heading, window), -1)
+        sums = np.where(
+            _within(window, heading, centre, information, distance), _sums(fine, ends, heading, window), -1
+        )
         y, x = np.nonzero(sums >= max(floor, 0))
         poses.append(np.column_stack([sums[y, x], np.full(len(y), index), y + window[2], x + window[0]]))
     left = np.concatenate(poses)

@@ -42,7 +42,9 @@ class Told:
         """The distance whose likelihood counts for a sighting that is not believed."""
         return self.believed
 
-    def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
+    def __call__(
+        self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray
+    ) -> IntArray:
         """Places (K,) of the sightings' landmarks among M, or `NEW`, or `AMBIGUOUS`.
 
         Parameters
@@ -98,7 +100,9 @@ class MaximumLikelihood:
         """The distance whose likelihood counts for a sighting of no known landmark: p_0 of Table 13.2."""
         return self.other
 
-    def __call__(self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray) -> IntArray:
+    def __call__(
+        self, sightings: Sightings, names: IntArray, distances: FloatArray, log_dets: FloatArray
+    ) -> IntArray:
         """Places (K,), as for `Told`, whatever the sightings tell."""
         costs = np.where(distances <= self.same, distances + log_dets, math.inf)
         chosen, free = np.full(len(costs), NEW), np.ones(len(names), np.bool_)

@@ -186,3 +186,4 @@ def _noise(sightings: Sightings, first: float, second: float) -> FloatArray:
     if sightings.covariances is not None:
         return sightings.covariances
     return np.broadcast_to(np.diag([first**2, second**2]), (len(sightings), 2, 2))
+

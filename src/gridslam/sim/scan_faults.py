@@ -55,7 +55,9 @@ def beam_count_varies(
             geometries[scan.geometry, count] = geometry
         times = None if scan.beam_times_s is None else scan.beam_times_s[:count]
         ranges, status = scan.ranges[:count], scan.status[:count]
-        yield Measurement(odometry, replace(scan, ranges=ranges, status=status, geometry=geometry, beam_times_s=times))
+        yield Measurement(
+            odometry, replace(scan, ranges=ranges, status=status, geometry=geometry, beam_times_s=times)
+        )
 
 
 def invalid_beams(measurements: Iterable[Measurement], share: float, rng: np.random.Generator) -> Iterator[Measurement]:

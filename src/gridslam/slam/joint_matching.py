@@ -205,11 +205,7 @@ class JointMatching:
         return self._refined(name, memory, recognized, ties, begin.increments, mapper, tick)
 
     def _candidates(
-        self,
-        memory: Memory,
-        trajectory: FloatArray,
-        closure: LoopClosure,
-        mapper: OccupancyGridMapping,
+        self, memory: Memory, trajectory: FloatArray, closure: LoopClosure, mapper: OccupancyGridMapping,
         tick: Callable[[], None],
     ) -> Iterator[Candidate]:
         """Give the filter's own past first, and then what can be made of it and of the constraints found on the way."""

@@ -179,7 +179,9 @@ class PieceAlignment:
     def _same(self, one: _Alignment, other: _Alignment) -> bool:
         return float(np.median(np.hypot(*(one.poses - other.poses)[:, :2].T))) < self.same_m
 
-    def _hits(self, memory: Memory, places: PlaceParameters, pyramid: Pyramid, ways: dict[int, Nearby]) -> list[_Hit]:
+    def _hits(
+        self, memory: Memory, places: PlaceParameters, pyramid: Pyramid, ways: dict[int, Nearby]
+    ) -> list[_Hit]:
         """Search key scans; keep the best place of each and the next best one."""
         hits = []
         beyond = np.square(np.diag([places.unlike_m, places.unlike_m, places.unlike_rad]) / self.search.gate)

@@ -50,7 +50,9 @@ def drawn(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, pose
     return maps
 
 
-def joint_map(blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
+def joint_map(
+    blocks: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+) -> TileMaps:
     """Draw one map of several blocks, each where the graph has its anchor."""
     stride = 2 if len(blocks) <= _FEW else 4  # neighbouring scans show much the same
     keys = [keys_of(block, graph)[::stride] for block in blocks]

@@ -125,7 +125,9 @@ def _dot_px(odometry: FloatArray) -> float:
     return float(np.clip(0.5 * np.median(steps), 2.0 * _UNIT, 5.0 * _UNIT)) if len(steps) else 5.0 * _UNIT
 
 
-def _page(panel: tuple[int, int], title: str, caption: Sequence[str]) -> tuple[Image.Image, list[tuple[int, int]], int]:
+def _page(
+    panel: tuple[int, int], title: str, caption: Sequence[str]
+) -> tuple[Image.Image, list[tuple[int, int]], int]:
     """An empty page, the upper left corners of its two panels, and where the line above the footer is."""
     head, footer = round(_HEAD * _UNIT), footer_size(title, caption, _UNIT)
     wide = panel[0] > _WIDE * panel[1]

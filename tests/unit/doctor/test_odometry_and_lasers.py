@@ -46,7 +46,6 @@ def test_frozen_odometry(seconds, severity):
 )
 def test_odometry_that_jumps(metres, radians, told):
     """No robot with wheels drives 3 m, or turns by 2.5 rad, in a fifth of a second."""
-
     def log():
         for m in drive(60.0):
             x, y, theta = m.odometry.pose
@@ -101,7 +100,6 @@ def test_turning_too_fast_for_the_scan_rate(turn, severity):
 
 def test_a_narrow_view_bears_less_turning():
     """0.6 rad are half of 60 degrees, and a third of the 180 that another laser sees."""
-
     def log(width):
         geometry = ScanGeometry(np.linspace(-width / 2, width / 2, 181))
         return [seen(k / 5, m.scan.ranges, (0.0, 0.0, math.remainder(0.6 * k, math.tau)), geometry)

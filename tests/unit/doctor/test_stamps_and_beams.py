@@ -237,3 +237,4 @@ def test_a_trace_keeps_extremes_order_and_bounds(count, seed):
 )
 def test_shares_are_never_rounded_to_none_or_all(share, text):
     assert percent(share) == text
+

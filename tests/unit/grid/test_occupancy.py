@@ -143,10 +143,8 @@ def test_what_no_beam_told_of_is_unknown_and_not_even_odds():
 def test_an_empty_map_is_one_unknown_cell():
     maps = TileMaps(2, resolution_m=CELL, reach_cells=3.0, evidence=Evidence(0.4, -0.4, -9.0, 9.0, 1.0))
     see(maps, [(1.0, 0.0)])
-    for grid in (
-        maps.occupancy(1),
-        TileMaps.from_arrays(maps.to_arrays(), resolution_m=CELL, reach_cells=3.0, evidence=maps.evidence).occupancy(1),
-    ):
+    for grid in (maps.occupancy(1), TileMaps.from_arrays(
+        maps.to_arrays(), resolution_m=CELL, reach_cells=3.0, evidence=maps.evidence).occupancy(1)):
         assert grid.log_odds.shape == grid.known.shape == (1, 1)
         assert not grid.known.any()
         assert grid.probability[0, 0] == 0.5

@@ -38,7 +38,6 @@ def test_others_stay_and_namesakes_are_replaced(tmp_path):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_a_failed_run_leaves_no_trace(tmp_path, error):
     (tmp_path / "map.pgm").write_text("old")
-
     def run(out):
         with OutputFolder(out) as output:
             output.file("map.pgm").write_text("half")

@@ -47,7 +47,9 @@ def slipped(seed):
         if SLIPS.start <= k < SLIPS.stop:
             increment = increment * [1.02, 1.02, 1.0] + [0.0, 0.0, 0.003 * math.hypot(*increment[:2])]
         poses.append(compose(poses[-1], increment))
-    read = [(Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)]
+    read = [
+        (Odometry.at(scan.stamp_ns, pose), scan) for (_, scan), pose in zip(log.measurements, poses, strict=True)
+    ]
     return Slipped(read, between(log.truth.poses[0], log.truth.poses))
 
 

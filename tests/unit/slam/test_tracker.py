@@ -270,7 +270,9 @@ def test_without_odometry_another_place_is_mapped_anew(perfect):
     here = without(perfect)[:40]
     scan = here[-1][1]
     star = np.repeat(np.random.default_rng(3).uniform(0.5, 3.0, 12), 10)
-    there = [(None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)]
+    there = [
+        (None, LaserScan.from_ranges(scan.stamp_ns + k * 2 * 10**8, star, scan.geometry)) for k in range(1, 11)
+    ]
     told, _, state = track(Tracker(), perfect, [*here, *there])
     assert state.doubt_m2 > 0
     assert state.blind_scans == 0
