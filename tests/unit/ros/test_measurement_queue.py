@@ -21,7 +21,7 @@ START = 1_700_000_000 * S
 
 
 class QueueSetup:
-    """An intake with a clock that stands still, and what it complained of."""
+    """A queue with a clock that stands still, and its logged warnings."""
 
     def __init__(self, **settings: object) -> None:
         self.now_s = 100.0
