@@ -73,7 +73,7 @@ class Told:
     def diagnostics(self, message: Diagnostics) -> None:
         pass
 
-    def say(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str) -> None:
         self.said.append(text)
 
     def note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:

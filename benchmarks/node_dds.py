@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.dds import DdsParticipant
 from gridslam.ros.messages import GridMessage, Level, ScanMessage, StampedTransform
 from gridslam.ros.ros2_outputs import Ros2Outputs
@@ -81,13 +81,13 @@ def _drive(
 
 def _transforms(link: StampedTransform) -> bytes:
     header = divmod(link.stamp_ns, 10**9), link.parent
-    return encoded("tf2_msgs/TFMessage", ([(header, link.child, (link.pose[:3], link.pose[3:]))],))
+    return encode_message("tf2_msgs/TFMessage", ([(header, link.child, (link.pose[:3], link.pose[3:]))],))
 
 
 def _scan(scan: ScanMessage) -> bytes:
     values = scan.angle_min, 0.0, scan.angle_increment, 0.0, 0.0, scan.range_min, scan.range_max
     header = divmod(scan.stamp_ns, 10**9), scan.frame
-    return encoded("sensor_msgs/LaserScan", (header, *values, scan.ranges.tolist(), []))
+    return encode_message("sensor_msgs/LaserScan", (header, *values, scan.ranges.tolist(), []))
 
 
 def _stamped(data: bytes, stamp_ns: int, at: int) -> bytes:

@@ -68,7 +68,9 @@ def mapped(measurements: list[Measurement], config: Configuration, seed: int = 0
     )
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))
     searched = np.empty((0, 2), np.int64) if said.loop_summary is None else said.loop_summary.closures
-    return Mapped(said.poses, recorder.online().poses, said.graph, keys, searched, time.process_time() - began)
+    return Mapped(
+        said.poses, recorder.online_trajectory().poses, said.graph, keys, searched, time.process_time() - began
+    )
 
 
 def kept(graph: PoseGraph) -> NDArray[np.bool_]:

@@ -24,13 +24,13 @@ class TrajectoryRecorder:
     """Records what is needed for the online and the full trajectory of all scans.
 
     Between two key scans all particles move with the tracker (see `gridslam.slam.full_trajectory`).
-    Memory is 64 bytes a scan.
+    Uses 64 bytes of memory per scan.
     """
 
     __slots__ = ("_key_from_base", "_keys", "_online", "_stamps_ns", "_steps")
 
     def __init__(self) -> None:
-        """Begin without any scan; the first one must be the filter's first."""
+        """Start without scans; the first one must be the filter's first."""
         self._steps = 0
         self._stamps_ns, self._keys = array("q"), array("q")
         self._online, self._key_from_base = array("d"), array("d")
@@ -44,17 +44,17 @@ class TrajectoryRecorder:
         self._key_from_base.extend(report.key_from_base.tolist())
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `key_from_base` (N, 3) float64."""
+        """Return plain arrays: `stamps_ns` and `keys` (N,) int64, `online` and `key_from_base` (N, 3) float64."""
         return {
-            "stamps_ns": _integers(self._stamps_ns),
+            "stamps_ns": _as_integers(self._stamps_ns),
             "keys": self.keys,
-            "online": _poses(self._online),
+            "online": _as_poses(self._online),
             "key_from_base": self.key_from_base,
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrajectoryRecorder:
-        """Go on from what `to_arrays` gave; raises ArgumentError for other arrays."""
+        """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self, count = cls(), len(arrays.get("stamps_ns", ()))
         for name, kept, shape in (
             ("stamps_ns", self._stamps_ns, (count,)),
@@ -62,34 +62,34 @@ class TrajectoryRecorder:
             ("online", self._online, (count, 3)),
             ("key_from_base", self._key_from_base, (count, 3)),
         ):
-            _take(kept, arrays, name, shape)
+            _append_array(kept, arrays, name, shape)
         self._steps = self._keys[-1] + 1 if count else 0
         return self
 
     @property
     def keys(self) -> IntArray:
-        """For each scan the key scan at or before it, from 0: (N,) int64."""
-        return _integers(self._keys)
+        """Index of the key scan at or before each scan, from 0: (N,) int64."""
+        return _as_integers(self._keys)
 
     @property
     def key_from_base(self) -> FloatArray:
-        """Tracked motion of each scan since the key scan before it: (N, 3) float64."""
-        return _poses(self._key_from_base)
+        """Tracked motion of each scan since its key scan: (N, 3) float64."""
+        return _as_poses(self._key_from_base)
 
-    def online(self) -> Trajectory:
+    def online_trajectory(self) -> Trajectory:
         """Return the online trajectory: the pose of the best particle at each scan."""
-        return Trajectory(_integers(self._stamps_ns), _poses(self._online))
+        return Trajectory(_as_integers(self._stamps_ns), _as_poses(self._online))
 
-    def full(self, state: GridFastSlamState) -> Trajectory:
-        """Give the past of the best particle of `state`, a pose for every scan: the filter's full-SLAM answer."""
+    def best_trajectory(self, state: GridFastSlamState) -> Trajectory:
+        """Return the path of the best particle of `state`, a pose for every scan: the filter's full-SLAM estimate."""
         poses = full_trajectory(state.ancestry.trajectory(state.best), self.keys, self.key_from_base)
-        return Trajectory(_integers(self._stamps_ns), poses)
+        return Trajectory(_as_integers(self._stamps_ns), poses)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """Time of one step, s, over many."""
+    """Statistics of the time per step, s."""
 
     median_s: float
     p99_s: float
@@ -97,7 +97,7 @@ class Latency:
 
     @classmethod
     def of(cls, seconds: FloatArray) -> Latency:
-        """Summarize times (N,); zeros where there are none."""
+        """Summarize times (N,); zeros if there are none."""
         if not len(seconds):
             return cls(0.0, 0.0, 0.0)
         return cls(float(np.median(seconds)), float(np.percentile(seconds, 99)), float(seconds.max()))
@@ -111,12 +111,12 @@ class RunStatistics:
     Attributes
     ----------
     scans, key_scans : int
-        Scans taken, and those of them that stepped the particles.
+        Number of scans, and of those that updated the particles.
     skipped : dict of SkipReason to int
-        Scans that did not, by reason.
+        Number of scans that did not, by reason.
     resamplings, lost, degenerate, corrections : int
-        Key scans after which the particles were resampled; scans at which the robot was lost; key scans that left a
-        direction undetermined, and after which the past was corrected.
+        Key scans with resampling; scans at which the robot was lost; key scans with a degenerate direction; key scans
+        with a correction of the trajectory.
     n_eff_mean, n_eff_min : float
         Effective sample size over the key scans.
     latency, key_latency : Latency
@@ -138,12 +138,12 @@ class RunStatistics:
 
 @final
 class StatisticsRecorder:
-    """Counts and times the steps of a run; 17 bytes a scan."""
+    """Counts and times the steps of a run; uses 17 bytes of memory per scan."""
 
     __slots__ = ("_corrections", "_degenerate", "_is_key", "_lost", "_n_eff", "_resamplings", "_seconds", "_skipped")
 
     def __init__(self) -> None:
-        """Begin without any scan."""
+        """Start without scans."""
         self._seconds, self._is_key, self._n_eff = array("d"), array("b"), array("d")
         self._skipped: Counter[SkipReason] = Counter()
         self._resamplings = self._lost = self._degenerate = self._corrections = 0
@@ -162,7 +162,7 @@ class StatisticsRecorder:
         self._corrections += report.corrected
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays: `seconds` (N,) and `n_eff` (K,) float64, `is_key` (N,) int8, `counts` int64.
+        """Return plain arrays: `seconds` (N,) and `n_eff` (K,) float64, `is_key` (N,) int8, `counts` int64.
 
         The counts are resamplings, lost and undetermined scans, corrections, and scans skipped for each reason.
         """
@@ -178,12 +178,12 @@ class StatisticsRecorder:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> StatisticsRecorder:
-        """Go on from what `to_arrays` gave; raises ArgumentError for other arrays."""
+        """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self, counts = cls(), array("q")
-        _take(self._seconds, arrays, "seconds", (-1,))
-        _take(self._is_key, arrays, "is_key", (len(self._seconds),))
-        _take(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
-        _take(counts, arrays, "counts", (4 + len(SkipReason),))
+        _append_array(self._seconds, arrays, "seconds", (-1,))
+        _append_array(self._is_key, arrays, "is_key", (len(self._seconds),))
+        _append_array(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
+        _append_array(counts, arrays, "counts", (4 + len(SkipReason),))
         self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
@@ -207,7 +207,7 @@ class StatisticsRecorder:
         )
 
 
-def _take(kept: array[Any], arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
+def _append_array(kept: array[Any], arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
     """Append the array of that name to `kept`; -1 in `shape` means any length."""
     given = arrays.get(name)
     if given is None:
@@ -218,9 +218,9 @@ def _take(kept: array[Any], arrays: Mapping[str, NDArray[Any]], name: str, shape
     kept.frombytes(np.ascontiguousarray(given).tobytes())
 
 
-def _integers(values: array[int]) -> IntArray:
+def _as_integers(values: array[int]) -> IntArray:
     return np.frombuffer(values.tobytes(), np.int64)
 
 
-def _poses(values: array[float]) -> FloatArray:
+def _as_poses(values: array[float]) -> FloatArray:
     return np.frombuffer(values.tobytes()).reshape(-1, 3)

@@ -14,31 +14,31 @@ from gridslam.slam.grid_fastslam import GridFastSlam
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport
 
-__all__ = ["Filter", "Observer", "Reported", "Stopwatch", "run"]
+__all__ = ["Filter", "FilterReport", "Observer", "Stopwatch", "run"]
 
 State = TypeVar("State")
-Report = TypeVar("Report", bound="Reported", covariant=True)
+Report = TypeVar("Report", bound="FilterReport", covariant=True)
 
 
-class Reported(Protocol):
+class FilterReport(Protocol):
     """Report of a filter on one scan."""
 
     @property
     def skipped(self) -> object | None:
-        """Why the particles were not updated; None where they were."""
+        """Why the particles were not updated; None if they were."""
 
 
 class Filter(Protocol[State, Report]):
-    """An algorithm that takes one measurement after the other: localization in a known map, or SLAM."""
+    """An algorithm that processes measurements one after the other: SLAM, or localization in a known map."""
 
     def step(
         self, state: State, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[State, Report]:
-        """Take one measurement; consumes `state`."""
+        """Process one measurement; consumes `state`."""
 
 
 class Observer(Protocol):
-    """Sees every scan's report; trajectories, statistics, progress and publishers are observers."""
+    """Called with every scan's report; trajectories, statistics, progress and publishers are observers."""
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Process a step that took `seconds`; `state` may be read now, but belongs to the filter."""
@@ -51,18 +51,18 @@ class Stopwatch:
     Parameters
     ----------
     wall_s, cpu_s : float, optional
-        `time.perf_counter()` and `time.process_time()` of the begin; now if not given.
+        `time.perf_counter()` and `time.process_time()` at the start; now if not given.
 
     Attributes
     ----------
     stages : dict of str to [float, float]
-        Wall and CPU seconds by name of the stage.
+        Wall and CPU seconds by stage.
     """
 
     __slots__ = ("_last", "stages")
 
     def __init__(self, wall_s: float | None = None, cpu_s: float | None = None) -> None:
-        """Begin."""
+        """Start the first stage."""
         self.stages: dict[str, list[float]] = {}
         self._last = (
             time.perf_counter() if wall_s is None else wall_s,
@@ -70,7 +70,7 @@ class Stopwatch:
         )
 
     def lap(self, stage: str) -> float:
-        """Count the time since the last lap to `stage`; return its wall seconds."""
+        """Add the time since the last lap to `stage`; return its wall seconds."""
         wall, cpu = now = time.perf_counter(), time.process_time()
         before, self._last = self._last, now
         passed = wall - before[0]
@@ -82,11 +82,11 @@ class Stopwatch:
         return passed
 
     def resume(self) -> None:
-        """Go on from now; the time since the last lap belongs to no stage."""
+        """Restart from now; the time since the last lap belongs to no stage."""
         self._last = time.perf_counter(), time.process_time()
 
     def total(self) -> tuple[float, float]:
-        """Wall and CPU seconds of all stages."""
+        """Return wall and CPU seconds of all stages."""
         times = self.stages.values()
         return sum(wall for wall, _ in times), sum(cpu for _, cpu in times)
 
@@ -132,24 +132,24 @@ def run(
     state: Any = None,
     stopwatch: Stopwatch | None = None,
 ) -> Any:
-    """Take all measurements of a source, one after the other.
+    """Run a filter on all measurements of a source.
 
     Parameters
     ----------
     source : iterable of (Odometry or None, LaserScan)
-        Measurements in their true order; None where a scan has no odometry.
+        Measurements in chronological order; None if a scan has no odometry.
     algorithm : Filter
-        `GridFastSlam`, or any other, of which a `state` is given to begin with.
+        `GridFastSlam`, or any other filter with an initial `state`.
     particles : int, optional
-        How many particles GridFastSlam begins with, where no `state` is given; its own number if not given.
+        Initial number of particles of GridFastSlam without a `state`; its own default if not given.
     rng : numpy.random.Generator
-        Where all randomness comes from.
+        Source of all randomness.
     observers : sequence of Observer
         Called after each step, in this order.
     state : optional
-        The algorithm's: continue from here, consuming it, instead of beginning with the first measurement.
+        State to continue from, which is consumed; if not given, the first measurement initializes the filter.
     stopwatch : Stopwatch, optional
-        Gets the stages "read" (the source), "track" (scans that did not step the particles), "step" (key scans) and
+        Receives the stages "read" (the source), "track" (scans that did not step the particles), "step" (key scans) and
         "observe".
 
     Returns
@@ -160,12 +160,12 @@ def run(
     Raises
     ------
     ArgumentError
-        The source is empty and there is no state, or gives something else than measurements, or a scan has no odometry
-        and the filter's tracker needs it; `rng` is none.
+        The source is empty and there is no state, yields something else than measurements, or has a scan without
+        odometry that the tracker requires; `rng` is not a generator.
     """
     require_generator(rng)
     watch = stopwatch or Stopwatch()
-    for odometry, scan in _measurements(source):
+    for odometry, scan in _check_measurements(source):
         watch.lap("read")
         if state is None:
             state, report = algorithm.init(odometry, scan, particles)
@@ -181,9 +181,9 @@ def run(
     return state
 
 
-def _measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]:
-    """What a source gives; a path is none, nor is a list of scans."""
-    expected = "measurements, pairs of odometry and a scan, such as open_log(path) gives"
+def _check_measurements(source: object) -> Iterator[tuple[Odometry | None, LaserScan]]:
+    """Yield the measurements of a source; raises ArgumentError for a path or a list of scans."""
+    expected = "measurements, pairs of odometry and a scan, such as open_log(path) yields"
     if isinstance(source, str) or not isinstance(source, Iterable):
         raise ArgumentError("source", expected, describe(source))
     for measurement in source:

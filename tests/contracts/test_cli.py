@@ -157,7 +157,7 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
     recorder, config = TrajectoryRecorder(), preset("default", 3)
     slam, rng = replace(build(config), loop_closure=None), np.random.default_rng(0)
     state = run(CarmenLog(loop_log), slam, particles=3, rng=rng, observers=[recorder])
-    write_tum(tmp_path / "full.tum", recorder.full(state))
+    write_tum(tmp_path / "full.tum", recorder.best_trajectory(state))
     write_map(tmp_path / "map.yaml", state.maps.occupancy(state.best))
     alone = tmp_path / "alone"
     assert (alone / "trajectory.tum").read_bytes() == (tmp_path / "full.tum").read_bytes()

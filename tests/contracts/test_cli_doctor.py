@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
-from gridslam.cli.doctor import checked
+from gridslam.cli.doctor import check_log
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
@@ -140,7 +140,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(call, log, t
 def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp_path, capsys):
     path = tmp_path / "a.clf"
     write_carmen(path, (Measurement(None, scan) for _, scan in simulated.measurements[:60]))
-    assert len(list(checked(open_log(path), LogOptions()))) == 60
+    assert len(list(check_log(open_log(path), LogOptions()))) == 60
     out, err = capsys.readouterr()
     assert out == ""
     (line,) = err.splitlines()
@@ -150,5 +150,5 @@ def test_a_checked_log_tells_on_stderr_what_is_wrong_at_its_begin(simulated, tmp
 
 def test_what_was_asked_for_or_is_healthy_is_not_told(log, capsys):
     for options in (LogOptions(), LogOptions(no_odometry=True)):
-        assert len(list(checked(open_log(log, options), options))) == 120
+        assert len(list(check_log(open_log(log, options), options))) == 120
     assert capsys.readouterr() == ("", "")

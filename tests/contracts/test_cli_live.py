@@ -19,7 +19,7 @@ from gridslam.cli.main import main
 from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.map_server import read_map, write_map
 from support.localization_world import drive, flat_map
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 SAME = "map.yaml", "map.pgm", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"
 FEW = "--particles", "4"
@@ -32,15 +32,15 @@ def mapped(log, tmp_path_factory):
     return out
 
 
-def look(url, onlooker, out):
+def look(url, client, out):
     """Look until the page says that all is done, and note whether the results are there then."""
     try:
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None, compression=None) as line:
             while True:
-                onlooker.receive(line.recv(20))
-                line.send(json.dumps({"do": "got"}))
-                if onlooker.status["stage"] == "done":
-                    onlooker.written = (out / "run.json").is_file()
+                client.receive(line.recv(20))
+                line.send(json.dumps({"do": "ack"}))
+                if client.status["stage"] == "done":
+                    client.written = (out / "run.json").is_file()
                     return
     except ConnectionClosed:
         pass
@@ -64,13 +64,13 @@ def test_localization_is_seen_to_its_end_and_gives_the_same(call, tmp_path, monk
     write_carmen(tmp_path / "flat.clf", drive(1).measurements)
     given = "localize", tmp_path / "flat.clf", "--map", tmp_path / "flat.yaml"
     assert call(*given, "-o", tmp_path / "without")[0] == 0
-    onlooker, out = Onlooker(), tmp_path / "with"
-    status, _, err = watched(call, monkeypatch, onlooker, *given, "-o", out)
+    client, out = PageClient(), tmp_path / "with"
+    status, _, err = run_viewed(call, monkeypatch, client, *given, "-o", out)
     assert status == 0
     assert "live at http://127.0.0.1:" in err
-    assert (onlooker.status["stage"], onlooker.status["lost"]) == ("done", False)
-    assert onlooker.written
-    assert onlooker.sees(read_map(tmp_path / "flat.yaml"))
+    assert (client.status["stage"], client.status["lost"]) == ("done", False)
+    assert client.written
+    assert client.sees(read_map(tmp_path / "flat.yaml"))
     for name in ("trajectory.tum", "trajectory.csv", "belief.csv"):
         assert (out / name).read_bytes() == (tmp_path / "without" / name).read_bytes(), name
 
@@ -83,35 +83,35 @@ def test_a_map_that_is_none_opens_no_page(call, log, tmp_path):
 
 
 def test_a_viewer_sees_the_run_to_its_end(call, log, tmp_path, monkeypatch):
-    onlooker = Onlooker()
-    status, _, _ = watched(call, monkeypatch, onlooker, "map", log, *FEW, "-o", tmp_path / "out")
+    client = PageClient()
+    status, _, _ = run_viewed(call, monkeypatch, client, "map", log, *FEW, "-o", tmp_path / "out")
     assert status == 0
-    assert onlooker.written
-    assert onlooker.status["stage"] == "done"
-    assert onlooker.status["scans"] == 120
+    assert client.written
+    assert client.status["stage"] == "done"
+    assert client.status["scans"] == 120
     assert (tmp_path / "out" / "map.png").is_file()
 
 
-def watched(call, monkeypatch, onlooker, *command):
+def run_viewed(call, monkeypatch, client, *command):
     """Run a command that ends with -o OUT with a viewer, for whom it stays until the end is seen."""
-    port, served = free_port(), live_module.served
-    viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", onlooker, command[-1]))
+    port, serve_page = free_port(), live_module.serve_page
+    viewer = threading.Thread(target=look, args=(f"http://127.0.0.1:{port}/", client, command[-1]))
 
     @contextmanager
     def seen(page):
-        with served(page) as entered:
+        with serve_page(page) as entered:
             viewer.start()
             assert page.wait_for_viewer(10)
             yield entered
 
-    monkeypatch.setattr(live_module, "served", seen)
+    monkeypatch.setattr(live_module, "serve_page", seen)
     done = call(*command, "--live", "--live-port", port)
     viewer.join(10)
     return done
 
 
 def test_the_demo_begins_without_a_viewer_in_the_end(call, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "_PATIENCE_S", 0.0)
+    monkeypatch.setattr(live_module, "_VIEWER_TIMEOUT_S", 0.0)
     status, _, err = call("demo", "-o", tmp_path / "out", "--live", "--live-port", 0)
     assert status == 0
     assert "open the page to begin" in err
@@ -152,10 +152,10 @@ def test_view_serves_until_interrupted_which_is_a_good_end(mapped):
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
         line = view.stdout.readline()
         url = line.split("open ")[1].split(" ")[0]
-        onlooker = Onlooker()
+        client = PageClient()
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as channel:
-            onlooker.receive(channel.recv(20))
-        assert onlooker.hello["mode"] == "replay"
+            client.receive(channel.recv(20))
+        assert client.run_info["mode"] == "replay"
         view.send_signal(signal.SIGINT)
         assert view.wait(10) == 0
 

@@ -21,7 +21,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, si
 from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
 from support.localization_world import drive as flat_drive  # noqa: E402
 from support.localization_world import flat_map  # noqa: E402
-from support.onlookers import Onlooker  # noqa: E402
+from support.page_client import PageClient  # noqa: E402
 from support.ros_node import scan_message  # noqa: E402
 
 PATIENT = "-p", "particles:=4", "-p", "map_update_interval:=0.3", "-p", "queue:=60.0", "-p", "transform_wait:=60.0"
@@ -76,17 +76,17 @@ def test_scans_and_transforms_in_map_and_transform_out(running):
 def test_its_page_shows_the_map(running):
     assert running.node.says("live at http://127.0.0.1:")
     url = running.node.log.read_text().split("live at ")[1].split()[0]
-    onlooker = Onlooker()
+    client = PageClient()
     with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
         def seen():
-            onlooker.receive(line.recv(60))
-            line.send(json.dumps({"do": "got"}))
-            return len(onlooker.tiles) > 10 and onlooker.status["scans"] >= 50
+            client.receive(line.recv(60))
+            line.send(json.dumps({"do": "ack"}))
+            return len(client.tiles) > 10 and client.status["scans"] >= 50
 
-        assert until(seen), onlooker.status
-    assert (onlooker.hello["mode"], onlooker.hello["title"]) == ("robot", "ROS 2")
-    assert onlooker.status["stage"] == "running"
+        assert until(seen), client.status
+    assert (client.run_info["mode"], client.run_info["title"]) == ("robot", "ROS 2")
+    assert client.status["stage"] == "running"
 
 
 def asked(peer: Peer, service: str, kind: str, value: Any) -> Any:
@@ -157,7 +157,7 @@ def test_a_quality_of_service_that_does_not_fit_is_named(running):
 
 def test_a_publisher_of_another_type_is_named(running):
     kept = running.peer.writer("rt/scan", "std_msgs/Float64")
-    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, and this node takes"
+    says = "message type of /scan refused: a publisher sends std_msgs::msg::dds_::Float64_, this node expects"
     assert running.node.says(says), running.node.log.read_text()
     del kept
 
@@ -171,7 +171,7 @@ def test_services_answer(running):
     assert reply.success, reply.message
     assert (running.folder / "out" / "map.pgm").is_file()
     asked(peer, "gridslam/reset", "std_srvs/Empty", 0)
-    assert running.node.says("a new map is begun: reset")
+    assert running.node.says("starting a new map: reset")
 
 
 def test_a_node_that_was_killed_is_started_again(drive, tmp_path):

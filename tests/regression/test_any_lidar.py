@@ -39,7 +39,7 @@ def mapped(measurements: Iterable[Measurement], truth: Trajectory, config: Confi
     recorder = TrajectoryRecorder()
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    return absolute_errors(recorder.full(state), truth)
+    return absolute_errors(recorder.best_trajectory(state), truth)
 
 
 def error_m(log: SimulatedLog) -> float:

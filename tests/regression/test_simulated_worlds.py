@@ -58,7 +58,7 @@ def mapped(seed: int, people: int, filter_seed: int = 0) -> Mapped:
     occupied = np.argwhere(grid.known & (grid.log_odds > 2.0))
     places = np.array(grid.origin) + cell_centres(occupied, grid.resolution_m)
     return Mapped(
-        absolute_errors(recorder.full(state), truth, aligned=False),
+        absolute_errors(recorder.best_trajectory(state), truth, aligned=False),
         absolute_errors(Trajectory(stamps, between(start, log.odometry.poses)), truth, aligned=False),
         (reports[-1].pose, truth.poses[-1], reports[-1].covariance),
         clearance(log.walls, transform_points(start, places)),

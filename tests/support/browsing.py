@@ -135,7 +135,7 @@ class Mapping(threading.Thread):
 
     def run(self) -> None:
         slam, rng = build(PROVOKED), np.random.default_rng(1)
-        source, observers = self.page.paced(self.drive), [self.page.observer]
+        source, observers = self.page.pace(self.drive), [self.page.observer]
         self.state = run(source, slam, particles=8, rng=rng, observers=observers)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.cdr import fields_of
+from gridslam.ros.cdr import parse_fields
 from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (
@@ -57,7 +57,7 @@ class Peer:
 
         if name not in self.kinds:
             fields = {}
-            for element, length, field in fields_of(name):
+            for element, length, field in parse_fields(name):
                 one = {"string": str, "bool": bool}.get(element)
                 one = one or (self.kind(element) if "/" in element else getattr(types, element))
                 if length is not None:
@@ -71,7 +71,7 @@ class Peer:
     def make(self, name: str, *values: Any) -> Any:
         """A message of nested tuples."""
         made = []
-        for (element, length, _), value in zip(fields_of(name), values, strict=True):
+        for (element, length, _), value in zip(parse_fields(name), values, strict=True):
             nested = "/" in element
             if nested and length is not None:
                 made.append([self.make(element, *one) for one in value])

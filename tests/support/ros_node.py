@@ -24,7 +24,7 @@ from gridslam.types import BeamStatus
 BASE, ODOM, LASER = "base_link", "odom", "laser"
 
 
-class Heard:
+class RecordedOutputs:
     """Outputs that are kept; its clock stands at the stamp of the last scan that `play` sent."""
 
     def __init__(self) -> None:
@@ -34,8 +34,8 @@ class Heard:
         self.poses: list[PoseMessage] = []
         self.entropies: list[float] = []
         self.clouds: list[CloudMessage] = []
-        self.said: list[tuple[Level, str]] = []
-        self.told: list[Diagnostics] = []
+        self.logs: list[tuple[Level, str]] = []
+        self.reports: list[Diagnostics] = []
         self.hold: threading.Event | None = None  # the map's publisher waits for it
 
     def now_ns(self) -> int:
@@ -59,13 +59,13 @@ class Heard:
         self.clouds.append(message)
 
     def diagnostics(self, message: Diagnostics) -> None:
-        self.told.append(message)
+        self.reports.append(message)
 
-    def say(self, level: Level, text: str) -> None:
-        self.said.append((level, text))
+    def log(self, level: Level, text: str) -> None:
+        self.logs.append((level, text))
 
     def warnings(self) -> str:
-        return "\n".join(text for _, text in self.said)
+        return "\n".join(text for _, text in self.logs)
 
 
 def scan_message(measurement: Measurement, shift_ns: int = 0, **changes: object) -> ScanMessage:
@@ -106,14 +106,14 @@ def until(true: Callable[[], bool], seconds: float = 20.0) -> bool:
 
 
 def play(
-    core: NodeCore, heard: Heard, measurements: Iterable[Measurement], *, shift_ns: int = 0, ahead: int = 20
+    core: NodeCore, outputs: RecordedOutputs, measurements: Iterable[Measurement], *, shift_ns: int = 0, ahead: int = 20
 ) -> int:
     """Send scans and odometry, never more than `ahead` scans before the filter; returns how many."""
-    counts, sent = core._intake.counts, 0  # the counts tell how far the filter is
+    counts, sent = core._queue.counts, 0  # the counts tell how far the filter is
     for measurement in measurements:
         before = counts.received - 1
         assert until(lambda: counts.received - counts.accepted - counts.refused - counts.dropped < ahead), before
-        heard.clock_ns = measurement.scan.stamp_ns + shift_ns
+        outputs.clock_ns = measurement.scan.stamp_ns + shift_ns
         core.on_transforms([odometry_message(measurement, shift_ns)])
         core.on_scan(scan_message(measurement, shift_ns), "/scan")
         sent += 1

@@ -52,7 +52,7 @@ def error_m(measurements, truth: Trajectory, config: Configuration) -> float:
     recorder, config = TrajectoryRecorder(), override(config, "particles=8", "loop_closure=false")
     rng = np.random.default_rng(0)
     state = run(measurements, build(config), particles=config.particles, rng=rng, observers=[recorder])
-    return absolute_errors(recorder.full(state), truth).trans_rmse_m
+    return absolute_errors(recorder.best_trajectory(state), truth).trans_rmse_m
 
 
 @pytest.mark.parametrize(

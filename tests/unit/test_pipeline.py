@@ -92,7 +92,7 @@ def test_trajectory_of_one_particle_is_the_same_online_and_in_full(measurements,
     recorder, reports = TrajectoryRecorder(), []
     observers = [recorder, seen(reports)]
     state = run(measurements, slam, particles=1, rng=np.random.default_rng(1), observers=observers)
-    online, full = recorder.online(), recorder.full(state)
+    online, full = recorder.online_trajectory(), recorder.best_trajectory(state)
     assert np.array_equal(online.stamps_ns, [scan.stamp_ns for _, scan in measurements])
     assert np.array_equal(full.stamps_ns, online.stamps_ns)
     fixed = fixed_by_the_particle(reports)
@@ -123,17 +123,17 @@ def test_full_trajectory_follows_the_best_particles_own_past(measurements, slam)
     for (report, _), entry in zip(reports, histories[state.best], strict=True):
         key = entry if report.skipped is None else key
         expected.append(key if report.skipped is None else compose(key, entry))
-    full, fixed = recorder.full(state).poses, fixed_by_the_particle(reports)
+    full, fixed = recorder.best_trajectory(state).poses, fixed_by_the_particle(reports)
     assert np.abs(between(np.array(expected), full))[fixed].max() < 1e-12
     assert np.abs(between(np.array(expected), full)).max() < 0.1
-    assert not np.array_equal(full, recorder.online().poses)  # the best particle changed on the way
+    assert not np.array_equal(full, recorder.online_trajectory().poses)  # the best particle changed on the way
 
 
 def test_recorder_survives_arrays(measurements, slam):
     recorder = TrajectoryRecorder()
     state = run(measurements, slam, particles=2, rng=np.random.default_rng(4), observers=[recorder])
     twin = TrajectoryRecorder.from_arrays(recorder.to_arrays())
-    assert np.array_equal(twin.full(state).poses, recorder.full(state).poses)
+    assert np.array_equal(twin.best_trajectory(state).poses, recorder.best_trajectory(state).poses)
     broken = recorder.to_arrays() | {"online": np.zeros((3, 3))}
     with pytest.raises(ArgumentError, match="online: expected float64"):
         TrajectoryRecorder.from_arrays(broken)

@@ -120,7 +120,7 @@ def _result(
     watch: Stopwatch,
 ) -> MapResult:  # fmt: skip
     """Put together what a run gives."""
-    online = trajectory.online()
+    online = trajectory.online_trajectory()
     result = MapResult(
         trajectory=Trajectory(online.stamps_ns, full.poses),
         covariances=full.covariances,

@@ -9,7 +9,7 @@ import click
 
 from gridslam import __version__
 from gridslam.cli.family_commands import FAMILY_COMMANDS
-from gridslam.cli.live import live_options, place_options
+from gridslam.cli.live import host_options, live_options
 from gridslam.cli.log_options import log_options
 from gridslam.cli.node_commands import NODE_COMMANDS
 from gridslam.cli.options import PATH, SEED, SETTINGS, json_option
@@ -174,7 +174,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
 @gridslam.command("view")
 @click.argument("out", type=PATH)
-@place_options
+@host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
     """Replay the results in OUT in the browser."""
     from gridslam.cli.view import view

@@ -30,17 +30,19 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
             stop_if_interrupted()
             show()
 
-        done = replace(convert_log(source, folder.file(out.name), to, on_progress=on_progress), out=out)
-    if done.log.truncated:
-        click.echo(f"gridslam: {log}: the log is truncated after {done.log.scan_count} scans", err=True)
-    if done.lost:
-        click.echo(f"gridslam: {out}: lost in the format {done.format.value}: {_lost(done)}", err=True)
+        conversion = replace(convert_log(source, folder.file(out.name), to, on_progress=on_progress), out=out)
+    if conversion.log.truncated:
+        click.echo(f"gridslam: {log}: the log is truncated after {conversion.log.scan_count} scans", err=True)
+    if conversion.lost:
+        click.echo(
+            f"gridslam: {out}: lost in the format {conversion.format.value}: {_describe_lost(conversion)}", err=True
+        )
     if as_json:
-        print_json(_document(log, done))
+        print_json(_document(log, conversion))
     else:
-        what = "poses" if done.format.value == "tum" else "scans"
-        click.echo(f"{log}: {done.log.scan_count} scans, {done.log.duration_s:.0f} s")
-        click.echo(f"{out}: {done.scans} {what} in the format {done.format.value}")
+        what = "poses" if conversion.format.value == "tum" else "scans"
+        click.echo(f"{log}: {conversion.log.scan_count} scans, {conversion.log.duration_s:.0f} s")
+        click.echo(f"{out}: {conversion.scans} {what} in the format {conversion.format.value}")
 
 
 def _check(log: Path, out: Path, to: str | None) -> None:
@@ -55,17 +57,18 @@ def _check(log: Path, out: Path, to: str | None) -> None:
         raise click.ClickException(f"{error}; or set the format with --to") from None
 
 
-def _lost(done: Conversion) -> str:
+def _describe_lost(conversion: Conversion) -> str:
     """What was lost; in how many scans, where it was not in all."""
-    read = done.log.scan_count
+    read = conversion.log.scan_count
     return ", ".join(
-        what if count >= min(read, done.scans) else f"{what} ({count} of {read})" for what, count in done.lost.items()
+        what if count >= min(read, conversion.scans) else f"{what} ({count} of {read})"
+        for what, count in conversion.lost.items()
     )
 
 
-def _document(log: Path, done: Conversion) -> dict[str, Any]:
+def _document(log: Path, conversion: Conversion) -> dict[str, Any]:
     return {
-        "schema": CONVERSION_SCHEMA, "log": str(log), "out": str(done.out), "format": done.format.value,
-        "scans": done.log.scan_count, "written": done.scans, "duration_s": done.log.duration_s, "lost": done.lost,
-        "truncated": done.log.truncated,
+        "schema": CONVERSION_SCHEMA, "log": str(log), "out": str(conversion.out), "format": conversion.format.value,
+        "scans": conversion.log.scan_count, "written": conversion.scans, "duration_s": conversion.log.duration_s,
+        "lost": conversion.lost, "truncated": conversion.log.truncated,
     }  # fmt: skip

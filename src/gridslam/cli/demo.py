@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from gridslam.cli import STARTED_S
-from gridslam.cli.evaluate import against_truth, tell
+from gridslam.cli.evaluate import format_scores, score_against_truth
 from gridslam.cli.live import live_page, wait_for_viewer
 from gridslam.cli.map import map_with_progress, summary
 from gridslam.cli.output import open_output, print_json
@@ -49,15 +49,19 @@ def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_j
             log = CarmenLog(folder.file(_LOG))
             result = map_with_progress(log, configuration, seed, 1, not as_json, watch, page=page, recording=recording)
             result = replace(result, source=out / _LOG)
-            document = result.write(folder, truth=_in_map_frame(simulated.truth, result.trajectory))
-        errors, odometry = (against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
+            document = result.write(folder, truth=_align_truth(simulated.truth, result.trajectory))
+        errors, odometry = (score_against_truth(t, simulated.truth) for t in (result.trajectory, simulated.odometry))
         if as_json:
             print_json({"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry})
             return
-        lines = [*summary(document, result, out), "against the truth:", *(f"  {line}" for line in tell(errors))]
-        click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in tell(odometry))]))
+        lines = [
+            *summary(document, result, out),
+            "against the truth:",
+            *(f"  {line}" for line in format_scores(errors)),
+        ]
+        click.echo("\n".join([*lines, "the odometry alone:", *(f"  {line}" for line in format_scores(odometry))]))
 
 
-def _in_map_frame(truth: Trajectory, estimate: Trajectory) -> Trajectory:
+def _align_truth(truth: Trajectory, estimate: Trajectory) -> Trajectory:
     """Align the true trajectory rigidly with the estimate; both have the same scans."""
     return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))

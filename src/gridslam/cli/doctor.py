@@ -14,7 +14,7 @@ from gridslam.doctor.report import document, markdown, picture_name, text
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
 
-__all__ = ["EXIT_FOUND_ERRORS", "checked", "doctor_log"]
+__all__ = ["EXIT_FOUND_ERRORS", "check_log", "doctor_log"]
 
 EXIT_FOUND_ERRORS = 3
 """Exit status if a fault makes the map unusable."""
@@ -24,10 +24,10 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     """Diagnose a log, print the findings, and write the report and its figures if a folder is given."""
     source = open_log(log, options)
     if out is None:
-        diagnosis = _shown(source, not as_json)
+        diagnosis = _diagnose_with_progress(source, not as_json)
     else:
         with open_output(out) as folder:
-            diagnosis = _shown(source, not as_json)
+            diagnosis = _diagnose_with_progress(source, not as_json)
             _write(diagnosis, folder)
     if as_json:
         print_json(document(diagnosis))
@@ -36,25 +36,25 @@ def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) 
     return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
 
 
-def checked(log: Log, options: LogOptions) -> CheckedLog:
+def check_log(log: Log, options: LogOptions) -> CheckedLog:
     """Wrap a log so that faults in its first minute are reported on stderr, one line each, while it is read.
 
     That there is no odometry is no news to who asked for it.
     """
-    told = {"no_odometry"} if options.no_odometry else set()
+    reported = {"no_odometry"} if options.no_odometry else set()
 
-    def tell(found: tuple[Finding, ...]) -> None:
+    def print_findings(found: tuple[Finding, ...]) -> None:
         for finding in found:
-            if finding.code not in told:
-                told.add(finding.code)  # the log may be read twice
+            if finding.code not in reported:
+                reported.add(finding.code)  # the log may be read twice
                 click.echo(
                     f"gridslam: {log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip(), err=True
                 )
 
-    return CheckedLog(log, tell)
+    return CheckedLog(log, print_findings)
 
 
-def _shown(source: Log, shown: bool) -> Diagnosis:
+def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
     """Diagnose while progress is shown."""
     with reading_progress(lambda: source.statistics, shown=shown) as show:
 

@@ -16,7 +16,7 @@ from gridslam.io.relations import read_relations
 from gridslam.io.trajectory import read_tum
 from gridslam.types import Trajectory
 
-__all__ = ["EVALUATION_SCHEMA", "against_truth", "evaluate", "tell"]
+__all__ = ["EVALUATION_SCHEMA", "evaluate", "format_scores", "score_against_truth"]
 
 EVALUATION_SCHEMA = "gridslam.evaluation/1"
 
@@ -30,10 +30,10 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
         if reference.suffix == ".relations":
             relations = relation_errors(estimate, read_relations(reference))
             scores: dict[str, Any] = {"relations": asdict(relations)}
-            lines = [_of_relations(relations)]
+            lines = [_format_relation_errors(relations)]
         else:
-            scores = against_truth(estimate, read_tum(reference), distance_m)
-            lines = tell(scores)
+            scores = score_against_truth(estimate, read_tum(reference), distance_m)
+            lines = format_scores(scores)
     except ArgumentError as error:
         if error.argument == "distance_m":
             raise click.ClickException(str(error).replace("distance_m", "--distance", 1)) from None
@@ -44,31 +44,31 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
         click.echo("\n".join(lines))
 
 
-def against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
+def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:
     """Absolute errors after alignment, and relative ones over `distance_m` of the truth's path, as JSON values."""
     absolute = absolute_errors(estimate, truth)
     relative = relative_errors_by_distance(estimate, truth, distance_m)
     return {"ate": asdict(absolute), "rpe": {"distance_m": distance_m, **asdict(relative)}}
 
 
-def tell(scores: dict[str, Any]) -> list[str]:
-    """The scores of `against_truth` in words."""
+def format_scores(scores: dict[str, Any]) -> list[str]:
+    """The scores of `score_against_truth` in words."""
     rpe = dict(scores["rpe"])
     distance_m = rpe.pop("distance_m")
     return [
-        f"ATE: {_of_poses(PoseErrors(**scores['ate']))} (aligned)",
-        f"RPE: {_of_poses(PoseErrors(**rpe))} (over {distance_m:g} m)",
+        f"ATE: {_format_pose_errors(PoseErrors(**scores['ate']))} (aligned)",
+        f"RPE: {_format_pose_errors(PoseErrors(**rpe))} (over {distance_m:g} m)",
     ]
 
 
-def _of_poses(errors: PoseErrors) -> str:
+def _format_pose_errors(errors: PoseErrors) -> str:
     return (
         f"{errors.trans_rmse_m:.4f} m and {errors.rot_rmse_deg:.3f} deg rms, at most {errors.trans_max_m:.4f} m and "
         f"{errors.rot_max_deg:.3f} deg, {errors.n} poses"
     )
 
 
-def _of_relations(errors: RelationErrors) -> str:
+def _format_relation_errors(errors: RelationErrors) -> str:
     return (
         f"relations: {errors.trans_mean_m:.4f} +- {errors.trans_std_m:.4f} m and {errors.rot_mean_deg:.3f} +- "
         f"{errors.rot_std_deg:.3f} deg, at most {errors.trans_max_m:.4f} m and {errors.rot_max_deg:.3f} deg, "

@@ -27,8 +27,8 @@ __all__ = ["GRAPH_SCHEMA", "graph_to_folder"]
 GRAPH_SCHEMA = "gridslam.graph/1"
 
 _GRAPH, _PICTURE, _DOCUMENT, _WEIGHTS = "graph.g2o", "graph.png", "graph.json", "weights.csv"
-_KEPT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
-_SHOWN = 10  # rejected edges in the summary
+_MIN_WEIGHT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
+_MAX_LISTED = 10  # rejected edges in the summary
 
 
 def graph_to_folder(
@@ -65,9 +65,9 @@ def _import_algebra() -> None:
     GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
 
 
-def _rejected(solution: GraphSolution) -> NDArray[np.bool_]:
+def _find_rejected(solution: GraphSolution) -> NDArray[np.bool_]:
     """Return the mask (M,) of rejected edges."""
-    return np.asarray(solution.weights < _KEPT)
+    return np.asarray(solution.weights < _MIN_WEIGHT)
 
 
 def _document(
@@ -97,7 +97,7 @@ def _document(
         "seconds": watch.stages["solve"][0],
     }
     if solver.robust is not None:
-        document |= {"rejected": source.edge_ids[_rejected(solution)].tolist(), "weights": _WEIGHTS}
+        document |= {"rejected": source.edge_ids[_find_rejected(solution)].tolist(), "weights": _WEIGHTS}
     return document
 
 
@@ -109,7 +109,7 @@ def _write(
     rejected = None
     if document["robust"]:
         _write_weights(folder.file(_WEIGHTS), source, solution)
-        rejected = _rejected(solution)
+        rejected = _find_rejected(solution)
     watch.lap("write")
     picture = draw_graph(
         solution.graph,
@@ -158,8 +158,8 @@ def _summary(document: dict[str, Any], out: Path) -> list[str]:
         counts = ", ".join(f"{count} {tag}" for tag, count in graph["skipped"].items())
         lines.insert(1, f"skipped lines: {counts}")
     if document["robust"]:
-        some = ", ".join(f"{first} {second}" for first, second in rejected[:_SHOWN])
-        listed = (": " + some + (", ..." if len(rejected) > _SHOWN else "")) if rejected else ""
+        some = ", ".join(f"{first} {second}" for first, second in rejected[:_MAX_LISTED])
+        listed = (": " + some + (", ..." if len(rejected) > _MAX_LISTED else "")) if rejected else ""
         lines.insert(-1, f"rejected {len(rejected)} loop closures{listed}")
         lines.append(f"weights: {out / _WEIGHTS}")
     return lines

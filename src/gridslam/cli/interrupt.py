@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["handled_signals", "stop_if_interrupted"]
+__all__ = ["handle_signals", "stop_if_interrupted"]
 
 _pending = False
 
 
 @contextmanager
-def handled_signals() -> Iterator[None]:
+def handle_signals() -> Iterator[None]:
     """Turn the first SIGINT or SIGTERM into KeyboardInterrupt; later ones must not disturb the cleaning up."""
     global _pending
     _pending = False

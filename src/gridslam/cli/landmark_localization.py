@@ -10,7 +10,7 @@ import click
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.options import named
+from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_json
 from gridslam.io.landmark_log import open_landmark_log
 from gridslam.pipeline import Stopwatch
@@ -35,7 +35,7 @@ def localize_to_folder(
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
     with open_output(out) as folder:
-        with named(pose="--initial-pose"):
+        with name_option(pose="--initial-pose"):
             result = localize_by_landmarks(
                 source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
             )
@@ -48,10 +48,11 @@ def localize_to_folder(
 
 def _summary(document: dict[str, Any], out: Path) -> list[str]:
     """Format the summary."""
-    told, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
-    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    source_info, errors, seconds = document["input"], document["errors"], document["time"]["stages"]["solve"]["wall_s"]
+    time = f", {source_info['duration_s']:.0f} s" if source_info["stamped"] else ""
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} observations",
+        f"{Path(source_info['path']).name}: {source_info['steps']} steps{time}, "
+        f"{source_info['observations']} observations",
         f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, {document['outliers']} outliers",
     ]
     if errors is not None:

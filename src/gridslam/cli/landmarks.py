@@ -46,13 +46,13 @@ def landmarks_to_folder(
 
 def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> list[str]:
     """Format the summary."""
-    told, errors = document["input"], document["errors"]
-    left_out = ", ".join(f"{told[name]} {what}" for name, what in _LEFT_OUT.items() if told[name])
-    time = f", {told['duration_s']:.0f} s" if told["stamped"] else ""
+    source_info, errors = document["input"], document["errors"]
+    left_out = ", ".join(f"{source_info[name]} {what}" for name, what in _LEFT_OUT.items() if source_info[name])
+    time = f", {source_info['duration_s']:.0f} s" if source_info["stamped"] else ""
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(told['path']).name}: {told['steps']} steps{time}, {told['observations']} observations"
-        + (f" ({left_out} left out)" if left_out else ""),
+        f"{Path(source_info['path']).name}: {source_info['steps']} steps{time}, "
+        f"{source_info['observations']} observations" + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
         f"{document['outliers']} outliers",
     ]

@@ -23,14 +23,15 @@ if TYPE_CHECKING:
     from gridslam.viz.rerun_recording import RerunRecording
 
 __all__ = [
-    "live_options", "live_page", "node_page", "place_options", "served", "show_result", "wait_for_viewer", "watched",
+    "host_options", "live_options", "live_page", "node_page", "observe_source", "serve_page", "show_result",
+    "wait_for_viewer",
 ]  # fmt: skip
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _Page = TypeVar("_Page")
 
-_PATIENCE_S = 60.0
-_PLACE = (
+_VIEWER_TIMEOUT_S = 60.0
+_HOST_OPTIONS = (
     click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
     click.option(
         "--live-host",
@@ -44,30 +45,33 @@ def live_options(command: _Command) -> _Command:
     """Add --live, --live-port and --live-host to a command, which gets them as ``live``: LiveOptions, or None."""
 
     @functools.wraps(command)
-    def collected(live: bool, live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+    def wrapper(live: bool, live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
         if not live and (live_port is not None or live_host is not None):
             raise click.UsageError("--live-port and --live-host need --live")
         return command(live=_options(live_port, live_host) if live else None, **given)
 
-    for option in (*_PLACE[::-1], click.option("--live", is_flag=True, help="Show the run live in the browser.")):
-        collected = option(collected)
-    return collected  # type: ignore[return-value]
+    for option in (
+        *_HOST_OPTIONS[::-1],
+        click.option("--live", is_flag=True, help="Show the run live in the browser."),
+    ):
+        wrapper = option(wrapper)
+    return wrapper  # type: ignore[return-value]
 
 
-def place_options(command: _Command) -> _Command:
+def host_options(command: _Command) -> _Command:
     """Add --live-port and --live-host to a command that serves a page anyway, and gets them as ``live``."""
 
     @functools.wraps(command)
-    def collected(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+    def wrapper(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
         return command(live=_options(live_port, live_host), **given)
 
-    for option in _PLACE[::-1]:
-        collected = option(collected)
-    return collected  # type: ignore[return-value]
+    for option in _HOST_OPTIONS[::-1]:
+        wrapper = option(wrapper)
+    return wrapper  # type: ignore[return-value]
 
 
 @contextmanager
-def served(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
+def serve_page(page: AbstractContextManager[_Page]) -> Iterator[_Page]:
     """Enter a page; a port that is taken is bad usage."""
     with ExitStack() as stack:
         try:
@@ -87,13 +91,13 @@ def live_page(
         return
     from gridslam.live.page import LivePage
 
-    with served(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
+    with serve_page(LivePage(title, live, range_max_m=range_max_m, known=known)) as page:
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield page
         if page.viewers:
             click.echo("gridslam: the page stays open while it is looked at; Ctrl-C ends it", err=True)
             try:
-                page.linger()
+                page.serve_until_left()
             except KeyboardInterrupt:  # the results are written, and nothing is cut short
                 return
 
@@ -106,41 +110,43 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
     robot = RobotControl(lambda: core.is_paused, core.pause)
     page = LivePage(title, live, range_max_m=core.configuration.range_max_m, known=known, robot=robot)
-    with served(page):
+    with serve_page(page):
 
-        def hear(told: Diagnostics) -> None:
-            page.say(told.summary if told.level else "")
+        def on_diagnostics(diagnostics: Diagnostics) -> None:
+            page.show_message(diagnostics.summary if diagnostics.level else "")
 
-        core.watch(page.observer, page.session, hear)
+        core.add_observer(page.observer, page.follow_session, on_diagnostics)
         click.echo(f"gridslam: live at {page.url}", err=True)
         yield
 
 
-def watched(
+def observe_source(
     source: Iterable[Measurement], page: LivePage | None, recording: RerunRecording | None, watch: Stopwatch
 ) -> Iterator[Measurement]:
     """The measurements of a log, each when the page's viewers want it, and recorded."""
-    held = iter(source) if page is None else page.paced(source, watch)
-    return held if recording is None else recording.followed(held)
+    paced = iter(source) if page is None else page.pace(source, watch)
+    return paced if recording is None else recording.followed(paced)
 
 
 def wait_for_viewer(page: LivePage | None) -> None:
     """Give someone a minute to open the page; if nobody comes, go as fast as can be."""
     if page is not None:
-        click.echo(f"gridslam: open the page to begin; without it the run begins in {_PATIENCE_S:.0f} s", err=True)
-        if not page.wait_for_viewer(_PATIENCE_S):
+        click.echo(
+            f"gridslam: open the page to begin; without it the run begins in {_VIEWER_TIMEOUT_S:.0f} s", err=True
+        )
+        if not page.wait_for_viewer(_VIEWER_TIMEOUT_S):
             page.control.set_speed(None)
 
 
-def show_result(onlooker: LivePage | RerunRecording | None, result: MapResult) -> None:
+def show_result(viewer: LivePage | RerunRecording | None, result: MapResult) -> None:
     """Show what a run came to in the end, on its page or in its recording."""
-    if onlooker is None:
+    if viewer is None:
         return
     import numpy as np  # help must not pay for it
 
     poses = result.graph.poses
     closures = np.zeros((0, 2), np.int64) if result.loop_summary is None else result.loop_summary.closures
-    onlooker.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
+    viewer.finish(result.map, poses, poses[closures, :2].reshape(-1, 4))
 
 
 def _options(port: int | None, host: str | None) -> LiveOptions:

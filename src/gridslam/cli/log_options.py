@@ -35,7 +35,7 @@ def log_options(command: _Command) -> _Command:
     """Add the options to a command, which gets them as one `LogOptions` named ``options``."""
 
     @functools.wraps(command)
-    def collected(**given: Any) -> Any:  # noqa: ANN401
+    def wrapper(**given: Any) -> Any:  # noqa: ANN401
         from gridslam.errors import ArgumentError
         from gridslam.io.log import LogOptions
 
@@ -47,5 +47,5 @@ def log_options(command: _Command) -> _Command:
         return command(options=options, **given)
 
     for option in reversed((*_SOURCES, *_SPAN)):
-        collected = option(collected)
-    return collected  # type: ignore[return-value]
+        wrapper = option(wrapper)
+    return wrapper  # type: ignore[return-value]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import click
 
 from gridslam.cli.commands import gridslam
-from gridslam.cli.interrupt import handled_signals
+from gridslam.cli.interrupt import handle_signals
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
 __all__ = ["main"]
@@ -23,36 +23,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in _BLAS_THREADS:  # before NumPy is imported: its matrices are 3 x 3 here, its threads would only wait
         os.environ.setdefault(name, "1")
     try:
-        with handled_signals():
+        with handle_signals():
             status = gridslam.main(arguments, prog_name="gridslam", standalone_mode=False)
             sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except BaseException as error:
-        return _failed(error)
+        return _report_failure(error)
 
 
-def _failed(error: BaseException) -> int:
+def _report_failure(error: BaseException) -> int:
     """Print in one line why the command ended, and return its exit status."""
     if isinstance(error, SystemExit | GeneratorExit):
         raise error
     if isinstance(error, KeyboardInterrupt | click.Abort):
-        return _say("interrupted", 130)
+        return _print_error("interrupted", 130)
     if isinstance(error, click.UsageError) and error.ctx is not None:
-        return _say(f"{error.format_message()} (see {error.ctx.command_path} --help)", 2)
+        return _print_error(f"{error.format_message()} (see {error.ctx.command_path} --help)", 2)
     if isinstance(error, click.ClickException):
-        return _say(error.format_message(), 2)
+        return _print_error(error.format_message(), 2)
     if isinstance(error, InputError | ConfigurationError):
-        return _say(str(error), 2)
+        return _print_error(str(error), 2)
     if isinstance(error, BrokenPipeError):  # whoever read the output has gone; Python must not flush to it again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     if isinstance(error, GridslamError | OSError | MemoryError):
-        return _say(str(error) or type(error).__name__, 1)
+        return _print_error(str(error) or type(error).__name__, 1)
     traceback.print_exception(error)
-    return _say(f"this is a bug, please report it: {type(error).__name__}: {error}", 1)
+    return _print_error(f"this is a bug, please report it: {type(error).__name__}: {error}", 1)
 
 
-def _say(problem: str, status: int) -> int:
+def _print_error(problem: str, status: int) -> int:
     print("gridslam:", " ".join(problem.split()), file=sys.stderr)
     return status
 

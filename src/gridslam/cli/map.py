@@ -10,9 +10,9 @@ import click
 
 from gridslam.api import MapResult, map_log
 from gridslam.cli import STARTED_S
-from gridslam.cli.doctor import checked
+from gridslam.cli.doctor import check_log
 from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.live import live_page, show_result, watched
+from gridslam.cli.live import live_page, observe_source, show_result
 from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import progress
 from gridslam.cli.rerun import rerun_recording
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["map_to_folder", "map_with_progress", "summary"]
 
-_MANY = 0.1
+_MAX_BACKWARD_RATIO = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is printed; jitter causes up to 0.05."""
 
 
@@ -52,8 +52,8 @@ def map_to_folder(
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = _configuration(preset, laser, particles, config, assignments, no_loop_closure)
-    source = checked(open_log(log, options), options)
+    configuration = _build_configuration(preset, laser, particles, config, assignments, no_loop_closure)
+    source = check_log(open_log(log, options), options)
     name, range_max_m = source.path.name, configuration.range_max_m
     with rerun_recording(rerun, name, range_max_m) as recording, live_page(live, name, range_max_m) as page:
         with open_output(out) as folder:
@@ -75,11 +75,11 @@ def map_with_progress(
     recording: RerunRecording | None = None,
 ) -> MapResult:  # fmt: skip
     """Map a log while progress is shown, the map on a page if there is one, and all of it recorded."""
-    onlookers: list[Observer] = [] if page is None else [page.observer]
-    onlookers += [] if recording is None else [recording]
+    viewers: list[Observer] = [] if page is None else [page.observer]
+    viewers += [] if recording is None else [recording]
 
     if page is not None:
-        page.tell_progress(lambda: source.statistics.share_read)
+        page.set_progress(lambda: source.statistics.share_read)
     with progress(lambda: source.statistics, shown=shown) as show:
 
         def observe(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
@@ -92,11 +92,11 @@ def map_with_progress(
 
         result = map_log(
             source, configuration=configuration, seed=seed, threads=threads, on_progress=on_progress, stopwatch=watch,
-            repair=repair, observers=[observe, *onlookers], gate=lambda source: watched(source, page, recording, watch),
-            keep_particles=page is not None,
+            repair=repair, observers=[observe, *viewers], keep_particles=page is not None,
+            gate=lambda source: observe_source(source, page, recording, watch),
         )  # fmt: skip
-        for onlooker in (page, recording):
-            show_result(onlooker, result)
+        for viewer in (page, recording):
+            show_result(viewer, result)
         return result
 
 
@@ -113,13 +113,13 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
         f"resampled {filter_['resamplings']} times{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
-        *_loops(document["loop_closure"]),
+        *_loop_closure_lines(document["loop_closure"]),
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
 
 
-def _configuration(
+def _build_configuration(
     name: str, laser: str | None, particles: int | None, path: Path | None, assignments: Sequence[str],
     no_loop_closure: bool,
 ) -> Configuration:  # fmt: skip
@@ -134,7 +134,7 @@ def _configuration(
     return override(config, "loop_closure=false") if no_loop_closure else config
 
 
-def _loops(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
+def _loop_closure_lines(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
     """Format the loop-closure lines of the summary."""
     if not loops:
         return
@@ -156,7 +156,7 @@ def _warnings(result: MapResult) -> Iterator[str]:
     yield from log.remarks
     if log.truncated:
         yield f"the log is truncated after {log.scan_count} scans"
-    if log.backward_stamps > _MANY * log.scan_count:
+    if log.backward_stamps > _MAX_BACKWARD_RATIO * log.scan_count:
         yield (
             f"{log.backward_stamps} of {log.scan_count} scans have a stamp older than their predecessor: "
             "check the order of the log"

@@ -12,7 +12,7 @@ import click
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "named", "read_pose"]
+__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "name_option", "read_pose"]
 
 
 @final
@@ -40,7 +40,7 @@ def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> t
 
 
 @contextmanager
-def named(**options: str) -> Iterator[None]:
+def name_option(**options: str) -> Iterator[None]:
     """Report an invalid argument under the name of its option: `pose="--initial-pose"`."""
     try:
         yield

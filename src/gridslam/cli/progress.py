@@ -32,14 +32,14 @@ def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = T
         began, scans = time.perf_counter(), 0
         due = began + every_s
 
-        def tell() -> None:
+        def on_scan() -> None:
             nonlocal scans, due
             scans += 1
             if (now := time.perf_counter()) >= due:
                 due = now + every_s
                 show(statistics().share_read, f"{scans} scans, {scans / (now - began):.0f}/s")
 
-        yield tell
+        yield on_scan
 
 
 @contextmanager
@@ -96,7 +96,7 @@ class Progress:
             self._n_eff = report.n_eff
         if (now := time.perf_counter()) >= self._due:
             self._due = now + self._every_s
-            self._tell(now - self._began, report, state)
+            self._show_rate(now - self._began, report, state)
 
     def show_refinement(self) -> None:
         """Periodically show the elapsed time of the final refinement."""
@@ -106,7 +106,7 @@ class Progress:
             self._due = now + self._every_s
             self._show(1.0, f"{self._scans} scans; final refinement, {now - self._ended:.0f} s")
 
-    def _tell(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
+    def _show_rate(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
         log = self._statistics()
         share = log.share_read
         height, width = state.maps.tiled(state.best).shape

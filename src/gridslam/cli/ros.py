@@ -15,12 +15,12 @@ from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.core import NodeCore
 from gridslam.ros.localization import Localization
-from gridslam.ros.services import Watch
+from gridslam.ros.services import ViewerOpener
 
-__all__ = ["given_parameters", "ros1", "ros2", "watched"]
+__all__ = ["collect_parameters", "make_viewer_opener", "ros1", "ros2"]
 
 
-def given_parameters(
+def collect_parameters(
     preset: str | None = None, particles: int | None = None, seed: int | None = None, threads: int | None = None,
     config: Path | None = None, assignments: Sequence[str] = (), record: Path | None = None, out: Path | None = None,
     map_file: Path | None = None,
@@ -45,8 +45,8 @@ def ros1(
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1 import run_ros1
 
-    given, watch = given_parameters(**options), watched("ROS 1", live, rerun)
-    run_ros1(arguments, given=given, watch=watch, on_progress=stop_if_interrupted)
+    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 1", live, rerun)
+    run_ros1(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
 def ros2(
@@ -59,32 +59,32 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
-    given, watch = given_parameters(**options), watched("ROS 2", live, rerun)
+    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2_dds import run_dds
 
-        run_dds(arguments, given=given, interfaces=interfaces, watch=watch, on_progress=stop_if_interrupted)
+        run_dds(arguments, given=given, interfaces=interfaces, open_viewers=open_viewers, on_poll=stop_if_interrupted)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
     from gridslam.ros.ros2 import run_ros2
 
-    run_ros2(arguments, given=given, watch=watch, on_progress=stop_if_interrupted)
+    run_ros2(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
-def watched(title: str, live: LiveOptions | None, rerun: str | None) -> Watch:
+def make_viewer_opener(title: str, live: LiveOptions | None, rerun: str | None) -> ViewerOpener:
     """Let in those who look on at a node: its page, and its recording."""
 
     @contextmanager
-    def watch(core: NodeCore) -> Iterator[None]:
+    def open_viewers(core: NodeCore) -> Iterator[None]:
         configuration = core.configuration
         known = configuration.known.grid if isinstance(configuration, Localization) else None
         with ExitStack() as stack:
             recording = stack.enter_context(rerun_recording(rerun, title, configuration.range_max_m, known))
             if recording is not None:
-                core.watch(recording, recording.followed)
+                core.add_observer(recording, recording.followed)
             if live is not None:
                 stack.enter_context(node_page(live, title, core, known))
             yield
 
-    return watch
+    return open_viewers

@@ -58,10 +58,10 @@ def simulate_to_log(
             log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
         except ArgumentError as error:
             raise click.ClickException(str(error).replace("name:", "WORLD:", 1)) from None
-        kept = _first(log.truth, scans)
+        kept = _cut(log.truth, scans)
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
         write_tum(folder.file(truth.name), kept)
-    _tell(log, kept, world, seed, out, truth, as_json)
+    _print_summary(log, kept, world, seed, out, truth, as_json)
 
 
 def _truth_name(out: Path) -> str:
@@ -84,11 +84,13 @@ def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> Li
     return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
-def _first(trajectory: Trajectory, scans: int | None) -> Trajectory:
+def _cut(trajectory: Trajectory, scans: int | None) -> Trajectory:
     return Trajectory(trajectory.stamps_ns[:scans], trajectory.poses[:scans])
 
 
-def _tell(log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool) -> None:
+def _print_summary(
+    log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool
+) -> None:
     steps = np.diff(kept.poses[:, :2], axis=0)
     length_m, duration_s = float(np.hypot(*steps.T).sum()), float(np.ptp(kept.stamps_ns)) * 1e-9
     if as_json:

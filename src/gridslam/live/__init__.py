@@ -1,5 +1,5 @@
-"""The map in the browser while it grows, and a finished run again.
+"""A web page that shows a running filter or a finished run.
 
-`gridslam.live.page` has what shows a run of the filter, `gridslam.live.replay` what shows its results; importing them
-costs the import of the web server. `gridslam.live.options` costs nothing.
+`gridslam.live.page` shows a running filter, `gridslam.live.replay` a finished run; both import the web server.
+`gridslam.live.options` imports nothing heavy.
 """

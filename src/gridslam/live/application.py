@@ -1,4 +1,4 @@
-"""What the server answers: the page, the stream of messages to each viewer, and the map as files."""
+"""The web application: the page, the stream of messages to each viewer, and the map as files."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from gridslam.io.map_server import write_map
 from gridslam.live.protocol import encode
 from gridslam.types import OccupancyGrid
 
-__all__ = ["BYTES_PER_S", "PERIOD_S", "Show", "Viewer", "application"]
+__all__ = ["BYTES_PER_S", "PERIOD_S", "PageContent", "Viewer", "make_application"]
 
 PERIOD_S = 0.1
-"""Least time between two messages to a viewer."""
+"""Least time between two messages to a viewer, s."""
 BYTES_PER_S = 1e6
-"""What a viewer is sent at most, but for single messages; a larger one is followed by a longer pause."""
+"""Maximum rate for a viewer; a large message is followed by a longer pause."""
 
 _HEARTBEAT_S = 3.0  # maximum time between messages to a viewer, so that it does not time out
-_UNDERWAY = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
+_MAX_UNACKNOWLEDGED = 2  # messages that a viewer has not confirmed: a slow line gets fewer messages, not later ones
 _BAD_TOKEN, _BAD_COMMAND = 4401, 4400  # close codes of the socket
 _HERE = Path(__file__).parent / "static"
 _HEADERS = {
@@ -47,48 +47,48 @@ _HEADERS = {
 
 
 class Viewer(Protocol):
-    """One who looks; used by the server's thread alone."""
+    """A viewer; used by the server's thread only."""
 
-    def message(self) -> bytes | None:
-        """What the viewer lacks; None where that is nothing."""
+    def next_message(self) -> bytes | None:
+        """Return the next message for the viewer; None if there is nothing new."""
 
     def command(self, command: Mapping[str, Any]) -> None:
-        """Do what the viewer asks; raises ArgumentError, KeyError, TypeError or ValueError where it cannot be done."""
+        """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
 
     def close(self) -> None:
-        """Look no more."""
+        """Remove the viewer."""
 
 
-class Show(Protocol):
-    """What there is to see; used by the server's thread alone."""
+class PageContent(Protocol):
+    """Content of the page; used by the server's thread only."""
 
-    def join(self, news: Callable[[], None]) -> Viewer:
-        """Take in a viewer, whose `news` is called whenever there may be something new."""
+    def add_viewer(self, notify: Callable[[], None]) -> Viewer:
+        """Add a viewer; `notify` is called whenever there may be something new."""
 
-    def map_of(self, channel: int) -> OccupancyGrid | None:
-        """The map that a channel shows; None where there is none."""
+    def channel_map(self, channel: int) -> OccupancyGrid | None:
+        """Return the map of a channel; None if there is none."""
 
 
-def application(show: Show, host: str, token: str | None) -> ASGIApp:
+def make_application(content: PageContent, host: str, token: str | None) -> ASGIApp:
     """The page of a show, for everyone who has the token; without one for requests to this very host alone."""
 
     async def socket(websocket: WebSocket) -> None:
         await websocket.accept()
         origin = websocket.headers.get("origin")
         foreign = origin is not None and urlsplit(origin).netloc != websocket.headers.get("host")
-        if foreign or not _knows(websocket, token):
+        if foreign or not _is_authorized(websocket, token):
             await websocket.close(_BAD_TOKEN, "this page needs the address with its token")
             return
-        await _attend(websocket, show)
+        await _serve_viewer(websocket, content)
 
     async def map_files(request: Request) -> Response:
-        if not _knows(request, token):
+        if not _is_authorized(request, token):
             return PlainTextResponse("this needs the token of the page", 403)
         channel = request.query_params.get("channel", "0")
-        grid = show.map_of(int(channel) if channel.isdecimal() else 0)
+        grid = content.channel_map(int(channel) if channel.isdecimal() else 0)
         if grid is None:
             return PlainTextResponse("there is no map", 404)
-        archive = await asyncio.to_thread(_zipped, grid)
+        archive = await asyncio.to_thread(_zip_map, grid)
         return Response(archive, media_type="application/zip")
 
     routes = [
@@ -97,16 +97,16 @@ def application(show: Show, host: str, token: str | None) -> ASGIApp:
         Mount("/", StaticFiles(directory=_HERE, html=True)),
     ]
     names = None if token is not None else {"127.0.0.1", "localhost", "::1", host}
-    return _guarded(Starlette(routes=routes), names)
+    return _guard(Starlette(routes=routes), names)
 
 
-def _knows(connection: HTTPConnection, token: str | None) -> bool:
+def _is_authorized(connection: HTTPConnection, token: str | None) -> bool:
     given = connection.query_params.get("token", "")
     return token is None or secrets.compare_digest(given.encode(), token.encode())
 
 
-def _guarded(app: ASGIApp, names: set[str] | None) -> ASGIApp:
-    """Answer requests only under these names, lest another site's page talk to us by a name of its own; add headers."""
+def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
+    """Reject requests for other host names, against DNS rebinding, and add security headers."""
 
     async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
         async def with_headers(message: Message) -> None:
@@ -124,19 +124,19 @@ def _guarded(app: ASGIApp, names: set[str] | None) -> ASGIApp:
     return guarded
 
 
-async def _attend(websocket: WebSocket, show: Show) -> None:
-    """Send one viewer what is new, and do what it asks, until it goes."""
-    news, window = asyncio.Event(), asyncio.BoundedSemaphore(_UNDERWAY)
-    viewer = show.join(news.set)
-    sender = asyncio.create_task(_send_all(websocket, viewer, news, window))
+async def _serve_viewer(websocket: WebSocket, content: PageContent) -> None:
+    """Send messages to one viewer and execute its commands until it disconnects."""
+    notify, window = asyncio.Event(), asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
+    viewer = content.add_viewer(notify.set)
+    sender = asyncio.create_task(_send_all(websocket, viewer, notify, window))
     try:
         while True:
             command = json.loads(await websocket.receive_text())
-            if command["do"] == "got":
+            if command["do"] == "ack":
                 window.release()
             else:
                 viewer.command(command)
-                news.set()
+                notify.set()
     except (ArgumentError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         reason = f"not understood: {error}".encode()[:100].decode(errors="ignore")  # a close frame holds little
         await websocket.close(_BAD_COMMAND, reason)
@@ -148,32 +148,32 @@ async def _attend(websocket: WebSocket, show: Show) -> None:
         await asyncio.gather(sender, return_exceptions=True)
 
 
-async def _send_all(websocket: WebSocket, viewer: Viewer, news: asyncio.Event, window: asyncio.Semaphore) -> None:
+async def _send_all(websocket: WebSocket, viewer: Viewer, notify: asyncio.Event, window: asyncio.Semaphore) -> None:
     clock = asyncio.get_running_loop().time
     while True:
         await window.acquire()
-        message = await _next_message(viewer, news)
+        message = await _next_message(viewer, notify)
         due = clock() + max(PERIOD_S, len(message) / BYTES_PER_S)
         await websocket.send_bytes(message)
         await asyncio.sleep(due - clock())
 
 
-async def _next_message(viewer: Viewer, news: asyncio.Event) -> bytes:
+async def _next_message(viewer: Viewer, notify: asyncio.Event) -> bytes:
     """The data that the viewer lacks, or an empty heartbeat."""
     clock = asyncio.get_running_loop().time
     due = clock() + _HEARTBEAT_S
-    news.clear()
-    while (message := viewer.message()) is None:
+    notify.clear()
+    while (message := viewer.next_message()) is None:
         try:
-            await asyncio.wait_for(news.wait(), due - clock())
+            await asyncio.wait_for(notify.wait(), due - clock())
         except asyncio.TimeoutError:
             return encode({}, {})
-        news.clear()
+        notify.clear()
     return message
 
 
-def _zipped(grid: OccupancyGrid) -> bytes:
-    """map.yaml and map.pgm, as ROS's map_server reads them."""
+def _zip_map(grid: OccupancyGrid) -> bytes:
+    """Return a ZIP archive with map.yaml and map.pgm for ROS's map_server."""
     archive = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as files:
         write_map(Path(folder) / "map.yaml", grid)

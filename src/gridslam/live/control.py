@@ -9,20 +9,20 @@ from typing import final
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["Control", "RobotControl", "checked_particle", "checked_speed"]
+__all__ = ["Control", "RobotControl", "check_particle", "check_speed"]
 
-_LONGEST_S = 0.25  # a wait is cut in pieces, so that signals and requests are seen
-
-
-def checked_speed(times: float | None) -> float | None:
-    """A speed that a viewer asks for; ArgumentError where it is out of range."""
-    if times is not None and not 0.01 <= times <= 1e4:
-        raise ArgumentError("times", "0.01 to 10000, or null for as fast as can be", times)
-    return times
+_MAX_WAIT_S = 0.25  # longer waits are split, so that signals and requests are processed
 
 
-def checked_particle(particle: object, count: int) -> int:
-    """An index of `count` particles that a viewer asks for; ArgumentError where it is none."""
+def check_speed(factor: float | None) -> float | None:
+    """Check a speed requested by a viewer; raises ArgumentError if it is out of range."""
+    if factor is not None and not 0.01 <= factor <= 1e4:
+        raise ArgumentError("factor", "0.01 to 10000, or null for as fast as can be", factor)
+    return factor
+
+
+def check_particle(particle: object, count: int) -> int:
+    """Check a particle's index requested by a viewer; raises ArgumentError if it is not below `count`."""
     if not isinstance(particle, int) or not 0 <= particle < count:
         raise ArgumentError("particle", f"an index below {count}", particle)
     return particle
@@ -30,41 +30,41 @@ def checked_particle(particle: object, count: int) -> int:
 
 @final
 class Control:
-    """Decides when the next scan may go to the filter; viewers ask, the filter's thread waits.
+    """Decides when the next scan is passed to the filter; viewers set it, the filter's thread waits.
 
     Parameters
     ----------
     speed : float or None, > 0
-        So many times as fast as the robot drove; None for as fast as can be.
+        Factor on real time; None: as fast as possible.
     """
 
     def __init__(self, speed: float | None = None) -> None:
-        """Begin without a pause."""
+        """Start without a pause."""
         self._changed = threading.Condition()
         self._speed, self._paused, self._ended = speed, False, False
         self._steps, self._to_key_scan = 0, False
-        self._since: tuple[float, int] | None = None  # a moment, and the stamp that belonged to it
+        self._anchor: tuple[float, int] | None = None  # a time and the corresponding stamp
 
     @property
     def paused(self) -> bool:
-        """Whether the next scan has to wait for a viewer."""
+        """Whether the run is paused."""
         return self._paused
 
     @property
     def speed(self) -> float | None:
-        """How many times as fast as the robot drove, at most; None without limit."""
+        """Maximum factor on real time; None without limit."""
         return self._speed
 
     def pause(self) -> None:
-        """Hold the next scan."""
+        """Pause before the next scan."""
         self._change(paused=True)
 
     def resume(self) -> None:
-        """Go on."""
+        """End the pause."""
         self._change(paused=False)
 
     def step(self, *, to_key_scan: bool) -> None:
-        """Let one scan go, or all up to the next key scan, and pause then."""
+        """Pass one scan, or all up to the next key scan, then pause."""
         with self._changed:
             self._steps, self._to_key_scan = (0, True) if to_key_scan else (1, False)
         self._change(paused=True)
@@ -72,26 +72,26 @@ class Control:
     def set_speed(self, speed: float | None) -> None:
         """Set the speed as a multiple of real time; None for maximum speed."""
         with self._changed:
-            self._speed, self._since = speed, None
+            self._speed, self._anchor = speed, None
             self._changed.notify_all()
 
     def end(self) -> None:
-        """Hold nothing from now on."""
+        """Stop delaying scans."""
         self._ended = True
         self._change(paused=False)
         self.set_speed(None)
 
     def wake(self) -> None:
-        """Let a waiting filter's thread look after requests."""
+        """Wake a waiting filter's thread to process requests."""
         with self._changed:
             self._changed.notify_all()
 
-    def reached_key_scan(self) -> None:
-        """A step that was to go to the next key scan is done."""
+    def on_key_scan(self) -> None:
+        """End a step to the next key scan."""
         self._to_key_scan = False
 
-    def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
-        """Wait until the scan of this stamp may be processed, calling `meanwhile`; return whether that took a wait."""
+    def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
+        """Wait until the scan of this stamp may be processed, calling `on_wait`; return whether that took a wait."""
         waited = False
         while True:
             with self._changed:
@@ -99,8 +99,8 @@ class Control:
                 if delay <= 0:
                     return waited
                 if waited:
-                    self._changed.wait(min(delay, _LONGEST_S))
-            meanwhile()
+                    self._changed.wait(min(delay, _MAX_WAIT_S))
+            on_wait()
             waited = True
 
     def _change(self, *, paused: bool) -> None:
@@ -108,11 +108,11 @@ class Control:
             self._paused = paused and not self._ended
             if not paused:
                 self._steps, self._to_key_scan = 0, False
-            self._since = None
+            self._anchor = None
             self._changed.notify_all()
 
     def _delay(self, stamp_ns: int) -> float:
-        """Seconds for which the scan is to be held as things are."""
+        """Return the remaining delay of the scan, s."""
         if self._paused:
             if self._to_key_scan:
                 return 0.0
@@ -123,26 +123,26 @@ class Control:
         if self._speed is None:
             return 0.0
         now = time.perf_counter()
-        if self._since is None:
-            self._since = now, stamp_ns
-        passed = (stamp_ns - self._since[1]) * 1e-9 / self._speed
-        due = self._since[0] + passed
-        if passed < 0 or now - due > 1.0:  # stamps that go back, and a filter that is slower: nothing is made up for
-            self._since = now, stamp_ns
+        if self._anchor is None:
+            self._anchor = now, stamp_ns
+        passed = (stamp_ns - self._anchor[1]) * 1e-9 / self._speed
+        due = self._anchor[0] + passed
+        if passed < 0 or now - due > 1.0:  # decreasing stamps, or a slower filter: restart the clock
+            self._anchor = now, stamp_ns
             return 0.0
         return due - now
 
 
 @final
 class RobotControl:
-    """In the place of `Control` where a robot drives: its scans can be left out, but not held back.
+    """Replacement of `Control` for a live robot, whose scans can be dropped but not delayed.
 
     Parameters
     ----------
     is_paused : callable
         Returns whether scans are left out.
     pause : callable
-        Has them left out, or not.
+        Sets whether scans are dropped.
     """
 
     speed = None
@@ -152,15 +152,15 @@ class RobotControl:
 
     @property
     def paused(self) -> bool:
-        """Whether scans are left out."""
+        """Whether scans are dropped."""
         return self._is_paused()
 
     def pause(self) -> None:
-        """Leave out the scans that come."""
+        """Drop incoming scans."""
         self._pause(True)
 
     def resume(self) -> None:
-        """Take scans again."""
+        """Accept scans again."""
         self._pause(False)
 
     def step(self, *, to_key_scan: bool) -> None:
@@ -172,14 +172,14 @@ class RobotControl:
         raise ArgumentError("do", "pause or resume, as a robot drives on", "speed")
 
     def end(self) -> None:
-        """Leave things as they are."""
+        """Do nothing: the robot continues."""
 
     def wake(self) -> None:
-        """Wake nobody: nothing waits."""
+        """Do nothing: no thread waits."""
 
-    def reached_key_scan(self) -> None:
-        """Go on."""
+    def on_key_scan(self) -> None:
+        """Do nothing: there are no steps."""
 
-    def wait(self, stamp_ns: int, meanwhile: Callable[[], None]) -> bool:
+    def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
         """Return at once."""
         return False

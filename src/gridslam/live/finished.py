@@ -1,4 +1,4 @@
-"""Reads what a command wrote into OUT."""
+"""Reader of a command's output folder."""
 
 from __future__ import annotations
 
@@ -15,101 +15,103 @@ from gridslam.io.map_server import read_map
 from gridslam.io.record import read_record
 from gridslam.io.text_source import read_text
 from gridslam.io.trajectory import read_trajectory_csv, read_tum
-from gridslam.live.results import FoundWay, MappedRun, Results, StillMap
-from gridslam.live.run import greeting
+from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
+from gridslam.live.run import make_run_info
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["Finished", "open_finished"]
+__all__ = ["FinishedRun", "open_finished_run"]
 
-_BELIEF = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
+_BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 
 
-class Finished(NamedTuple):
+class FinishedRun(NamedTuple):
     """A finished run.
 
     Attributes
     ----------
     results : Results
-    hello : dict
-        First message to a viewer (see `gridslam.live.run.greeting`).
-    lacks : str
-        What is no more there, in words; empty where nothing is missing.
+    run_info : dict
+        First message to a viewer (see `gridslam.live.run.make_run_info`).
+    missing : str
+        A message about missing files; empty if nothing is missing.
     """
 
     results: Results
-    hello: dict[str, Any]
-    lacks: str = ""
+    run_info: dict[str, Any]
+    missing: str = ""
 
 
-def open_finished(folder: str | Path) -> Finished:
+def open_finished_run(folder: str | Path) -> FinishedRun:
     """Read OUT of `gridslam map`, `localize`, `grid` or `landmarks`.
 
     Raises
     ------
     InputError
-        A file is missing or malformed, they are not of one run, or the folder is none of these commands'.
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
     out = Path(folder)
-    document = _document(out / "run.json")
+    document = _read_document(out / "run.json")
     kind = str(document.get("schema", "")).rpartition("/")[0]
     if kind not in _READERS:
         raise InputError(out / "run.json", f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
-    told = document.get("input")
-    title = Path(str(told.get("path") if isinstance(told, dict) else "") or out.resolve()).name
+    source = document.get("input")
+    title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
     return _READERS[kind](out, document, title)
 
 
 _WRITERS = "gridslam map, localize, grid or landmarks"
 
 
-def _mapped(out: Path, document: dict[str, Any], title: str) -> Finished:
+def _read_mapping(out: Path, document: dict[str, Any], title: str) -> FinishedRun:
     record, poses = read_record(out / "record.npz"), read_g2o(out / "graph.g2o").graph.poses
     trajectory, grid = read_tum(out / "trajectory.tum"), read_map(out / "map.yaml")
     if not len(record) or len(poses) != len(record):
         raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
-    run = MappedRun(record, trajectory, poses, grid, _closures(document, len(record)))
-    shows = "map", "path", "pasts", "particles", "weights", "closures", "n_eff", "latency"
-    return Finished(run, greeting(title, "replay", shows, grid=grid))
+    run = MappedRun(record, trajectory, poses, grid, _read_closures(document, len(record)))
+    layers = "map", "path", "ancestry", "particles", "weights", "closures", "n_eff", "latency"
+    return FinishedRun(run, make_run_info(title, "replay", layers, grid=grid))
 
 
-def _localized(out: Path, document: dict[str, Any], title: str) -> Finished:
+def _read_localization(out: Path, document: dict[str, Any], title: str) -> FinishedRun:
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
-    belief = _belief(out / "belief.csv")
+    belief = _read_belief(out / "belief.csv")
     if len(belief) != len(trajectory):
         raise InputError(out / "belief.csv", f"expected {len(trajectory)} scans, got {len(belief)}")
-    grid, lacks = _map_of(document)
-    shows = *(("map",) if grid else ()), "path", "n_eff", "doubt"
-    return Finished(
-        FoundWay(trajectory, covariances, grid, belief=belief), greeting(title, "replay", shows, "scan", grid), lacks
+    grid, missing = _read_known_map(document)
+    layers = *(("map",) if grid else ()), "path", "n_eff", "lost_probability"
+    return FinishedRun(
+        TrajectoryRun(trajectory, covariances, grid, belief=belief),
+        make_run_info(title, "replay", layers, "scan", grid),
+        missing,
     )
 
 
-def _of_landmarks(out: Path, document: dict[str, Any], title: str) -> Finished:
+def _read_landmark_run(out: Path, document: dict[str, Any], title: str) -> FinishedRun:
     trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
     path = out / "landmarks.csv"
-    if not path.is_file():  # of a localization among known landmarks
-        return Finished(FoundWay(trajectory, covariances), greeting(title, "replay", ("path",), "step"))
+    if not path.is_file():  # a localization with known landmarks
+        return FinishedRun(TrajectoryRun(trajectory, covariances), make_run_info(title, "replay", ("path",), "step"))
     found = read_landmarks(path)
     rows = np.column_stack([found.positions, found.covariances[:, [0, 0, 1], [0, 1, 1]]]).astype(np.float32)
-    hello = greeting(title, "replay", ("path", "landmarks"), "step")
-    return Finished(FoundWay(trajectory, covariances, landmarks=rows), hello)
+    run_info = make_run_info(title, "replay", ("path", "landmarks"), "step")
+    return FinishedRun(TrajectoryRun(trajectory, covariances, landmarks=rows), run_info)
 
 
-def _gridded(out: Path, document: dict[str, Any], title: str) -> Finished:
+def _read_grid(out: Path, document: dict[str, Any], title: str) -> FinishedRun:
     grid = read_map(out / "map.yaml")
-    return Finished(StillMap(grid), greeting(title, "still", ("map",), grid=grid))
+    return FinishedRun(StaticMap(grid), make_run_info(title, "still", ("map",), grid=grid))
 
 
 _READERS = {
-    "gridslam.run": _mapped,
-    "gridslam.localization": _localized,
-    "gridslam.landmarks": _of_landmarks,
-    "gridslam.landmark_localization": _of_landmarks,
-    "gridslam.grid": _gridded,
+    "gridslam.run": _read_mapping,
+    "gridslam.localization": _read_localization,
+    "gridslam.landmarks": _read_landmark_run,
+    "gridslam.landmark_localization": _read_landmark_run,
+    "gridslam.grid": _read_grid,
 }
 
 
-def _document(path: Path) -> dict[str, Any]:
+def _read_document(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(path, f"no such file; expected the folder that {_WRITERS} wrote")
     try:
@@ -121,35 +123,35 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _closures(document: dict[str, Any], keys: int) -> IntArray:
-    """Key scans (C, 2) of the loop closures, the older one first; those that the record does not have are left out."""
-    told = document.get("loop_closure") or {}
-    pairs = np.array([closure["key_scans"] for closure in told.get("closures", [])], np.int64).reshape(-1, 2)
+def _read_closures(document: dict[str, Any], keys: int) -> IntArray:
+    """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
+    source = document.get("loop_closure") or {}
+    pairs = np.array([closure["key_scans"] for closure in source.get("closures", [])], np.int64).reshape(-1, 2)
     return pairs[(pairs >= 0).all(axis=1) & (pairs < keys).all(axis=1)]
 
 
-def _map_of(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
-    """The map in which a robot was localized, from where it lay then; None, and why, where it is there no more."""
-    told = document.get("input")
-    path = Path(str(told.get("map") or "")) if isinstance(told, dict) else Path()
+def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
+    """Return the map of a localization from its original path; None and a message if it cannot be read."""
+    source = document.get("input")
+    path = Path(str(source.get("map") or "")) if isinstance(source, dict) else Path()
     try:
         return read_map(path), ""
     except InputError as error:
         return None, f"without the map: {error}"
 
 
-def _belief(path: Path) -> FloatArray:
-    """Rows of belief.csv as (T, 5): lost flag, lost probability, agreement, particles, N_eff (NaN if empty)."""
+def _read_belief(path: Path) -> FloatArray:
+    """Read belief.csv as (T, 5): lost, lost probability, inlier ratio, particles, effective sample size (or NaN)."""
     header, *lines = read_text(path).splitlines() or [""]
-    if header != _BELIEF:
-        raise InputError(path, f"expected the columns {_BELIEF}, got {header!r:.200}", 1)
+    if header != _BELIEF_HEADER:
+        raise InputError(path, f"expected the columns {_BELIEF_HEADER}, got {header!r:.200}", 1)
     rows = []
     for number, line in enumerate(lines, 2):
         try:
             _, *numbers, _ = (float(word or "nan") for word in line.split(","))
         except ValueError:
-            raise InputError(path, f"expected numbers ({_BELIEF}), got {line!r:.200}", number) from None
+            raise InputError(path, f"expected numbers ({_BELIEF_HEADER}), got {line!r:.200}", number) from None
         if len(numbers) != 5:
-            raise InputError(path, f"expected seven numbers ({_BELIEF}), got {line!r:.200}", number)
+            raise InputError(path, f"expected seven numbers ({_BELIEF_HEADER}), got {line!r:.200}", number)
         rows.append(numbers)
     return np.array(rows).reshape(-1, 5)

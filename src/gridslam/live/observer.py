@@ -1,4 +1,4 @@
-"""The filter's side: an observer of the pipeline that now and then takes a snapshot of what can be seen."""
+"""The filter's side: a pipeline observer that takes snapshots at a bounded rate."""
 
 from __future__ import annotations
 
@@ -10,155 +10,155 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
 from gridslam.live.control import Control, RobotControl
-from gridslam.live.sight import LOST, Report, Sight, View
+from gridslam.live.monitor import LOST, FilterMonitor, ScanReport, StateView
 from gridslam.pipeline import Stopwatch
 from gridslam.types import LaserScan, Odometry
 
-__all__ = ["SEEN_S", "UNSEEN_S", "LiveObserver", "Snapshot"]
+__all__ = ["UNVIEWED_PERIOD_S", "VIEWED_PERIOD_S", "LiveObserver", "Snapshot"]
 
-SEEN_S, UNSEEN_S = 0.1, 1.0
-"""Time between snapshots while somebody looks, and while nobody does, s."""
+VIEWED_PERIOD_S, UNVIEWED_PERIOD_S = 0.1, 1.0
+"""Time between snapshots with and without viewers, s."""
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
-_LAST_S = 1.0  # after the last scan the snapshot before is waited for, so that the page has the end
+_FINAL_SNAPSHOT_S = 1.0  # to wait for the previous snapshot after the last scan, so that the page shows the end
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What can be seen of a run after one scan; arrays in it are never written to.
+    """State of a run after one scan; its arrays are never modified.
 
     Attributes
     ----------
-    report : Report
-        Of that scan.
-    view : View
-        Of the filter's state after it.
+    report : ScanReport
+        Report on that scan.
+    view : StateView
+        View of the filter's state after it.
     scan : LaserScan or None
-        The scan, where it went through `LiveObserver.measured`.
+        The scan, if it passed through `LiveObserver.pace`.
     scans, keys : int
-        How many scans and key scans there were.
+        Number of scans and key scans.
     series : list of (float, float, float, int, int)
-        Of each key scan since the last snapshot its stamp, s, effective sample size, latency, s, flags, and the number
-        of particles.
-    share : float
-        How much of the log is read, in [0, 1]; NaN where that is unknown.
+        Stamp, s, effective sample size, latency, s, flags and number of particles of each key scan since the last
+        snapshot.
+    progress : float
+        Ratio of the log that is read, in [0, 1]; NaN if unknown.
     taken_s : float
         `time.perf_counter()` of the snapshot.
     """
 
-    report: Report
-    view: View
+    report: ScanReport
+    view: StateView
     scan: LaserScan | None
     scans: int
     keys: int
     series: list[tuple[float, float, float, int, int]]
-    share: float
+    progress: float
     taken_s: float
 
 
 @final
 class LiveObserver:
-    """Takes snapshots at a bounded rate and hands them over; never waits for who takes them.
+    """Takes snapshots at a bounded rate and posts them; never waits for the receiver.
 
-    A snapshot is taken only once the one before is done with (`done`), so a slow reader gets fewer of them, each of
-    which brings all that has changed since.
+    A snapshot is taken only after the previous one is released (`release`), so a slow receiver gets fewer snapshots,
+    each with all changes since the previous one.
 
     Parameters
     ----------
     post : callable
-        Gets each snapshot, on the filter's thread, and returns at once.
+        Called with each snapshot in the filter's thread; must not block.
     control : Control or RobotControl
-        Holds back the scans that come through `measured`.
-    sight : Sight
-        What there is to see of this filter.
+        Delays the scans that pass through `pace`.
+    monitor : FilterMonitor
+        Monitor of the filter.
 
     Attributes
     ----------
     period_s : float, s
-        Least time between two snapshots; set by whoever knows whether somebody looks.
-    share : callable
+        Least time between two snapshots; set by the server's thread.
+    progress : callable
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
     def __init__(
-        self, post: Callable[[Snapshot], None], control: Control | RobotControl, sight: Sight[Any, Any]
+        self, post: Callable[[Snapshot], None], control: Control | RobotControl, monitor: FilterMonitor[Any, Any]
     ) -> None:
-        """Begin before the first scan."""
-        self.period_s = UNSEEN_S
-        self.share: Callable[[], float] = lambda: math.nan
-        self._post, self._control, self._sight = post, control, sight
+        """Start before the first scan."""
+        self.period_s = UNVIEWED_PERIOD_S
+        self.progress: Callable[[], float] = lambda: math.nan
+        self._post, self._control, self._monitor = post, control, monitor
         self._due, self._busy = 0.0, False
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Begin before the first scan, with another state than that looked at until now."""
+    def reset(self) -> None:
+        """Start before the first scan of a new session."""
         self._scans = self._keys = 0
-        self._fresh = False
+        self._is_new = False
         self._scan: LaserScan | None = None
-        self._latest: tuple[Report, Any] | None = None
+        self._latest: tuple[ScanReport, Any] | None = None
         self._series: list[tuple[float, float, float, int, int]] = []
         self._requests: deque[tuple[int, int, int]] = deque()
-        self._sight.begin()
+        self._monitor.reset()
 
-    def measured(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
+    def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
         for measurement in source:
             if stopwatch is not None:
                 stopwatch.lap("read")
-            waited = self._control.wait(measurement[1].stamp_ns, self.look)
+            waited = self._control.wait(measurement[1].stamp_ns, self.take_pending_snapshot)
             if waited and stopwatch is not None:
                 stopwatch.resume()
             self._scan = measurement[1]
             yield measurement
-        patience = time.perf_counter() + _LAST_S
-        while self._busy and time.perf_counter() < patience:
+        deadline = time.perf_counter() + _FINAL_SNAPSHOT_S
+        while self._busy and time.perf_counter() < deadline:
             time.sleep(0.001)
-        self._take(time.perf_counter())
+        self._take_snapshot(time.perf_counter())
 
-    def followed(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a source that nobody holds back."""
+    def follow(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+        """Yield the measurements of a source without delay."""
         for measurement in source:
             self._scan = measurement[1]
             yield measurement
 
-    def __call__(self, report: Report, state: Any, seconds: float) -> None:  # noqa: ANN401
+    def __call__(self, report: ScanReport, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record one scan, and take a snapshot if it is due."""
         self._scans += 1
-        self._latest, self._fresh = (report, state), True
-        flags = LOST * report.lost | self._sight.note(report, self._scan)
+        self._latest, self._is_new = (report, state), True
+        flags = LOST * report.lost | self._monitor.record(report, self._scan)
         if report.skipped is None:
             self._keys += 1
             count = 0 if report.poses is None else len(report.poses)
             self._series.append((report.stamp_ns * 1e-9, report.n_eff, seconds, flags, count))
-            self._control.reached_key_scan()
+            self._control.on_key_scan()
         if not self._busy and (now := time.perf_counter()) >= self._due:
-            self._take(now)
+            self._take_snapshot(now)
 
-    def look(self) -> None:
-        """Take a snapshot of what is new while no scan comes; in the filter's thread."""
-        if not self._busy and (self._fresh or self._requests):
-            self._take(time.perf_counter())
+    def take_pending_snapshot(self) -> None:
+        """Take a snapshot of pending changes while no scan arrives; call from the filter's thread."""
+        if not self._busy and (self._is_new or self._requests):
+            self._take_snapshot(time.perf_counter())
 
-    def watch(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle, and of who continues it, as `channel`; called by any thread.
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
+        """Show the map of a particle and its descendants as `channel`; thread-safe.
 
-        `particle` is its index after `step` key scans; -1 ends the channel.
+        `particle` is its index after `keys` key scans; -1 closes the channel.
         """
         self._requests.append((channel, particle, keys))
         self._control.wake()
 
-    def done(self) -> None:
-        """The last snapshot has been taken over; called by any thread."""
+    def release(self) -> None:
+        """Permit the next snapshot, after the last one was applied; thread-safe."""
         self._busy = False
 
-    def _take(self, now: float) -> None:
+    def _take_snapshot(self, now: float) -> None:
         if self._latest is None or self._busy:
             return
-        self._due, self._busy, self._fresh = max(self._due + self.period_s, now), True, False
+        self._due, self._busy, self._is_new = max(self._due + self.period_s, now), True, False
         while self._requests:
-            self._sight.watch(*self._requests.popleft())
+            self._monitor.show_particle(*self._requests.popleft())
         report, state = self._latest
-        view = self._sight.look(report, state)
+        view = self._monitor.view(report, state)
         series, self._series = self._series, []
-        self._post(Snapshot(report, view, self._scan, self._scans, self._keys, series, self.share(), now))
+        self._post(Snapshot(report, view, self._scan, self._scans, self._keys, series, self.progress(), now))

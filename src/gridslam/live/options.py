@@ -1,4 +1,4 @@
-"""Where the page is served, and to whom; importing this costs nothing."""
+"""Options of the page; importing this module is cheap."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ __all__ = ["LiveOptions"]
 @final
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Where the page is served.
+    """Address and initial speed of the page.
 
     Attributes
     ----------
     host : str
-        Address to listen at. Only this machine can reach a loopback address; any other is open to the network, and the
-        page asks for a token then.
+        Address to listen on. Only this machine can reach a loopback address; any other is open to the network, and the
+        page then requires a token.
     port : int, [0, 65535]
-        Port to listen at; 0 for any that is free.
+        Port to listen on; 0: any free port.
     speed : float or None, > 0
-        How many times as fast as the robot drove a log goes at first; None for as fast as can be.
+        Initial factor on real time; None: as fast as possible.
 
     Raises
     ------

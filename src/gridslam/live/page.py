@@ -1,4 +1,4 @@
-"""A run of the filter, shown in the browser while it goes on."""
+"""The page of a running filter."""
 
 from __future__ import annotations
 
@@ -7,49 +7,49 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar, final
 
-from gridslam.live.cloud_sight import CloudSight
 from gridslam.live.control import Control, RobotControl
-from gridslam.live.map_sight import MapSight
+from gridslam.live.localization_monitor import LocalizationMonitor
+from gridslam.live.mapping_monitor import MappingMonitor
+from gridslam.live.monitor import FilterMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
 from gridslam.live.server import PageServer
-from gridslam.live.sight import Sight
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry
 
 __all__ = ["LivePage"]
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
-_MAY_COME_BACK_S = 3.0
+_RECONNECT_S = 3.0
 
 
 @final
 class LivePage:
     """Serves the page of one run while its context is entered.
 
-    Give `observer` to `gridslam.pipeline.run` (or to what drives a localization), and `paced(source)` as its source, or
-    `session(source)` where that is a robot. The filter's result is the same with and without.
+    Pass `observer` to `gridslam.pipeline.run` (or to a localization), and `pace(source)` as its source, or
+    `follow_session(source)` for a robot. The page never changes the filter's result.
 
     Parameters
     ----------
     title : str
-        What is mapped, or in which map the robot is.
+        Title of the page.
     options : LiveOptions
-        Where the page is served.
+        Address of the page.
     range_max_m : float, m
-        The filter's, beyond which beams are not used.
+        Maximum range of the filter; farther beams are not displayed.
     known : OccupancyGrid, optional
-        The map, where that is known: the filter is one that localizes then.
+        The known map of a filter that localizes.
     robot : RobotControl, optional
-        What a pause comes to, where a robot drives, which cannot be held back as a log can.
+        Control of a live robot, which can be paused but not delayed.
 
     Attributes
     ----------
     control : Control or RobotControl
         Pause, step and speed.
     observer : LiveObserver
-        To be called with each report.
+        Observer to pass to the pipeline.
     """
 
     def __init__(
@@ -61,18 +61,18 @@ class LivePage:
         known: OccupancyGrid | None = None,
         robot: RobotControl | None = None,
     ) -> None:
-        """Serve nothing yet."""
+        """Create the page without serving it."""
         options = options or LiveOptions()
         self.control = robot or Control(options.speed)
         self._run = LiveRun(title, self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
-        sight: Sight[Any, Any] = MapSight(range_max_m) if known is None else CloudSight(known)
-        self.observer = LiveObserver(self._post, self.control, sight)
+        monitor: FilterMonitor[Any, Any] = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
+        self.observer = LiveObserver(self._post, self.control, monitor)
         self._run.observer = self.observer
 
     def __enter__(self) -> LivePage:
-        """Serve; raises OutputError where the port is taken."""
+        """Serve; raises OutputError if the port is in use."""
         self._server.__enter__()
         return self
 
@@ -83,63 +83,63 @@ class LivePage:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address of the page."""
         return self._server.url
 
     @property
     def viewers(self) -> int:
-        """How many are looking."""
+        """Number of viewers."""
         return self._run.viewers
 
-    def tell_progress(self, share: Callable[[], float]) -> None:
-        """Show progress on the page: `share` returns the fraction of the source that was read, in [0, 1]."""
-        self.observer.share = share
+    def set_progress(self, progress: Callable[[], float]) -> None:
+        """Show progress on the page: `progress` returns the fraction of the source that was read, in [0, 1]."""
+        self.observer.progress = progress
 
-    def paced(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
-        """The measurements of a source, each when the viewers want it; waiting counts for no stage of the stopwatch."""
-        yield from self.observer.measured(source, stopwatch)
-        self._server.call(self._run.enter, self._last_stage)
+    def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
+        """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
+        yield from self.observer.pace(source, stopwatch)
+        self._server.call(self._run.set_stage, self._last_stage)
 
-    def session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
-        """The measurements of a robot's session as they come; the page forgets what was before."""
-        self._server.call(self._run.begin)
-        self.observer.begin()
-        return self.observer.followed(source)
+    def follow_session(self, source: Iterable[_Measured]) -> Iterator[_Measured]:
+        """Reset the page, and yield the measurements of a robot's new session without delay."""
+        self._server.call(self._run.reset)
+        self.observer.reset()
+        return self.observer.follow(source)
 
-    def say(self, words: str) -> None:
-        """Bring the page up to date while no scan comes, in the filter's thread; words are shown, unless empty."""
-        self.observer.look()
-        self._server.call(self._run.say, words)
+    def show_message(self, message: str) -> None:
+        """Update the page while no scan arrives, and show a message unless empty; call from the filter's thread."""
+        self.observer.take_pending_snapshot()
+        self._server.call(self._run.show_message, message)
 
     def finish(self, grid: OccupancyGrid, poses: FloatArray, closures: FloatArray) -> None:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         self._server.call(self._run.finish, grid, poses, closures)
 
-    def wait_for_viewer(self, at_most_s: float) -> bool:
-        """Return once someone looks, or after some seconds; whether someone does."""
-        until = time.perf_counter() + at_most_s
+    def wait_for_viewer(self, timeout_s: float) -> bool:
+        """Wait for a viewer, at most `timeout_s`; return whether there is one."""
+        until = time.perf_counter() + timeout_s
         while not self.viewers and time.perf_counter() < until:
             time.sleep(0.05)
         return bool(self.viewers)
 
-    def linger(self) -> None:
+    def serve_until_left(self) -> None:
         """Show that all is done and written, and keep serving as long as a viewer is connected.
 
-        A lost connection has some seconds to come back.
+        A lost connection has some seconds to reconnect.
         """
-        self._server.call(self._run.enter, "done")
+        self._server.call(self._run.set_stage, "done")
         alone_since = -math.inf if not self.viewers else time.perf_counter()
-        while time.perf_counter() - alone_since < _MAY_COME_BACK_S:
+        while time.perf_counter() - alone_since < _RECONNECT_S:
             time.sleep(0.1)
             if self.viewers:
                 alone_since = time.perf_counter()
 
     def _post(self, snapshot: Snapshot) -> None:
         if not self._server.call(self._apply, snapshot):
-            self.observer.period_s = math.inf  # nobody will look any more
+            self.observer.period_s = math.inf  # the server has stopped
 
     def _apply(self, snapshot: Snapshot) -> None:
         try:
             self._run.apply(snapshot)
         finally:
-            self.observer.done()
+            self.observer.release()

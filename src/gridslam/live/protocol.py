@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gridslam.grid.evidence import LOG_ODDS_UNIT
 from gridslam.kernels import TILE, UNKNOWN
 
-__all__ = ["STEP_NATS", "decode", "encode", "levels", "packed", "unpacked"]
+__all__ = ["STEP_NATS", "decode", "encode", "levels", "pack_tiles", "unpack_tiles"]
 
 STEP_NATS = 0.2
 """Log-odds between two levels."""
@@ -72,13 +72,13 @@ def levels(log_odds: NDArray[np.int16]) -> NDArray[np.uint8]:
     return found
 
 
-def packed(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Levels (K, 32, 32) as (K, 512) bytes: of two neighbours in a row the first is in the lower four bits."""
     pairs = tiles.reshape(len(tiles), -1, 2)
     both: NDArray[np.uint8] = pairs[:, :, 0] | pairs[:, :, 1] << np.uint8(4)
     return both
 
 
-def unpacked(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Levels (K, 32, 32) from `packed` ones."""
+def unpack_tiles(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Levels (K, 32, 32) from `pack_tiles` ones."""
     return np.stack([data & 15, data >> 4], axis=-1).reshape(len(data), TILE, TILE)

@@ -1,4 +1,4 @@
-"""The server of the page: its own thread, its own event loop."""
+"""The web server, with its own thread and event loop."""
 
 from __future__ import annotations
 
@@ -14,40 +14,41 @@ from typing import final
 import uvicorn
 
 from gridslam.errors import OutputError
-from gridslam.live.application import Show, application
+from gridslam.live.application import PageContent, make_application
 from gridslam.live.options import LiveOptions
 
 __all__ = ["PageServer"]
 
 _TOKEN = "GRIDSLAM_LIVE_TOKEN"
-"""Environment variable that may hold the token, so that it outlasts a restart."""
+"""Environment variable with a token that remains valid after a restart."""
 _STOP_WITHIN_S = 5.0
 
 
 @final
 class PageServer:
-    """Serves a show while its context is entered.
+    """Serves the page while its context is entered.
 
     Parameters
     ----------
-    show : Show
-        What is shown; from now on only this server's thread may use it, see `call`.
+    content : PageContent
+        Content of the page; from now on only this server's thread may use it, see `call`.
     options : LiveOptions
-        Where.
+        Address of the page.
 
     Raises
     ------
     OutputError
-        On entering: the port is taken, or the address is none of this machine.
+        On entering: the port is in use, or the address is not one of this machine.
     """
 
-    def __init__(self, show: Show, options: LiveOptions) -> None:
-        """Listen at nothing yet."""
+    def __init__(self, content: PageContent, options: LiveOptions) -> None:
+        """Create the server without listening."""
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
-            application(show, options.host, self._token), log_config=None, log_level="critical", access_log=False,
-            lifespan="off", ws_per_message_deflate=False, ws_max_size=2**16, timeout_graceful_shutdown=1,
+            make_application(content, options.host, self._token), log_config=None, log_level="critical",
+            access_log=False, lifespan="off", ws_per_message_deflate=False, ws_max_size=2**16,
+            timeout_graceful_shutdown=1,
         )  # fmt: skip
         self._server = uvicorn.Server(config)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -57,7 +58,7 @@ class PageServer:
 
     def __enter__(self) -> PageServer:
         """Listen and serve."""
-        self._socket = self._bound()
+        self._socket = self._open_socket()
         self._thread.start()
         self._running.wait()
         return self
@@ -69,7 +70,7 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        """What to open in a browser."""
+        """Address of the page."""
         if self._socket is None:
             raise OutputError("the page is not served")
         name, port = self._socket.getsockname()[:2]
@@ -78,17 +79,17 @@ class PageServer:
         address = f"[{name}]" if ":" in name else name
         return f"http://{address}:{port}/" + ("" if self._token is None else f"?token={self._token}")
 
-    def call(self, what: Callable[..., None], *arguments: object) -> bool:
-        """Let the server's thread call something soon; from any thread. False if it has ended."""
+    def call(self, function: Callable[..., None], *arguments: object) -> bool:
+        """Schedule a call in the server's thread; thread-safe. Returns False if the server has stopped."""
         if self._loop is None:
             return False
         try:
-            self._loop.call_soon_threadsafe(what, *arguments)
+            self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:  # its loop is closed
             return False
         return True
 
-    def _bound(self) -> socket.socket:
+    def _open_socket(self) -> socket.socket:
         host, port = self._options.host, self._options.port
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]

@@ -1,4 +1,4 @@
-"""What has changed of a map: found on the filter's side by tile ids, kept for the viewers by sequence numbers."""
+"""Changes of a map: detected on the filter's side by tile ids, numbered for the viewers."""
 
 from __future__ import annotations
 
@@ -16,42 +16,42 @@ from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["NOWHERE", "Box", "TileChanges", "TileMirror", "TileWatch", "offset_of", "tiles_of"]
+__all__ = ["EMPTY_BOX", "Box", "TileChangeDetector", "TileChanges", "TileReplica", "split_into_tiles", "tile_offset"]
 
-_MARGIN_M = 2 * TILE * 0.05  # what undoing the robot's motion during a scan may move the end of a beam
+_MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this far
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A rectangle of the map frame in which maps may have been written to, m."""
+    """A rectangle of the map frame in which maps may have changed, m."""
 
     low: tuple[float, float]
     high: tuple[float, float]
 
     @classmethod
-    def about(cls, poses: FloatArray, reach_m: float) -> Box:
-        """What scans that reach so far can have touched from poses (K, 3), K >= 1."""
+    def around(cls, poses: FloatArray, reach_m: float) -> Box:
+        """Return the box that scans of this reach from poses (K, 3), K >= 1, can have changed."""
         reach = reach_m + _MARGIN_M
         (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
         return cls((x0 - reach, y0 - reach), (x1 + reach, y1 + reach))
 
 
-NOWHERE = Box((1.0, 1.0), (-1.0, -1.0))
-"""A box that holds nothing."""
+EMPTY_BOX = Box((1.0, 1.0), (-1.0, -1.0))
+"""A box that contains nothing."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class TileChanges:
-    """Tiles that may differ from before.
+    """Tiles that may have changed.
 
     Attributes
     ----------
     at : (K, 2) int32
         Their rows and columns, in tiles; cell (0, 0) of tile (0, 0) has its corner at the map's origin.
     log_odds : (K, 32, 32) int16
-        Their cells now, in units of `gridslam.grid.evidence.LOG_ODDS_UNIT`; `UNKNOWN` where nothing is known.
+        Their current cells, in units of `gridslam.grid.evidence.LOG_ODDS_UNIT`, or `UNKNOWN`.
     """
 
     at: Int32Array
@@ -59,22 +59,22 @@ class TileChanges:
 
 
 @final
-class TileWatch:
-    """Finds what has changed of one map since the last look; belongs to the filter's thread.
+class TileChangeDetector:
+    """Detects the changes of one map since the last call; used by the filter's thread only.
 
-    Tiles are shared and copied on write: where a table has another id than before there may be other cells, and under
-    the same id cells can only have changed where some particle was written to in the meantime.
+    Tiles are shared and copied on write: a tile may have changed if its id in the table changed, or if it lies where
+    some particle's map was updated since then.
     """
 
     __slots__ = ("_corner", "_ids")
 
     def __init__(self) -> None:
-        """Begin with an empty map."""
+        """Start with an empty map."""
         self._ids: Int32Array = np.zeros((1, 1), np.int32)
         self._corner = (0, 0)
 
-    def look(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
-        """Copy what may have changed in map `row`.
+    def find_changes(self, maps: TileMaps, row: int, written: Box | None) -> TileChanges:
+        """Copy the tiles of map `row` that may have changed.
 
         `written` marks the tiles written since the last look; None where that is unknown, or where these are
         other maps than those looked at before.
@@ -86,7 +86,7 @@ class TileWatch:
             origin = min(corner[0], before_at[0]), min(corner[1], before_at[1])
             ends = [max(corner[k] + ids.shape[k], before_at[k] + before.shape[k]) for k in (0, 1)]
             shape = ends[0] - origin[0], ends[1] - origin[1]
-            ids, before = _placed(ids, corner, origin, shape), _placed(before, before_at, origin, shape)
+            ids, before = _embed(ids, corner, origin, shape), _embed(before, before_at, origin, shape)
             corner = origin
         changed = ids != before
         if written is None:
@@ -102,8 +102,8 @@ class TileWatch:
         return TileChanges(at, maps.tiles(ids[rows, columns]))
 
 
-def _placed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
-    """A table within a larger frame, 0 about it."""
+def _embed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
+    """Return a table embedded in a larger frame of zeros."""
     framed = np.zeros(shape, np.int32)
     row, column = at[0] - origin[0], at[1] - origin[1]
     framed[row : row + table.shape[0], column : column + table.shape[1]] = table
@@ -111,53 +111,53 @@ def _placed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], sha
 
 
 @final
-class TileMirror:
-    """A copy of one map, put together from changes; every visible change of a tile gets the next sequence number."""
+class TileReplica:
+    """A copy of one map, built from its changes; each visible change of a tile gets the next sequence number."""
 
-    __slots__ = ("_at", "_cells", "_numbers", "_place", "sequence")
+    __slots__ = ("_at", "_cells", "_numbers", "_slots", "sequence")
 
     def __init__(self) -> None:
-        """Begin with an empty map."""
-        self._place: dict[tuple[int, int], int] = {}
+        """Start with an empty map."""
+        self._slots: dict[tuple[int, int], int] = {}
         self._cells = _unknown(64)
         self._at: Int32Array = np.zeros((64, 2), np.int32)
         self._numbers: IntArray = np.zeros(64, np.int64)
         self.sequence = 0
 
     @classmethod
-    def of(cls, grid: OccupancyGrid) -> TileMirror:
+    def of(cls, grid: OccupancyGrid) -> TileReplica:
         """Copy a rectangular map."""
-        mirror = cls()
-        mirror.apply(tiles_of(grid))
-        return mirror
+        replica = cls()
+        replica.apply(split_into_tiles(grid))
+        return replica
 
     def __len__(self) -> int:
-        """Return the number of tiles, those included that have become unknown again."""
-        return len(self._place)
+        """Return the number of tiles, including those that became unknown again."""
+        return len(self._slots)
 
     def apply(self, changes: TileChanges) -> None:
-        """Take over tiles; those that look as before get no new number."""
+        """Apply changed tiles; those without a visible change get no new number."""
         if not len(changes.at):
             return
-        places = np.array([self._place_of(row, column) for row, column in changes.at.tolist()])
-        before = self._cells[places]
+        slots = np.array([self._slot_of(row, column) for row, column in changes.at.tolist()])
+        before = self._cells[slots]
         changed = np.flatnonzero((changes.log_odds != before).any(axis=(1, 2)))
         seen = (levels(changes.log_odds[changed]) != levels(before[changed])).any(axis=(1, 2))
-        self._cells[places[changed]] = changes.log_odds[changed]
-        self._numbers[places[changed[seen]]] = self.sequence + 1 + np.arange(seen.sum())
+        self._cells[slots[changed]] = changes.log_odds[changed]
+        self._numbers[slots[changed[seen]]] = self.sequence + 1 + np.arange(seen.sum())
         self.sequence += int(seen.sum())
 
     def replace(self, changes: TileChanges) -> None:
-        """Become the map that consists of these tiles alone."""
+        """Replace the whole map by these tiles."""
         kept = set(map(tuple, changes.at.tolist()))
-        gone = [at for at in self._place if at not in kept]
+        gone = [at for at in self._slots if at not in kept]
         self.apply(TileChanges(np.array(gone, np.int32).reshape(-1, 2), _unknown(len(gone))))
         self.apply(changes)
 
     def since(self, number: int, most: int) -> tuple[Int32Array, NDArray[np.uint8], int]:
-        """Rows and columns (K, 2) and levels (K, 32, 32) of the next K <= `most` tiles after a number, and its last.
+        """Return rows and columns (K, 2), levels (K, 32, 32) and last number of the next `most` tiles after a number.
 
-        Each as it is now; whoever has seen all up to `sequence` has the whole map.
+        Tiles have their current levels; all tiles up to `sequence` are the whole map.
         """
         numbers = self._numbers[: len(self)]
         newer = np.flatnonzero(numbers > number)
@@ -169,7 +169,7 @@ class TileMirror:
         return self._at[newer], levels(self._cells[newer]), number
 
     def grid(self, resolution_m: float) -> OccupancyGrid:
-        """The map as a rectangle, cut to the tiles that hold something; a single unknown cell if there are none."""
+        """Return the map as a rectangle around its known tiles; a single unknown cell if there are none."""
         used = np.flatnonzero((self._cells[: len(self)] != UNKNOWN).any(axis=(1, 2)))
         if not len(used):
             return OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), resolution_m, (0.0, 0.0))
@@ -183,32 +183,32 @@ class TileMirror:
         row, column = (low * TILE).tolist()
         return OccupancyGrid(log_odds, known, resolution_m, cell_corner(row, column, resolution_m))
 
-    def _place_of(self, row: int, column: int) -> int:
-        """Where the tile is kept; a new one is unknown."""
-        place = self._place.setdefault((row, column), len(self._place))
-        if place == len(self._cells):
+    def _slot_of(self, row: int, column: int) -> int:
+        """Return the slot of a tile, which is added as unknown if it is new."""
+        slot = self._slots.setdefault((row, column), len(self._slots))
+        if slot == len(self._cells):
             more = len(self._cells)
             self._cells = np.concatenate([self._cells, _unknown(more)])
             self._at = np.concatenate([self._at, np.zeros((more, 2), np.int32)])
             self._numbers = np.concatenate([self._numbers, np.zeros(more, np.int64)])
-        if place == len(self._place) - 1:
-            self._at[place] = row, column
-        return place
+        if slot == len(self._slots) - 1:
+            self._at[slot] = row, column
+        return slot
 
 
 def _unknown(count: int) -> NDArray[np.int16]:
     return np.full((count, TILE, TILE), UNKNOWN, np.int16)
 
 
-def offset_of(grid: OccupancyGrid) -> tuple[float, float]:
-    """Where the cells of a rectangular map lie from the nearest ones of the tiles' grid (x m, y m)."""
+def tile_offset(grid: OccupancyGrid) -> tuple[float, float]:
+    """Return the offset of the cells of a rectangular map from the grid of the tiles (x m, y m)."""
     side = grid.resolution_m
     x, y = (float(corner) - side * round(corner / side) for corner in grid.origin)
     return x, y
 
 
-def tiles_of(grid: OccupancyGrid) -> TileChanges:
-    """All tiles of a rectangular map that hold something; its cells go to the nearest ones of the tiles' grid."""
+def split_into_tiles(grid: OccupancyGrid) -> TileChanges:
+    """Return the known tiles of a rectangular map, whose cells are moved to the nearest cells of the tiles' grid."""
     height, width = grid.known.shape
     column, row = (round(corner / grid.resolution_m) for corner in grid.origin)
     first = row // TILE, column // TILE

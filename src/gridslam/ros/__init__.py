@@ -1,4 +1,4 @@
-"""The live node: one core, and the transports that carry its messages."""
+"""The live node: a transport-independent core, and the transports for ROS 1 and ROS 2."""
 
 from gridslam.ros.core import NodeCore
 from gridslam.ros.settings import NodeSettings

@@ -1,4 +1,4 @@
-"""The messages of ROS 2 that the node speaks: their fields, once, and how they lie in bytes.
+"""Fields and encoding of the node's ROS 2 messages.
 
 Source: the public definitions of common_interfaces (sensor_msgs, nav_msgs, ...); OMG, DDS-XTypes 1.3, section 7.4.3
 (plain CDR, little-endian).
@@ -10,17 +10,17 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, final
 
-__all__ = ["FIELDS", "PRIMITIVES", "Field", "decoded", "encoded", "fields_of"]
+__all__ = ["FIELDS", "PRIMITIVES", "Field", "decode_message", "encode_message", "parse_fields"]
 
 PRIMITIVES: Final[Mapping[str, str]] = {
     "bool": "?", "uint8": "B", "int8": "b", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f",
     "float64": "d",
 }  # fmt: skip
-"""Numbers, and how `struct` writes them; each is aligned to its size."""
+"""Numeric types and their `struct` formats; each value is aligned to its size."""
 
 _HEADER = "std_msgs/Header header"
-_WIRED = "uint64 guid, int64 sequence"  # what rmw_cyclonedds puts before requests and replies
-_NOTHING = "uint8 structure_needs_at_least_one_member"
+_REQUEST_HEADER = "uint64 guid, int64 sequence"  # that rmw_cyclonedds prepends to requests and replies
+_EMPTY = "uint8 structure_needs_at_least_one_member"
 
 FIELDS: Final[Mapping[str, str]] = {
     "builtin_interfaces/Time": "int32 sec, uint32 nanosec",
@@ -51,22 +51,22 @@ FIELDS: Final[Mapping[str, str]] = {
         "uint8 level, string name, string message, string hardware_id, diagnostic_msgs/KeyValue[] values"
     ),
     "diagnostic_msgs/DiagnosticArray": f"{_HEADER}, diagnostic_msgs/DiagnosticStatus[] status",
-    "nav_msgs/GetMap_Request": f"{_WIRED}, {_NOTHING}",
-    "nav_msgs/GetMap_Response": f"{_WIRED}, nav_msgs/OccupancyGrid map",
-    "std_srvs/Empty_Request": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/Empty_Response": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/SetBool_Request": f"{_WIRED}, bool data",
-    "std_srvs/SetBool_Response": f"{_WIRED}, bool success, string message",
-    "std_srvs/Trigger_Request": f"{_WIRED}, {_NOTHING}",
-    "std_srvs/Trigger_Response": f"{_WIRED}, bool success, string message",
+    "nav_msgs/GetMap_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "nav_msgs/GetMap_Response": f"{_REQUEST_HEADER}, nav_msgs/OccupancyGrid map",
+    "std_srvs/Empty_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/Empty_Response": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/SetBool_Request": f"{_REQUEST_HEADER}, bool data",
+    "std_srvs/SetBool_Response": f"{_REQUEST_HEADER}, bool success, string message",
+    "std_srvs/Trigger_Request": f"{_REQUEST_HEADER}, {_EMPTY}",
+    "std_srvs/Trigger_Response": f"{_REQUEST_HEADER}, bool success, string message",
 }
-"""Fields of each type in their order."""
+"""Fields of each type, in order."""
 
 
 class Field(NamedTuple):
-    """A field of a message: the type of one element, how many there are, and its name.
+    """A field of a message: element type, length and name.
 
-    `length` is None for a single value, 0 for any number.
+    `length` is None for a single value, 0 for a sequence of any length.
     """
 
     type: str
@@ -74,8 +74,8 @@ class Field(NamedTuple):
     name: str
 
 
-def fields_of(message_type: str) -> list[Field]:
-    """Fields of a type in `FIELDS`."""
+def parse_fields(message_type: str) -> list[Field]:
+    """Return the fields of a type in `FIELDS`."""
     found = []
     for text in FIELDS[message_type].split(", "):
         kind, name = text.split(" ")
@@ -84,10 +84,10 @@ def fields_of(message_type: str) -> list[Field]:
     return found
 
 
-_PARSED: Final = {name: fields_of(name) for name in FIELDS}
+_FIELD_LISTS: Final = {name: parse_fields(name) for name in FIELDS}
 
 
-def encoded(message_type: str, values: Sequence[Any]) -> bytes:
+def encode_message(message_type: str, values: Sequence[Any]) -> bytes:
     """Bytes of a message, starting with the four bytes that declare plain CDR.
 
     Parameters
@@ -95,8 +95,8 @@ def encoded(message_type: str, values: Sequence[Any]) -> bytes:
     message_type : str
         One of `FIELDS`.
     values : sequence
-        A value for each field in order: numbers, str, nested sequences for nested types, and for an array of int8
-        bytes, which are taken as they are.
+        A value for each field, in order: numbers, str, nested sequences for nested types; an array of int8 may be
+        bytes.
     """
     writer = _Writer()
     writer.message(message_type, values)
@@ -111,12 +111,12 @@ class _Writer:
         self.data = bytearray()
 
     def message(self, message_type: str, values: Sequence[Any]) -> None:
-        for field, value in zip(_PARSED[message_type], values, strict=True):
+        for field, value in zip(_FIELD_LISTS[message_type], values, strict=True):
             self._field(field, value)
 
     def _field(self, field: Field, value: Any) -> None:  # noqa: ANN401
         if field.length is None:
-            self._one(field.type, value)
+            self._element(field.type, value)
             return
         if field.length == 0:
             self._numbers("I", [len(value)])
@@ -127,9 +127,9 @@ class _Writer:
                 self._numbers(PRIMITIVES[field.type], value)
         else:
             for one in value:
-                self._one(field.type, one)
+                self._element(field.type, one)
 
-    def _one(self, kind: str, value: Any) -> None:  # noqa: ANN401
+    def _element(self, kind: str, value: Any) -> None:  # noqa: ANN401
         if kind == "string":
             text = value.encode() + b"\0"
             self._numbers("I", [len(text)])
@@ -144,13 +144,13 @@ class _Writer:
         self.data += struct.pack(f"<{len(values)}{form}", *values)
 
 
-def decoded(message_type: str, data: bytes) -> list[Any]:
-    """Values of a message without arrays and strings (a clock, a request); raises ValueError where it is none."""
+def decode_message(message_type: str, data: bytes) -> list[Any]:
+    """Decode a message without arrays and strings (a clock, a request); raises ValueError if the bytes are invalid."""
     if data[:2] not in (b"\0\0", b"\0\1"):
         raise ValueError(f"expected plain CDR (00 00 or 00 01), got {data[:2].hex(' ') or 'nothing'}")
     order, offset = "<" if data[1] else ">", 4
     values: list[Any] = []
-    for field in _flat(message_type):
+    for field in _flatten(message_type):
         form = struct.Struct(order + PRIMITIVES[field.type])
         offset += -(offset - 4) % form.size
         if offset + form.size > len(data):
@@ -160,8 +160,8 @@ def decoded(message_type: str, data: bytes) -> list[Any]:
     return values
 
 
-def _flat(message_type: str) -> list[Field]:
+def _flatten(message_type: str) -> list[Field]:
     found: list[Field] = []
-    for field in _PARSED[message_type]:
-        found += [field] if field.type in PRIMITIVES else _flat(field.type)
+    for field in _FIELD_LISTS[message_type]:
+        found += [field] if field.type in PRIMITIVES else _flatten(field.type)
     return found

@@ -11,12 +11,12 @@ from gridslam.errors import ArgumentError
 from gridslam.io.ros_messages import MessageError, Wire
 from gridslam.ros.core import NodeCore
 
-__all__ = ["place_by_message"]
+__all__ = ["set_pose_from_message"]
 
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
 
 
-def place_by_message(core: NodeCore, data: bytes, wire: Wire) -> None:
+def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
     """Set the pose of the robot from a message; raises MessageError if it is not a pose in the node's map."""
     try:
         frame, end = wire.string(data, 12)
@@ -30,6 +30,6 @@ def place_by_message(core: NodeCore, data: bytes, wire: Wire) -> None:
         raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
     yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
     try:
-        core.place((np.array([x, y, yaw]), covariance[_PLANAR]))
+        core.set_pose((np.array([x, y, yaw]), covariance[_PLANAR]))
     except ArgumentError as error:
         raise MessageError(str(error)) from None

@@ -1,4 +1,4 @@
-"""What the node does in a known map: Monte Carlo localization, in the place of map_server and AMCL."""
+"""The node in a known map: Monte Carlo localization, a replacement for map_server and AMCL."""
 
 from __future__ import annotations
 
@@ -19,110 +19,110 @@ from gridslam.localization import (
     MonteCarloState,
 )  # fmt: skip
 from gridslam.pipeline import run
-from gridslam.ros.accepted import Accepted
+from gridslam.ros.accepted_scan import AcceptedScan
 from gridslam.ros.messages import GridMessage
 from gridslam.ros.recording import ScanRecorder
-from gridslam.ros.rendering import cells_of_map
+from gridslam.ros.rendering import map_cells
 from gridslam.types import FloatArray, LaserScan, Odometry
 
-__all__ = ["KnownMapTeller", "Localization", "LocalizationSession"]
+__all__ = ["KnownMapPublisher", "Localization", "LocalizationSession"]
 
-Place = tuple[FloatArray, FloatArray] | None
-"""A pose (3,) and its covariance (3, 3); None where nothing is known."""
+InitialPose = tuple[FloatArray, FloatArray] | None
+"""A pose (3,) and its covariance (3, 3); None if the pose is unknown."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Localization:
-    """What decides how the robot is localized.
+    """Map, filter and initial pose of a localization.
 
     Attributes
     ----------
     known : KnownMap
-        Where it is.
+        The map.
     configuration : MonteCarloConfiguration
-        Of the filter.
-    place : (pose (3,), covariance (3, 3)) or None
-        Where it is at first; it is found where that is not known.
+        Configuration of the filter.
+    initial_pose : (pose (3,), covariance (3, 3)) or None
+        Initial pose; None: global localization.
     """
 
     known: KnownMap
     configuration: MonteCarloConfiguration
-    place: Place = None
+    initial_pose: InitialPose = None
 
     @property
     def range_max_m(self) -> float:
-        """Range from which on beams are not used, m."""
+        """Range from which beams are ignored, m."""
         return self.configuration.range_max_m
 
 
 @final
 class LocalizationSession:
-    """From its first scan until time jumps back or the end; belongs to the filter's thread.
+    """A localization session, from its first scan to a jump of time or the end; used by the filter's thread only.
 
     Parameters
     ----------
     localization : Localization
         Map and filter.
     seed : int
-        Of the filter.
+        Seed of the filter.
     record : Path or None
-        Where its accepted scans are recorded, to be localized again.
+        File for the accepted scans.
     """
 
-    begins = "localization restarts"
+    restart_message = "localization restarts"
 
     def __init__(self, localization: Localization, seed: int, record: Path | None) -> None:
         self._localization = localization
         self._rng = np.random.default_rng(seed)
         self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
         self._recorder = None if record is None else ScanRecorder(record)
-        self.place(localization.place)
+        self.set_pose(localization.initial_pose)
 
-    def place(self, place: Place) -> None:
-        """Let the robot be somewhere else from the next scan on; nowhere that is known, if None."""
-        self.state: MonteCarloState = self._mcl.init() if place is None else self._mcl.init_gaussian(*place, self._rng)
+    def set_pose(self, pose: InitialPose) -> None:
+        """Set the pose from the next scan on; None: the pose is unknown."""
+        self.state: MonteCarloState = self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
 
-    def add(self, accepted: Accepted) -> None:
+    def add(self, accepted: AcceptedScan) -> None:
         """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""
         if self._recorder is not None:
             self._recorder.add(accepted)
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Callable[[Any, Any, float], None]]) -> None:
-        """Take all measurements of a source, one after the other."""
+        """Run the filter on all measurements of a source."""
         run(source, self, rng=self._rng, observers=observers, state=self.state)
 
     def step(
         self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[MonteCarloState, LocalizationReport]:
-        """Take one measurement from the session's own state, which `place` may have changed since the last one."""
+        """Process a measurement from the session's own state, which `set_pose` may have changed since the last scan."""
         self.state, report = self._mcl.step(self.state, odometry, scan, rng)
         return self.state, report
 
-    def taken(self) -> None:
-        """Raise ArgumentError: there is no map of one's own to be saved."""
+    def copy(self) -> None:
+        """Raise ArgumentError: a localization has no map to save."""
         raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
 
     def close(self) -> None:
-        """End the record."""
+        """Close the record."""
         if self._recorder is not None:
             self._recorder.close()
 
 
 @final
-class KnownMapTeller:
-    """Publishes the known map, once; to the rest of the node it is like a `MapRenderer` that is always at work.
+class KnownMapPublisher:
+    """Publishes the known map once; otherwise behaves like a `MapRenderer` that is always busy.
 
     Parameters
     ----------
     localization : Localization
-        Of which the map is.
+        Provides the map.
     values : str
-        As of `cells_of_map`.
+        As for `map_cells`.
     frame : str
-        Of the map.
+        Frame of the map.
     publish : callable
-        Takes the map.
+        Publishes the map.
     """
 
     is_idle = False
@@ -136,20 +136,20 @@ class KnownMapTeller:
     ) -> None:
         grid = localization.known.grid
         x, y = (float(value) for value in grid.origin)
-        self.latest = GridMessage(0, frame, grid.resolution_m, (x, y), cells_of_map(grid, values))
+        self.latest = GridMessage(0, frame, grid.resolution_m, (x, y), map_cells(grid, values))
         self._publish = publish
 
-    def begin(self, stamp_ns: int) -> None:
+    def start(self, stamp_ns: int) -> None:
         """Publish the map."""
         self.latest = self.latest._replace(stamp_ns=stamp_ns)
         self._publish(self.latest)
 
-    def take(self, state: Any, stamp_ns: int) -> int:  # noqa: ANN401
-        """Draw nothing."""
+    def render(self, state: Any, stamp_ns: int) -> int:  # noqa: ANN401
+        """Do nothing: the map does not change."""
         return 0
 
-    def forget(self) -> None:
-        """Forget nothing."""
+    def reset(self) -> None:
+        """Do nothing: the map does not change."""
 
     def close(self) -> None:
-        """End nothing."""
+        """Do nothing: there is no thread."""

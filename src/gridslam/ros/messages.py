@@ -19,7 +19,7 @@ __all__ = [
 
 
 class Level(IntEnum):
-    """How bad it is; the values are those of diagnostic_msgs/DiagnosticStatus."""
+    """Severity, with the values of diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -45,10 +45,10 @@ class PoseMessage(NamedTuple):
     covariance: FloatArray
 
     def fill(self, sent: Any) -> None:  # noqa: ANN401
-        """Write it into a geometry_msgs/PoseWithCovariance, whatever made that."""
+        """Fill a geometry_msgs/PoseWithCovariance of any message library."""
         x, y, theta = self.pose.tolist()
-        place, turn = sent.pose.position, sent.pose.orientation
-        place.x, place.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
+        position, turn = sent.pose.position, sent.pose.orientation
+        position.x, position.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
         full = np.zeros((6, 6))
         full[np.ix_((0, 1, 5), (0, 1, 5))] = self.covariance
         sent.covariance = full.ravel().tolist()
@@ -62,7 +62,7 @@ class CloudMessage(NamedTuple):
     poses: FloatArray
 
     def data(self) -> bytes:
-        """The poses as geometry_msgs/Pose lie in bytes, little-endian: x, y, z in m, and the quaternion x, y, z, w."""
+        """Return the bytes of the poses as geometry_msgs/Pose, little-endian: x, y, z in m, quaternion x, y, z, w."""
         rows = np.zeros((len(self.poses), 7), "<f8")
         rows[:, :2], half = self.poses[:, :2], 0.5 * self.poses[:, 2]
         rows[:, 5], rows[:, 6] = np.sin(half), np.cos(half)
@@ -70,7 +70,7 @@ class CloudMessage(NamedTuple):
 
 
 class Diagnostics(NamedTuple):
-    """How the node does: one sentence, and values by name."""
+    """State of the node: level, summary, and values by name."""
 
     level: Level
     summary: str
@@ -78,31 +78,28 @@ class Diagnostics(NamedTuple):
 
 
 class Outputs(Protocol):
-    """A transport, as the core sees it; called from several threads, each method from one at a time.
-
-    What `now_ns` gives is the transport's clock, which may be that of a simulation.
-    """
+    """Interface of a transport; called from several threads, but each method from one at a time."""
 
     def now_ns(self) -> int:
-        """Time now, ns."""
+        """Return the transport's time, which may be simulated, ns."""
 
     def map(self, message: GridMessage) -> None:
-        """Publish the map, for late joiners, too."""
+        """Publish the map, latched."""
 
     def transform(self, message: StampedTransform) -> None:
-        """Publish where the odometry frame lies in the map."""
+        """Publish the transform from map to odometry."""
 
     def pose(self, message: PoseMessage) -> None:
-        """Publish where the robot is."""
+        """Publish the pose of the robot."""
 
     def entropy(self, nats: float) -> None:
         """Publish the entropy of the particles' weights."""
 
     def particles(self, message: CloudMessage) -> None:
-        """Publish where the particles are."""
+        """Publish the poses of the particles."""
 
     def diagnostics(self, message: Diagnostics) -> None:
-        """Publish how the node does."""
+        """Publish the diagnostics."""
 
-    def say(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str) -> None:
         """Report to the user."""

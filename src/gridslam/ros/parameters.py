@@ -1,4 +1,4 @@
-"""slam_gmapping's parameters by their own names and defaults, and the node's own beside them.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -17,12 +17,12 @@ from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import names, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.ros.localization import Localization
-from gridslam.ros.localization_parameters import NODE_NAMES, localization_of
+from gridslam.ros.localization_parameters import NODE_NAMES, read_localization
 from gridslam.ros.settings import NodeSettings
 
-__all__ = ["GMAPPING", "OWN", "NodeParameters", "node_parameters"]
+__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "node_parameters"]
 
-GMAPPING: Final[Mapping[str, float | int | str]] = {
+GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
     "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
     "map_update_interval": 5.0, "maxUrange": 80.0, "sigma": 0.05, "kernelSize": 1, "lstep": 0.05, "astep": 0.05,
     "iterations": 5, "lsigma": 0.075, "ogain": 3.0, "lskip": 0, "minimumScore": 0.0, "srr": 0.1, "srt": 0.2,
@@ -31,13 +31,13 @@ GMAPPING: Final[Mapping[str, float | int | str]] = {
     "delta": 0.05, "llsamplerange": 0.01, "llsamplestep": 0.01, "lasamplerange": 0.005, "lasamplestep": 0.005,
     "transform_publish_period": 0.05, "tf_delay": 0.05, "occ_thresh": 0.25, "maxRange": 80.0,
 }  # fmt: skip
-"""slam_gmapping's parameters with their defaults; that of `maxRange` is the laser's, of `tf_delay` the period above."""
+"""slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
 
-OWN: Final[Mapping[str, float | int | str | bool]] = {
+NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
     "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
     "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "", "mode": "mapping", "map_file": "",
 }  # fmt: skip
-"""The node's own parameters: see docs/ros.md."""
+"""The node's own parameters and defaults: see docs/ros.md."""
 
 _FILTER: Final[Mapping[str, str]] = {
     "particles": "particles",
@@ -57,7 +57,7 @@ _FILTER: Final[Mapping[str, str]] = {
     "lskip": "sensor.skip",
     "delta": "mapper.resolution_m",
 }
-"""Where the filter keeps the value of a parameter."""
+"""The filter's parameter for each parameter of slam_gmapping."""
 
 _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
@@ -65,9 +65,9 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
     "maxUrange": ("range_max_m",),
     "maxRange": ("range_max_m",),
 }
-"""... and what it derives from one or from several."""
+"""The filter's parameters that are derived from one or several parameters of slam_gmapping."""
 
-_NEXT_TO_0 = 1e-9
+_ALMOST_ZERO = 1e-9
 
 _NODE: Final[Mapping[str, str]] = {
     "throttle_scans": "throttle_scans", "base_frame": "base_frame", "map_frame": "map_frame",
@@ -77,34 +77,34 @@ _NODE: Final[Mapping[str, str]] = {
     "queue": "queue_s",
 }  # fmt: skip
 
-_NEVER: Final[Mapping[str, str]] = {
+_UNSUPPORTED: Final[Mapping[str, str]] = {
     **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
     **dict.fromkeys(
         ("llsamplerange", "llsamplestep", "lasamplerange", "lasamplestep"),
-        "the likelihood is not sampled around a match",
+        "the likelihood around a match is not sampled",
     ),
     "temporalUpdate": "a robot at rest adds nothing to the map",
     "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
     "inverted_laser": "the mounting is taken from the transforms",
 }
-"""What nothing here corresponds to, and why."""
+"""Parameters without an equivalent, with the reason."""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class NodeParameters:
-    """What parameters by their ROS names come to.
+    """Settings and configuration from ROS parameters.
 
     Attributes
     ----------
     settings : NodeSettings
-        Of the node.
+        Settings of the node.
     configuration : Configuration or Localization
-        Of the filter; the second where the map is known.
+        Configuration of the filter; `Localization` if the map is known.
     warning : str
-        What was given and is ignored, with the reasons, in one sentence; empty where nothing is.
+        The ignored parameters with the reasons; empty if there are none.
     record, out : Path or None
-        The record of accepted scans, and the folder for results.
+        File for the accepted scans, and output folder.
     """
 
     settings: NodeSettings
@@ -115,97 +115,103 @@ class NodeParameters:
 
 
 def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
-    """Turn parameters by their ROS names into the node's settings and the filter's configuration.
+    """Convert ROS parameters to the node's settings and the filter's configuration.
 
-    With the preset "gmapping" all of `GMAPPING` holds, as far as it is not given. Another preset is changed only by
-    what is given, and what it has no part for is ignored.
+    With the preset "gmapping" all of `GMAPPING_DEFAULTS` hold unless they are given. Another preset is changed only by
+    what is given, and parameters that it has no part for are ignored.
 
     Parameters
     ----------
     given : mapping
-        What the user has set: of `GMAPPING`, `OWN`; others are ignored.
+        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`; others are ignored.
     preset_name : str
-        The preset where `given` has none.
+        The preset if `given` has none.
 
     Raises
     ------
     ConfigurationError
-        A value is of a wrong type or out of range, or there is no such preset.
+        A value has a wrong type or is out of range, or the preset does not exist.
     """
-    own = {**OWN, **{name: value for name, value in given.items() if name in OWN}}
-    if own["mode"] not in ("mapping", "localization"):
-        raise ConfigurationError(f"mode: expected mapping or localization, got {own['mode']!r}")
-    if own["mode"] == "localization":
-        return _localizing(given, own)
-    if own["map_file"]:
-        raise ConfigurationError("map_file: needs the mode localization; in mapping a map is made")
-    name = str(own["preset"]) or preset_name
+    node_values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
+    if node_values["mode"] not in ("mapping", "localization"):
+        raise ConfigurationError(f"mode: expected mapping or localization, got {node_values['mode']!r}")
+    if node_values["mode"] == "localization":
+        return _parse_localization(given, node_values)
+    if node_values["map_file"]:
+        raise ConfigurationError("map_file: requires the mode localization")
+    name = str(node_values["preset"]) or preset_name
     base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
-    held = {**GMAPPING, **given} if name == "gmapping" else dict(given)
+    current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
     try:
-        config = replace_parameters(base, _tree(_direct(base, held)))
-        config = replace_parameters(config, _tree(_derived(base, given, held)))
+        config = replace_parameters(base, _nest(_direct_values(base, current)))
+        config = replace_parameters(config, _nest(_derived_values(base, given, current)))
     except ConfigurationError as error:
-        raise _by_its_ros_name(error) from None
-    if own["config"]:
-        config = load(str(own["config"]), config)
-    config = override(config, *(part for part in str(own["set"]).split(";") if part.strip()))
+        raise _with_ros_name(error) from None
+    if node_values["config"]:
+        config = load(str(node_values["config"]), config)
+    config = override(config, *(part for part in str(node_values["set"]).split(";") if part.strip()))
     return NodeParameters(
-        settings=_settings(given),
+        settings=_read_settings(given),
         configuration=config,
-        warning=_warning(base, name, given),
-        record=_path(own["record"]),
-        out=_path(own["out"]),
+        warning=_describe_ignored(base, name, given),
+        record=_path_or_none(node_values["record"]),
+        out=_path_or_none(node_values["out"]),
     )
 
 
-def _localizing(given: Mapping[str, Any], own: Mapping[str, Any]) -> NodeParameters:
-    """In a known map: AMCL's parameters in the place of slam_gmapping's."""
-    localization, ignored = localization_of(given)
-    ours = {NODE_NAMES.get(name, name): value for name, value in given.items()}
-    elsewhere = {*_FILTER, *_DERIVED, *_NEVER, "preset", "config", "out"}
-    reasons = dict.fromkeys(ignored, "nothing here corresponds to it")
+def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
+    """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
+    localization, ignored = read_localization(given)
+    by_node_name = {NODE_NAMES.get(name, name): value for name, value in given.items()}
+    elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
+    reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
         if name in elsewhere:
-            reasons[name] = "the node localizes, and makes no map"
-        elif name not in (*_NODE, *OWN, *AMCL_NAMES):
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *OWN])}"
-    return NodeParameters(_settings(ours), localization, _ignored(reasons), _path(own["record"]), None)
+            reasons[name] = "the node localizes and builds no map"
+        elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
+    return NodeParameters(
+        _read_settings(by_node_name),
+        localization,
+        _group_by_reason(reasons),
+        _path_or_none(node_values["record"]),
+        None,
+    )
 
 
-def _path(text: object) -> Path | None:
+def _path_or_none(text: object) -> Path | None:
     return Path(str(text)) if text else None
 
 
 def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
-    """A value as slam_gmapping takes it: 30.0 is a number of particles, and of thresholds 0 is one, too."""
-    if isinstance(GMAPPING.get(name), int) and isinstance(value, float) and value.is_integer():
+    """Convert a value as slam_gmapping does: 30.0 is a number of particles, and a threshold may be 0."""
+    if isinstance(GMAPPING_DEFAULTS.get(name), int) and isinstance(value, float) and value.is_integer():
         return int(value)
     if name in ("linearUpdate", "angularUpdate", "resampleThreshold") and value == 0:
-        return _NEXT_TO_0
+        return _ALMOST_ZERO
     return value
 
 
-def _by_its_ros_name(error: ConfigurationError) -> ConfigurationError:
-    """The same error, of the parameter that was given."""
+def _with_ros_name(error: ConfigurationError) -> ConfigurationError:
+    """Replace the filter's name of a parameter by its ROS name."""
     path, _, problem = str(error).partition(": ")
-    ours = [name for name in GMAPPING if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
-    return ConfigurationError(f"{' and '.join(ours) or path}: {problem}")
+    ros_names = [name for name in GMAPPING_DEFAULTS if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
+    return ConfigurationError(f"{' and '.join(ros_names) or path}: {problem}")
 
 
-def _direct(base: Configuration, held: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted names, of what corresponds one to one."""
+def _direct_values(base: Configuration, current: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of parameters with a direct equivalent, by dotted names."""
     there = set(names(base))
-    return {path: held[name] for name, path in _FILTER.items() if name in held and path in there}
+    return {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
 
 
-def _derived(base: Configuration, given: Mapping[str, Any], held: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted names, of what depends on several parameters."""
+def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of derived parameters, by dotted names."""
     values: dict[str, Any] = {}
     there = set(names(base))
 
     def number(name: str, otherwise: float) -> float:
-        value = held.get(name, otherwise)
+        value = current.get(name, otherwise)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ConfigurationError(f"{name}: expected a number, got {value!r}")
         return float(value)
@@ -215,14 +221,14 @@ def _derived(base: Configuration, given: Mapping[str, Any], held: Mapping[str, A
         values |= dict.fromkeys(_DERIVED["kernelSize"], kernel_m)
     if "sensor.likelihood_gain" in there:
         values["sensor.likelihood_gain"] = number("ogain", 3.0) * number("particles", base.particles)
-    if "maxUrange" in held or "maxRange" in held:
+    if "maxUrange" in current or "maxRange" in current:
         bounds = [number(name, 80.0) for name in ("maxUrange", "maxRange") if name in given]
         values["range_max_m"] = min(bounds, default=80.0)
     return {path: value for path, value in values.items() if path in there}
 
 
-def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables of values by dotted names."""
+def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert values by dotted names to nested tables."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         *above, last = path.split(".")
@@ -233,7 +239,7 @@ def _tree(values: Mapping[str, Any]) -> dict[str, Any]:
     return tree
 
 
-def _settings(given: Mapping[str, Any]) -> NodeSettings:
+def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
     values = {field: given[name] for name, field in _NODE.items() if name in given}
     if "tf_delay" not in given and "transform_publish_period" in given:
         values["tf_delay_s"] = given["transform_publish_period"]
@@ -246,25 +252,25 @@ def _settings(given: Mapping[str, Any]) -> NodeSettings:
         raise ConfigurationError(f"{name}: {problem['msg']}, got {problem['input']!r}") from None
 
 
-def _warning(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
-    """One sentence of all that was given and does nothing."""
+def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
+    """Return a message about all given parameters without effect."""
     there, reasons = set(names(base)), {}
     for name in given:
-        if name in _NEVER:
-            reasons[name] = _NEVER[name]
+        if name in _UNSUPPORTED:
+            reasons[name] = _UNSUPPORTED[name]
         elif name in _FILTER or name in _DERIVED:
             paths = _DERIVED.get(name) or (_FILTER[name],)
             if not there.intersection(paths):
                 reasons[name] = f"the preset {preset_name} has no such part"
-        elif name not in _NODE and name not in OWN:
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING, *OWN])}"
-    return _ignored(reasons)
+        elif name not in _NODE and name not in NODE_DEFAULTS:
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
+    return _group_by_reason(reasons)
 
 
-def _ignored(reasons: Mapping[str, str]) -> str:
-    """One sentence of what is ignored, by reason."""
+def _group_by_reason(reasons: Mapping[str, str]) -> str:
+    """Return a message with the ignored parameters, grouped by reason."""
     by_reason: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         by_reason.setdefault(reason, []).append(name)
-    told = "; ".join(f"{', '.join(ignored)} ({reason})" for reason, ignored in by_reason.items())
-    return f"parameters that are ignored: {told}" if told else ""
+    ignored_text = "; ".join(f"{', '.join(ignored)} ({reason})" for reason, ignored in by_reason.items())
+    return f"ignored parameters: {ignored_text}" if ignored_text else ""

@@ -9,56 +9,56 @@ from typing import IO, final
 from gridslam.errors import OutputError
 from gridslam.io.carmen_lines import format_stamp_ns
 from gridslam.io.csv_columns import COLUMNS
-from gridslam.ros.accepted import Accepted, LaserForm
+from gridslam.ros.accepted_scan import AcceptedScan, LaserDescription
 
 __all__ = ["ScanRecorder"]
 
 
 @final
 class ScanRecorder:
-    """Writes each accepted scan as one whole row, so that a node which is killed has lost none of them.
+    """Writes each accepted scan as one row in one write, so that a killed node loses none of them.
 
-    Where a row cannot be written, as the disk is full, the record ends with the row before.
+    If a row cannot be written because the disk is full, the record ends with the previous row.
 
     Parameters
     ----------
     path : str or Path
-        A new file, or one that is replaced.
+        The file, which is replaced if it exists.
 
     Raises
     ------
     OutputError
-        The file cannot be written; from `add`, too.
+        The file cannot be written; also raised by `add`.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._forms: dict[LaserForm, tuple[str, str]] = {}
+        self._cells_of_laser: dict[LaserDescription, tuple[str, str]] = {}
         try:
             self._file: IO[bytes] = self.path.open("wb", buffering=0)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
         self._write(",".join(COLUMNS))
 
-    def add(self, accepted: Accepted) -> None:
-        """Write a row, exactly what the filter is given; nothing where the record has ended."""
+    def add(self, accepted: AcceptedScan) -> None:
+        """Write a row, exactly as passed to the filter; nothing after the record has ended."""
         if not self.is_whole:
             return
-        (odometry, scan), form = accepted.measurement, accepted.form
-        if form not in self._forms:
-            self._forms = {form: _cells_of(form)}  # the last one: the others come back seldom
-        names, laser = self._forms[form]
+        (odometry, scan), laser = accepted.measurement, accepted.laser
+        if laser not in self._cells_of_laser:
+            self._cells_of_laser = {laser: _format_laser(laser)}  # only the last one: lasers rarely alternate
+        names, description = self._cells_of_laser[laser]
         pose = "," * 3 if odometry is None else ",".join(map(repr, odometry.pose.tolist())) + ","
         ranges = " ".join(map(repr, scan.ranges.tolist()))
-        self._write(f"{format_stamp_ns(scan.stamp_ns)},{names},{pose},{laser},{ranges}")
+        self._write(f"{format_stamp_ns(scan.stamp_ns)},{names},{pose},{description},{ranges}")
 
     @property
     def is_whole(self) -> bool:
-        """Whether all scans that came are in it, and those that come will be."""
+        """Whether the record contains all scans so far."""
         return not self._file.closed
 
     def close(self) -> None:
-        """End the file."""
+        """Close the file."""
         self._file.close()
 
     def _write(self, line: str) -> None:
@@ -73,13 +73,13 @@ class ScanRecorder:
             raise OutputError(f"{self.path}: {error.strerror or error}; the record ends before this scan") from None
 
 
-def _cells_of(form: LaserForm) -> tuple[str, str]:
-    """Cells of the names, and those from the mounting to the range limits."""
-    on_progress = "" if form.time_increment_s is None else repr(form.time_increment_s)
-    numbers = map(repr, (*form.mounting, form.angle_min, form.angle_increment))
-    limits = f"{form.range_min_m!r},{form.range_max_m!r}"
-    return f"{_quoted(form.sensor)},{_quoted(form.frame)}", f"{','.join(numbers)},{on_progress},{limits}"
+def _format_laser(laser: LaserDescription) -> tuple[str, str]:
+    """Return the cells of the names, and those from the mounting to the range limits."""
+    time_increment = "" if laser.time_increment_s is None else repr(laser.time_increment_s)
+    numbers = map(repr, (*laser.mounting, laser.angle_min, laser.angle_increment))
+    limits = f"{laser.range_min_m!r},{laser.range_max_m!r}"
+    return f"{_quote(laser.sensor)},{_quote(laser.frame)}", f"{','.join(numbers)},{time_increment},{limits}"
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     return '"' + name.replace('"', '""') + '"' if "," in name or '"' in name else name

@@ -1,4 +1,4 @@
-"""From the best particle's map to the message that is published, beside the filter and not in its way."""
+"""Conversion of the best particle's map to a message, in a thread of its own."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from gridslam.ros.messages import GridMessage
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "cells_of_map"]
+__all__ = ["MapRenderer", "map_cells"]
 
-Taken = Mapping[str, NDArray[Any]]
+MapArrays = Mapping[str, NDArray[Any]]
 
 
-def cells_of_map(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
-    """Cells (H, W) of nav_msgs/OccupancyGrid.
+def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
+    """Return the cells (H, W) of nav_msgs/OccupancyGrid.
 
     Parameters
     ----------
     grid : OccupancyGrid
         The map.
     values : str
-        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, just as `write_map` has it;
-        "probability": in per cent, -1 where nothing is known.
+        "trinary": 100 above probability 0.65, 0 below 0.196 and -1 between, as in `write_map`;
+        "probability": in per cent, -1 where unknown.
     """
     cells = np.full(grid.known.shape, -1, np.int8)
     if values == "trinary":
@@ -43,25 +43,25 @@ def cells_of_map(grid: OccupancyGrid, values: Literal["trinary", "probability"])
 
 @final
 class MapRenderer:
-    """Draws the latest map that was taken, in a thread of its own.
+    """Renders maps in a thread of its own.
 
-    A map is taken by the filter's thread, which copies its tiles: that costs what is known, not the whole rectangle.
+    The filter's thread copies only the tiles of the map, so its cost depends on the mapped area, not on the rectangle.
 
     Parameters
     ----------
     mapper : OccupancyGridMapping
-        That of the filter.
+        Mapper of the filter.
     values : str
-        As of `cells_of_map`.
+        As for `map_cells`.
     frame : str
-        Of the map.
+        Frame of the map.
     publish : callable
-        Takes each map, in the renderer's thread.
+        Publishes each map; called in the renderer's thread.
 
     Attributes
     ----------
     latest : GridMessage or None
-        What was drawn last.
+        The last rendered map.
     """
 
     def __init__(
@@ -74,35 +74,35 @@ class MapRenderer:
         self.latest: GridMessage | None = None
         self._mapper, self._values, self._frame, self._publish = mapper, values, frame, publish
         self._changed = threading.Condition()
-        self._taken: tuple[int, Taken] | None = None
+        self._pending: tuple[int, MapArrays] | None = None
         self._busy = self._closed = False
         self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
 
-    def begin(self, stamp_ns: int) -> None:
-        """Begin to draw; there is no map yet."""
+    def start(self, stamp_ns: int) -> None:
+        """Start the thread; there is no map yet."""
         self._thread.start()
 
     @property
     def is_idle(self) -> bool:
-        """Whether the last map is drawn."""
+        """Whether the last map is rendered."""
         return not self._busy
 
-    def take(self, state: GridFastSlamState, stamp_ns: int) -> int:
-        """Copy the best particle's map, and have it drawn; returns the memory that all maps take, bytes."""
+    def render(self, state: GridFastSlamState, stamp_ns: int) -> int:
+        """Copy the best particle's map for rendering; returns the memory of all maps, bytes."""
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
         with self._changed:
-            self._taken, self._busy = (stamp_ns, arrays), True
+            self._pending, self._busy = (stamp_ns, arrays), True
             self._changed.notify_all()
         return state.maps.nbytes
 
-    def forget(self) -> None:
-        """Have no map any more, as a new session begins."""
+    def reset(self) -> None:
+        """Discard the map at the start of a new session."""
         with self._changed:
             self._changed.wait_for(lambda: not self._busy, timeout=10)
             self.latest = None
 
     def close(self) -> None:
-        """Draw what was taken, and end."""
+        """Render the pending map and stop the thread."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -112,16 +112,14 @@ class MapRenderer:
     def _run(self) -> None:
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._taken is not None or self._closed)
-                if self._taken is None:
+                self._changed.wait_for(lambda: self._pending is not None or self._closed)
+                if self._pending is None:
                     return
-                (stamp_ns, arrays), self._taken = self._taken, None
+                (stamp_ns, arrays), self._pending = self._pending, None
             grid = self._mapper.restore(arrays).occupancy(0)
             x, y = (float(value) for value in grid.origin)
-            self.latest = GridMessage(
-                stamp_ns, self._frame, grid.resolution_m, (x, y), cells_of_map(grid, self._values)
-            )
+            self.latest = GridMessage(stamp_ns, self._frame, grid.resolution_m, (x, y), map_cells(grid, self._values))
             self._publish(self.latest)
             with self._changed:
-                self._busy = self._taken is not None
+                self._busy = self._pending is not None
                 self._changed.notify_all()

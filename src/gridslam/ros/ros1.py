@@ -1,7 +1,7 @@
-"""The node in ROS 1: a drop-in for slam_gmapping, by rospy.
+"""The node in ROS 1 by rospy: a drop-in replacement for slam_gmapping.
 
-Scans and transforms are decoded from their bytes, so that neither a large scan nor NumPy's version matters, and the
-map's cells are sent as they lie in memory.
+Scans and transforms are decoded from their bytes, which is fast for large scans and works with any version of NumPy.
+The cells of the map are sent without a copy into Python objects.
 
 Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 """
@@ -19,12 +19,12 @@ from typing import Any, final
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
 from gridslam.ros.core import NodeCore
-from gridslam.ros.initial_pose import place_by_message
+from gridslam.ros.initial_pose import set_pose_from_message
 from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros1_arguments import check_ros1_arguments
 from gridslam.ros.ros1_messages import cloud_class, grid_class, response_class
-from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
+from gridslam.ros.services import ViewerOpener, check_folder, close_node, describe_topics, save_results
 
 __all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
 
@@ -34,7 +34,7 @@ _POLL_S = 0.2
 
 
 def _modules() -> dict[str, Any]:
-    """rospy and the packages of messages; raises ConfigurationError where ROS 1 is not there."""
+    """Import rospy and the message packages; raises ConfigurationError if ROS 1 is not installed."""
     names = (
         "rospy", "std_msgs.msg", "std_srvs.srv", "nav_msgs.msg", "nav_msgs.srv", "geometry_msgs.msg", "tf2_msgs.msg",
         "diagnostic_msgs.msg",
@@ -43,7 +43,7 @@ def _modules() -> dict[str, Any]:
         return {name: importlib.import_module(name) for name in names}
     except ImportError as error:
         hint = "source its setup.bash, or install python3-rospy and the messages' packages"
-        raise ConfigurationError(f"ROS 1 is not there ({error}): {hint}") from None
+        raise ConfigurationError(f"ROS 1 is not available ({error}): {hint}") from None
 
 
 @final
@@ -53,7 +53,7 @@ class Ros1Node:
     Parameters
     ----------
     parameters : NodeParameters
-        What the node's private parameters come to.
+        Settings and configuration from the node's private parameters.
     """
 
     def __init__(self, parameters: NodeParameters) -> None:
@@ -72,18 +72,18 @@ class Ros1Node:
         self._diagnostics = rospy.Publisher("/diagnostics", diagnostic.DiagnosticArray, queue_size=10)
         self.core = NodeCore(parameters.settings, parameters.configuration, self, record=parameters.record)
         if parameters.warning:
-            self.say(Level.WARN, parameters.warning)
+            self.log(Level.WARN, parameters.warning)
         self._out = parameters.out or Path("gridslam-map")
 
     def start(self) -> None:
-        """Begin to take messages and requests."""
+        """Start the core, services and subscribers."""
         self.core.start()
-        self._serve()
+        self._advertise_services()
         self._subscribe()
-        self.say(Level.OK, waiting_for(self._ros["rospy"].resolve_name("scan"), self.core))
+        self.log(Level.OK, describe_topics(self._ros["rospy"].resolve_name("scan"), self.core))
 
     def now_ns(self) -> int:
-        """Time now, or that of the simulation, ns."""
+        """Return the current time, simulated or not, ns."""
         return int(self._ros["rospy"].Time.now().to_nsec())
 
     def map(self, message: GridMessage) -> None:
@@ -131,11 +131,11 @@ class Ros1Node:
         sent.header.stamp = rospy.Time.now()
         self._publish(self._diagnostics, sent)
 
-    def say(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str) -> None:
         """Log to the console and /rosout."""
         rospy = self._ros["rospy"]
         {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
-        sys.stdout.flush()  # what rospy leaves in a file's buffer
+        sys.stdout.flush()  # rospy does not flush
 
     def _subscribe(self) -> None:
         rospy = self._ros["rospy"]
@@ -147,24 +147,24 @@ class Ros1Node:
                 self.core.on_scan(decode_scan(data, wire_of_ros1(data)), sensor)
 
         def on_transforms(static: bool) -> Callable[[Any], None]:
-            def take(message: Any) -> None:  # noqa: ANN401
+            def handle(message: Any) -> None:  # noqa: ANN401
                 if data := self._bytes(message, "transforms", "tf2_msgs/TFMessage"):
                     sender = message._connection_header.get("callerid", "")
                     found = decode_transforms(data, wire_of_ros1(data))
                     self.core.on_transforms(found, static=static, publisher=sender)
 
-            return take
+            return handle
 
         def on_pose(message: Any) -> None:  # noqa: ANN401
             expected, got = "geometry_msgs/PoseWithCovarianceStamped", message._connection_header["type"]
             if got != expected:
                 raise MessageError(f"expected {expected}, got {got}")
-            place_by_message(self.core, message._buff, wire_of_ros1(message._buff))
+            set_pose_from_message(self.core, message._buff, wire_of_ros1(message._buff))
 
         if self.core.localizes:
-            rospy.Subscriber("initialpose", rospy.AnyMsg, self._heard("initialpose", on_pose), queue_size=1)
-        for topic, take in (("/tf_static", on_transforms(True)), ("/tf", on_transforms(False)), ("scan", on_scan)):
-            rospy.Subscriber(topic, rospy.AnyMsg, self._heard(topic, take), queue_size=None, **large)
+            rospy.Subscriber("initialpose", rospy.AnyMsg, self._make_callback("initialpose", on_pose), queue_size=1)
+        for topic, handle in (("/tf_static", on_transforms(True)), ("/tf", on_transforms(False)), ("scan", on_scan)):
+            rospy.Subscriber(topic, rospy.AnyMsg, self._make_callback(topic, handle), queue_size=None, **large)
 
     def _bytes(self, message: Any, kind: str, expected: str) -> bytes:  # noqa: ANN401
         """Bytes of a message of that kind; none, and a warning, for another one."""
@@ -172,21 +172,21 @@ class Ros1Node:
         if kind_of(header["type"]) == kind:
             data: bytes = message._buff
             return data
-        self.core.refuse("message", f"expected {expected} on {header['topic']}, got {header['type']}")
+        self.core.refuse_message("message", f"expected {expected} on {header['topic']}, got {header['type']}")
         return b""
 
-    def _heard(self, topic: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+    def _make_callback(self, topic: str, handle: Callable[[Any], None]) -> Callable[[Any], None]:
         """Call back, and warn of bytes that are not a valid message."""
 
-        def heard(message: Any) -> None:  # noqa: ANN401
+        def on_message(message: Any) -> None:  # noqa: ANN401
             try:
-                take(message)
+                handle(message)
             except MessageError as error:
-                self.core.refuse("message", f"{topic}: {error}")
+                self.core.refuse_message("message", f"{topic}: {error}")
 
-        return heard
+        return on_message
 
-    def _serve(self) -> None:
+    def _advertise_services(self) -> None:
         rospy, services = self._ros["rospy"], self._ros["std_srvs.srv"]
         get_map = self._ros["nav_msgs.srv"].GetMap
         answer_class = response_class(get_map._response_class)
@@ -206,7 +206,7 @@ class Ros1Node:
             return services.SetBoolResponse(True, "paused" if request.data else "mapping")
 
         def save(request: Any) -> Any:  # noqa: ANN401
-            return services.TriggerResponse(*saved(self.core, self._out))
+            return services.TriggerResponse(*save_results(self.core, self._out))
 
         rospy.Service("dynamic_map", get_map, dynamic_map)
         rospy.Service("~reset", services.Empty, reset)
@@ -234,50 +234,50 @@ class Ros1Node:
         try:
             if not rospy.is_shutdown():
                 publisher.publish(message)
-        except rospy.ROSException:  # shut down in this very moment
+        except rospy.ROSException:  # shut down in the meantime
             return
 
 
-def _await_master(on_progress: Callable[[], None]) -> None:
+def _wait_for_master(on_poll: Callable[[], None]) -> None:
     """Wait for roscore, as slam_gmapping does."""
     graph = importlib.import_module("rosgraph")
     if not graph.is_master_online():
         print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
     while not graph.is_master_online():
         time.sleep(_POLL_S)
-        on_progress()
+        on_poll()
 
 
 def run_ros1(
     arguments: Sequence[str] = (),
     *,
     given: Mapping[str, Any] | None = None,
-    watch: Watch = nullcontext,
-    on_progress: Callable[[], None] = lambda: None,
+    open_viewers: ViewerOpener = nullcontext,
+    on_poll: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
-        ROS's own: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
+        ROS arguments: ``scan:=base_scan``, ``_particles:=80``, ``__name:=mapper``.
     given : mapping, optional
         Parameters of the node that override its private parameters.
-    watch : callable
-        Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    on_progress : callable
-        Called now and then; may raise KeyboardInterrupt.
+    open_viewers : callable
+        Called with the core before it starts: see `gridslam.ros.services.ViewerOpener`.
+    on_poll : callable
+        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
     ConfigurationError
-        ROS 1 is not there, or an argument or parameter is wrong.
+        ROS 1 is not available, or an argument or parameter is invalid.
     GridslamError
-        The node cannot be started, or its filter has failed.
+        The node cannot be started, or its filter failed.
     """
     rospy = _modules()["rospy"]
     check_ros1_arguments(arguments)
-    _await_master(on_progress)
+    _wait_for_master(on_poll)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
@@ -286,15 +286,15 @@ def run_ros1(
     parameters = node_parameters({**private, **(given or {})})
     check_folder(parameters.out)
     node = Ros1Node(parameters)
-    with watch(node.core):
+    with open_viewers(node.core):
         try:
             node.start()
             while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
-                on_progress()
+                on_poll()
         except KeyboardInterrupt:  # the usual end of a node
             pass
         finally:
-            closed(node.core, parameters.out, node.say)
+            close_node(node.core, parameters.out, node.log)
             rospy.signal_shutdown("done")
     if node.core.failure is not None:
-        raise GridslamError(f"the filter has ended: {node.core.failure}") from node.core.failure
+        raise GridslamError(f"the filter failed: {node.core.failure}") from node.core.failure

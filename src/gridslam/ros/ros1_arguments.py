@@ -1,20 +1,20 @@
-"""Arguments as ROS 1 takes them: rospy reads them itself, and leaves alone what it does not understand."""
+"""Check of ROS 1 arguments, of which rospy ignores those that it does not understand."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.parameters import GMAPPING, OWN
+from gridslam.ros.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS
 
 __all__ = ["check_ros1_arguments"]
 
 
 def check_ros1_arguments(arguments: Sequence[str]) -> None:
-    """Raise ConfigurationError for what is no ``name:=value``, and for a parameter without its underscore."""
+    """Raise ConfigurationError for an argument other than ``name:=value`` and a parameter without its underscore."""
     for argument in arguments:
         name, sign, _ = argument.partition(":=")
         if not sign or not name or name.startswith("-"):
             raise ConfigurationError(f"expected an option, _PARAMETER:=VALUE or TOPIC:=OTHER, got {argument!r}")
-        if name in GMAPPING or name in OWN:
+        if name in GMAPPING_DEFAULTS or name in NODE_DEFAULTS:
             raise ConfigurationError(f"{argument}: this would remap a topic; a parameter is given as _{argument}")

@@ -1,4 +1,4 @@
-"""Messages of ROS 1 whose large parts are sent as they lie in memory."""
+"""ROS 1 messages that serialize large arrays directly from memory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["cloud_class", "grid_class", "response_class"]
 
 
 def grid_class(base: Any) -> Any:  # noqa: ANN401
-    """OccupancyGrid whose `cells` are sent as they are: as a list, a million of them would cost 50 ms."""
+    """Return an OccupancyGrid class that sends the bytes `cells`; a list of a million cells would cost 50 ms."""
 
     class Grid(base):  # type: ignore[misc]
         cells = b""
@@ -26,7 +26,7 @@ def grid_class(base: Any) -> Any:  # noqa: ANN401
 
 
 def cloud_class(base: Any) -> Any:  # noqa: ANN401
-    """PoseArray whose poses are sent as they are."""
+    """Return a PoseArray class that sends the bytes `data`."""
 
     class Cloud(base):  # type: ignore[misc]
         count, data = 0, b""
@@ -42,7 +42,7 @@ def cloud_class(base: Any) -> Any:  # noqa: ANN401
 
 
 def response_class(base: Any) -> Any:  # noqa: ANN401
-    """Response of nav_msgs/GetMap that holds such a grid."""
+    """Return a response class of nav_msgs/GetMap for such a grid."""
 
     class Response(base):  # type: ignore[misc]
         def serialize(self, buff: io.BytesIO) -> None:

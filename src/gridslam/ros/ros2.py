@@ -1,4 +1,4 @@
-"""The node in ROS 2, by rclpy, where a sourced ROS 2 provides it.
+"""The node in ROS 2 by rclpy, which a sourced ROS 2 provides.
 
 Scans, transforms and published messages pass through rclpy as bytes: no message becomes a Python object on its way.
 With the parameter `lifecycle` it is a managed node: it maps while it is active, pauses when it is deactivated, and
@@ -17,11 +17,11 @@ from typing import Any, final
 from gridslam.errors import ConfigurationError, GridslamError
 from gridslam.io.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
 from gridslam.ros.core import NodeCore
-from gridslam.ros.initial_pose import place_by_message
+from gridslam.ros.initial_pose import set_pose_from_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import NodeParameters, node_parameters
 from gridslam.ros.ros2_outputs import LATCHED, TOPICS, Ros2Outputs
-from gridslam.ros.services import Watch, check_folder, closed, saved, waiting_for
+from gridslam.ros.services import ViewerOpener, check_folder, close_node, describe_topics, save_results
 
 __all__ = ["NODE_NAME", "Ros2Node", "run_ros2"]
 
@@ -29,7 +29,7 @@ NODE_NAME = "gridslam"
 
 _POLL_S = 0.2
 _ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
-"""Parameters that rclpy sees to, or that are read before the node is made."""
+"""Parameters that rclpy handles, or that are read before the node is created."""
 
 
 def _module(name: str) -> Any:  # noqa: ANN401
@@ -37,7 +37,7 @@ def _module(name: str) -> Any:  # noqa: ANN401
         return importlib.import_module(name)
     except ImportError as error:
         hint = "source a ROS 2's setup.bash, or use --transport dds"
-        raise ConfigurationError(f"ROS 2 is not there ({error}): {hint}") from None
+        raise ConfigurationError(f"ROS 2 is not available ({error}): {hint}") from None
 
 
 def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
@@ -52,9 +52,9 @@ class Ros2Node:
     Parameters
     ----------
     node : rclpy.node.Node
-        Or a managed one.
+        Or a managed node.
     parameters : NodeParameters
-        What its parameters come to.
+        Settings and configuration from the node's parameters.
     """
 
     def __init__(self, node: Any, parameters: NodeParameters) -> None:  # noqa: ANN401
@@ -66,20 +66,20 @@ class Ros2Node:
             )
             for topic, kind in TOPICS.items()
         }
-        outputs = Ros2Outputs(self._publish, self._now_ns, self.say, node.get_name())
+        outputs = Ros2Outputs(self._publish, self._now_ns, self.log, node.get_name())
         self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
         if parameters.warning:
-            self.say(Level.WARN, parameters.warning)
+            self.log(Level.WARN, parameters.warning)
 
     def start(self) -> None:
-        """Begin to take messages and requests."""
+        """Start the core, services and subscriptions."""
         self.core.start()
-        self._serve()
+        self._advertise_services()
         self._subscribe()
-        self.say(Level.OK, waiting_for(self._node.resolve_topic_name("scan"), self.core))
+        self.log(Level.OK, describe_topics(self._node.resolve_topic_name("scan"), self.core))
 
-    def say(self, level: Level, text: str) -> None:
-        """Log to the console and /rosout; rclpy wants each line of code to keep to one severity."""
+    def log(self, level: Level, text: str) -> None:
+        """Log to the console and /rosout; rclpy requires one severity per line of code."""
         logger = self._node.get_logger()
         if level is Level.OK:
             logger.info(text)
@@ -114,30 +114,33 @@ class Ros2Node:
             return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
 
         def on_pose(data: bytes) -> None:
-            place_by_message(self.core, data, wire_of_cdr(data))
+            set_pose_from_message(self.core, data, wire_of_cdr(data))
 
         if self.core.localizes:
-            kind, heard = _type("geometry_msgs/PoseWithCovarianceStamped"), self._heard("initialpose", on_pose)
-            node.create_subscription(kind, "initialpose", heard, self._profile(depth=1), raw=True)
-        for topic, kind, take, profile in (
+            kind, on_message = (
+                _type("geometry_msgs/PoseWithCovarianceStamped"),
+                self._make_callback("initialpose", on_pose),
+            )
+            node.create_subscription(kind, "initialpose", on_message, self._profile(depth=1), raw=True)
+        for topic, kind, handle, profile in (
             ("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), self._profile(latched=True, depth=100)),
             ("/tf", "tf2_msgs/TFMessage", on_transforms(False), self._profile(depth=100)),
             ("scan", "sensor_msgs/LaserScan", on_scan, self._profile(reliable=False, depth=5)),
         ):
-            node.create_subscription(_type(kind), topic, self._heard(topic, take), profile, raw=True)
+            node.create_subscription(_type(kind), topic, self._make_callback(topic, handle), profile, raw=True)
 
-    def _heard(self, topic: str, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    def _make_callback(self, topic: str, handle: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Call back, and warn of bytes that are not a valid message."""
 
-        def heard(data: bytes) -> None:
+        def on_message(data: bytes) -> None:
             try:
-                take(data)
+                handle(data)
             except MessageError as error:
-                self.core.refuse("message", f"{topic}: {error}")
+                self.core.refuse_message("message", f"{topic}: {error}")
 
-        return heard
+        return on_message
 
-    def _serve(self) -> None:
+    def _advertise_services(self) -> None:
         core, node = self.core, self._node
 
         def dynamic_map(request: Any, response: Any) -> Any:  # noqa: ANN401
@@ -164,10 +167,10 @@ class Ros2Node:
             return response
 
         def save(request: Any, response: Any) -> Any:  # noqa: ANN401
-            response.success, response.message = saved(core, self._out)
+            response.success, response.message = save_results(core, self._out)
             return response
 
-        # A service that takes its time must not hold up the scans.
+        # A slow service must not block the scans.
         apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         node.create_service(_type("nav_msgs/GetMap", "srv"), "dynamic_map", dynamic_map)
         for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
@@ -176,14 +179,14 @@ class Ros2Node:
         node.create_service(_type("std_srvs/Trigger", "srv"), "~/save", save, callback_group=apart)
 
 
-def _given(node: Any) -> dict[str, Any]:  # noqa: ANN401
-    """Parameters that launch files and arguments have set; no others are declared, so that presets hold."""
+def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
+    """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
     there = node.get_parameters_by_prefix("")
     return {name: held.value for name, held in there.items() if name not in _ROS_S and "." not in name}
 
 
-def _managed(base: Any) -> Any:  # noqa: ANN401
-    """Node class whose transitions pause and reset the core."""
+def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
+    """Return a node class whose transitions pause and reset the core."""
     done = _module("rclpy.lifecycle").TransitionCallbackReturn.SUCCESS
 
     class Managed(base):  # type: ignore[misc]
@@ -215,7 +218,7 @@ def _managed(base: Any) -> Any:  # noqa: ANN401
     return Managed
 
 
-def _begin(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
+def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
     """Initialize rclpy, whose signal handlers would end it before the last map is published."""
     unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
     if unknown:
@@ -227,36 +230,36 @@ def run_ros2(
     arguments: Sequence[str] = (),
     *,
     given: Mapping[str, Any] | None = None,
-    watch: Watch = nullcontext,
-    on_progress: Callable[[], None] = lambda: None,
+    open_viewers: ViewerOpener = nullcontext,
+    on_poll: Callable[[], None] = lambda: None,
 ) -> None:
     """Run the node until ROS or Ctrl-C shuts it down, then write the results to `out`.
 
     Parameters
     ----------
     arguments : sequence of str
-        ROS's own: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
+        ROS arguments: ``--ros-args -p particles:=80 -r scan:=front/scan --params-file robot.yaml``.
     given : mapping, optional
         Parameters that override those of ROS.
-    watch : callable
-        Gets the core before it is started: see `gridslam.ros.services.Watch`.
-    on_progress : callable
-        Called now and then; may raise KeyboardInterrupt.
+    open_viewers : callable
+        Called with the core before it starts: see `gridslam.ros.services.ViewerOpener`.
+    on_poll : callable
+        Called several times a second; may raise KeyboardInterrupt.
 
     Raises
     ------
     ConfigurationError
-        There is no ROS 2, or a parameter is wrong.
+        ROS 2 is not available, or a parameter is invalid.
     """
     rclpy = _module("rclpy")
-    _begin(rclpy, ["gridslam", *arguments])
+    _init_rclpy(rclpy, ["gridslam", *arguments])
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
     node = _module("rclpy.node").Node(NODE_NAME, **options)
     managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
     if managed:
         node.destroy_node()
-        node = _managed(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
-    parameters = node_parameters({**_given(node), **(given or {})}, "default")
+        node = _make_managed_class(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
+    parameters = node_parameters({**_read_parameters(node), **(given or {})}, "default")
     check_folder(parameters.out)
     ours = Ros2Node(node, parameters)
     if managed:
@@ -265,17 +268,17 @@ def run_ros2(
     executors = _module("rclpy.executors")
     executor = executors.MultiThreadedExecutor(2)
     executor.add_node(node)
-    with watch(ours.core):
+    with open_viewers(ours.core):
         try:
             ours.start()
             while rclpy.ok() and not ours.core.ended.is_set():
                 executor.spin_once(timeout_sec=_POLL_S)
-                on_progress()
+                on_poll()
         except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
             pass
         finally:
-            closed(ours.core, parameters.out, ours.say)
+            close_node(ours.core, parameters.out, ours.log)
             node.destroy_node()
             rclpy.try_shutdown()
     if ours.core.failure is not None:
-        raise GridslamError(f"the filter has ended: {ours.core.failure}") from ours.core.failure
+        raise GridslamError(f"the filter failed: {ours.core.failure}") from ours.core.failure

@@ -1,4 +1,4 @@
-"""Arguments as ROS 2 takes them, for a machine on which there is no ROS 2 that would.
+"""Parser of ROS 2 arguments for machines without ROS 2.
 
 Source: https://design.ros2.org/articles/ros_command_line_arguments.html
 """
@@ -19,7 +19,7 @@ __all__ = ["RosArguments", "parse_ros_arguments"]
 
 _KINDS: Final[tuple[tuple[str, ...], ...]] = (
     ("-p", "--param"), ("-r", "--remap"), ("--params-file",),
-    ("--log-level", "--log-config-file", "-e", "--enclave"),  # what they set is not here
+    ("--log-level", "--log-config-file", "-e", "--enclave"),  # without effect here
 )  # fmt: skip
 _PARAMETER, _REMAP, _FILE, _OF_ROS = _KINDS
 _FLAG_OF_ROS = re.compile("--(enable|disable)-(rosout|stdout|external-lib)-logs")
@@ -35,11 +35,11 @@ class RosArguments:
     parameters : dict
         Values by name.
     remaps : dict of str to str
-        Names that stand for others.
+        New names by old names.
     node, namespace : str
-        Of the node; the latter begins with a slash.
+        Name and namespace of the node; the latter begins with a slash.
     ignored : tuple of str
-        Arguments that mean something to a ROS alone.
+        Arguments that have an effect only in ROS.
     """
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class RosArguments:
     ignored: tuple[str, ...] = ()
 
     def resolve(self, name: str) -> str:
-        """Full name of a topic or service: remapped, then in the namespace, or in the node's own where it has a ~."""
+        """Return the full name of a topic or service: remapped, in the namespace, or in the node's own after a ~."""
         full = self._full(name)
         return next((self._full(to) for of, to in self.remaps.items() if self._full(of) == full), full)
 
@@ -61,16 +61,16 @@ class RosArguments:
 
 
 def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> RosArguments:
-    """Understand ``--ros-args -p particles:=80 -r scan:=front/scan -r __ns:=/robot1 --params-file robot.yaml``.
+    """Parse ``--ros-args -p particles:=80 -r scan:=front/scan -r __ns:=/robot1 --params-file robot.yaml``.
 
-    Of two values of one parameter the one that is given later holds, as in ROS.
+    Of two values of one parameter the later one applies, as in ROS.
 
     Raises
     ------
     ConfigurationError
-        An argument is none of these.
+        An argument has another form.
     InputError
-        A file of parameters cannot be read.
+        A parameter file cannot be read.
     """
     settings: list[tuple[tuple[str, ...], str]] = []
     ignored: list[str] = []
@@ -95,10 +95,10 @@ def parse_ros_arguments(arguments: Sequence[str], node: str = "gridslam") -> Ros
     parameters: dict[str, Any] = {}
     for kind, text in settings:
         if kind is _FILE:
-            parameters |= _of_file(text, f"{space.rstrip('/')}/{named}")
+            parameters |= _read_file(text, f"{space.rstrip('/')}/{named}")
         elif kind is _PARAMETER:
             of, name, value = _split(text)
-            parameters |= {name: _value(value)} if of in ("", named) else {}
+            parameters |= {name: _parse_value(value)} if of in ("", named) else {}
     return RosArguments(parameters, remaps, named, space, tuple(ignored))
 
 
@@ -111,47 +111,47 @@ def _split(text: str) -> tuple[str, str, str]:
     return of, name, value
 
 
-def _of_file(path: str, node: str) -> dict[str, Any]:
-    """Parameters that a file has for a node of that full name."""
+def _read_file(path: str, node: str) -> dict[str, Any]:
+    """Return the parameters of a file for the node with this full name."""
     try:
-        tree = _yaml(Path(path).read_text(encoding="utf-8"))
+        tree = _parse_yaml(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(path, str(error)) from None
     found: dict[str, Any] = {}
-    for pattern, parameters in _nodes(tree, ""):
+    for pattern, parameters in _find_nodes(tree, ""):
         if not isinstance(parameters, dict):
             raise InputError(path, f"expected parameters below ros__parameters of {pattern}, got {parameters!r}")
-        if re.fullmatch(_expression(pattern), node):
+        if re.fullmatch(_node_pattern(pattern), node):
             found |= {name: value for name, value in parameters.items() if not isinstance(value, dict)}
     return found
 
 
-def _nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
     """Name of each node in a tree of parameters, and its parameters."""
     for name, below in tree.items() if isinstance(tree, dict) else ():
         if name == "ros__parameters":
             yield above, below
         else:
-            yield from _nodes(below, f"{above}/{str(name).strip('/')}")
+            yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
-def _expression(pattern: str) -> str:
-    """Regular expression of a name in which * is any one part and ** any number of them."""
+def _node_pattern(pattern: str) -> str:
+    """Return the regular expression of a node name in which * matches one part and ** any number."""
     parts = {"**": "(/[^/]+)*", "*": "/[^/]+"}
     return "".join(parts.get(part, "/" + re.escape(part)) for part in pattern.split("/")[1:])
 
 
-def _value(text: str) -> Any:  # noqa: ANN401
-    """A number, a truth value or a list as YAML writes them; else the text itself."""
+def _parse_value(text: str) -> Any:  # noqa: ANN401
+    """Return a YAML number, bool or list; otherwise the text itself."""
     try:
-        value = _yaml(text)
+        value = _parse_yaml(text)
     except ValueError:
         return text
     return text if value is None or isinstance(value, dict) else value
 
 
-def _yaml(text: str) -> Any:  # noqa: ANN401
-    """Read YAML 1.1, as ROS does; raises ValueError where it is none."""
+def _parse_yaml(text: str) -> Any:  # noqa: ANN401
+    """Parse YAML 1.1, as ROS does; raises ValueError if it is invalid."""
     ruamel = importlib.import_module("ruamel.yaml")  # of rosbags, which reads bags' metadata by it
     reader = ruamel.YAML(typ="safe", pure=True)
     reader.version = (1, 1)

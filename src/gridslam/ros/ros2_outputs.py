@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
 
 __all__ = ["LATCHED", "TOPICS", "Ros2Outputs", "grid_values"]
@@ -22,46 +22,46 @@ TOPICS: Final = {
     "particlecloud": "geometry_msgs/PoseArray",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
 }
-"""What is published, and its type."""
+"""Published topics and their types."""
 
 LATCHED: Final = ("map", "map_metadata", "~/entropy")
-"""What late joiners get, too: published reliable and transient-local."""
+"""Topics published reliable and transient-local, so that late subscribers receive the last message."""
 
 _LEVEL_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 @final
 class Ros2Outputs:
-    """Outputs of the core that encodes them.
+    """Encodes the outputs of the core.
 
     Parameters
     ----------
     publish : callable
-        Takes the name of one of `TOPICS`, and the bytes.
+        Called with the name of one of `TOPICS` and the bytes.
     now_ns : callable
         The node's clock.
-    say : callable
+    log : callable
         Reports to the user.
     name : str
-        Of the node.
+        Name of the node.
     """
 
     def __init__(
         self,
         publish: Callable[[str, bytes], None],
         now_ns: Callable[[], int],
-        say: Callable[[Level, str], None],
+        log: Callable[[Level, str], None],
         name: str,
     ) -> None:
-        self._publish, self._now_ns, self._say, self._name = publish, now_ns, say, name
+        self._publish, self._now_ns, self._log, self._name = publish, now_ns, log, name
 
     def now_ns(self) -> int:
-        """Time now, or that of the simulation, ns."""
+        """Return the current time, simulated or not, ns."""
         return self._now_ns()
 
-    def say(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str) -> None:
         """Report to the user."""
-        self._say(level, text)
+        self._log(level, text)
 
     def map(self, message: GridMessage) -> None:
         """Publish the map and its metadata."""
@@ -88,8 +88,8 @@ class Ros2Outputs:
         self._send("~/entropy", (nats,))
 
     def particles(self, message: CloudMessage) -> None:
-        """Publish on particlecloud; thousands of poses as they lie in memory."""
-        head = encoded(TOPICS["particlecloud"], (_header(message.stamp_ns, message.frame), []))[:-4]
+        """Publish on particlecloud, directly from memory."""
+        head = encode_message(TOPICS["particlecloud"], (_header(message.stamp_ns, message.frame), []))[:-4]
         head += len(message.poses).to_bytes(4, "little")
         self._publish("particlecloud", head + bytes((4 - len(head)) % 8) + message.data())
 
@@ -99,11 +99,11 @@ class Ros2Outputs:
         self._send("/diagnostics", (_header(self.now_ns(), ""), [status]))
 
     def _send(self, topic: str, values: Any) -> None:  # noqa: ANN401
-        self._publish(topic, encoded(TOPICS[topic], values))
+        self._publish(topic, encode_message(TOPICS[topic], values))
 
 
 def grid_values(message: GridMessage) -> tuple[Any, ...]:
-    """Fields of nav_msgs/OccupancyGrid."""
+    """Return the fields of nav_msgs/OccupancyGrid."""
     height, width = message.cells.shape
     x, y = message.origin
     origin = (x, y, 0.0), _LEVEL_TURN

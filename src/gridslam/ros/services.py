@@ -1,4 +1,4 @@
-"""What the transports share: who looks on, the service that saves, and the end."""
+"""Shared by the transports: viewers, the save service, and shutdown."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from gridslam.io.output import OutputFolder
 from gridslam.ros.core import NodeCore
 from gridslam.ros.messages import Level
 
-__all__ = ["Watch", "check_folder", "closed", "saved", "waiting_for"]
+__all__ = ["ViewerOpener", "check_folder", "close_node", "describe_topics", "save_results"]
 
-Watch: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
-"""Entered with the core before it is started, and left when it has ended: where those who look on come in."""
+ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
+"""Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
 
 def check_folder(out: Path | None) -> None:
@@ -25,13 +25,13 @@ def check_folder(out: Path | None) -> None:
             pass
 
 
-def waiting_for(scans: str, core: NodeCore) -> str:
+def describe_topics(scans: str, core: NodeCore) -> str:
     """List the subscriptions of a node."""
     base, odom = core.settings.base_frame, core.settings.odom_frame
     return f"waiting for scans on {scans}" + ("" if core.settings.odometry == "none" else f" and for {base} in {odom}")
 
 
-def saved(core: NodeCore, folder: Path) -> tuple[bool, str]:
+def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
     """Save; return whether it succeeded, and a message."""
     try:
         document = core.save(folder)
@@ -40,9 +40,9 @@ def saved(core: NodeCore, folder: Path) -> tuple[bool, str]:
     return True, f"{document['scans']['read']} scans: {folder.resolve()}"
 
 
-def closed(core: NodeCore, out: Path | None, say: Callable[[Level, str], None]) -> None:
-    """End the node; what it has mapped is written to `out`, where that is given and there is anything."""
-    taken = core.close()
-    if out is not None and taken is not None:
-        say(Level.OK, f"{taken.log.scan_count} scans, which are written to {out.resolve()}")
-        taken.save(out)
+def close_node(core: NodeCore, out: Path | None, log: Callable[[Level, str], None]) -> None:
+    """Stop the node, and write its map to `out` if given and if there is a map."""
+    session = core.close()
+    if out is not None and session is not None:
+        log(Level.OK, f"writing {session.log.scan_count} scans to {out.resolve()}")
+        session.save(out)

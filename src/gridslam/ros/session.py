@@ -22,36 +22,36 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
-from gridslam.ros.accepted import Accepted
+from gridslam.ros.accepted_scan import AcceptedScan
 from gridslam.ros.recording import ScanRecorder
 from gridslam.slam.full_slam import full_slam
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import StepReport, Trajectory
 
-__all__ = ["Session", "TakenSession"]
+__all__ = ["Session", "SessionCopy"]
 
-_LATER: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
-"""What the filter and `save` import when they first need it, which a robot that drives would wait for."""
+_PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
+"""Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
 
 
 @final
 class Session:
-    """What a session leaves behind; belongs to the filter's thread.
+    """A mapping session; used by the filter's thread only.
 
     Parameters
     ----------
     configuration : Configuration
-        Of the filter.
+        Configuration of the filter.
     seed, threads : int
-        Of the filter.
+        Seed and threads of the filter.
     record : Path or None
-        Where its accepted scans are recorded.
+        File for the accepted scans.
     """
 
-    begins = "a new map is begun"
+    restart_message = "starting a new map"
 
     def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
-        for name in _LATER:
+        for name in _PRELOADED:
             import_module(name)
         self.configuration, self.seed, self.threads = configuration, seed, threads
         self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
@@ -62,39 +62,39 @@ class Session:
 
     @property
     def observers(self) -> list[Observer]:
-        """What watches the filter for this session's sake."""
+        """The session's own observers."""
         return [self.trajectory, self.statistics, self._note]
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
-        """Map all measurements of a source, one after the other."""
+        """Run the filter on all measurements of a source."""
         slam, rng = build(self.configuration, self.threads), np.random.default_rng(self.seed)
         first, *others = observers
         run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
 
-    def add(self, accepted: Accepted) -> None:
+    def add(self, accepted: AcceptedScan) -> None:
         """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""
         scan, log = accepted.measurement.scan, self.log
         if scan.sensor not in log.mountings:
-            yaw = accepted.form.mounting[5]
+            yaw = accepted.laser.mounting[5]
             log.mountings[scan.sensor] = Mounting(np.append(scan.geometry.origin, yaw), f"tf, frame {scan.frame}")
         log.count(accepted.measurement)
         if self._recorder is not None:
             self._recorder.add(accepted)
 
-    def taken(self) -> TakenSession:
-        """Copy all that is to be saved; raises ArgumentError before the first scan."""
+    def copy(self) -> SessionCopy:
+        """Copy everything that `save` needs; raises ArgumentError before the first scan."""
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
         recorder = self._recorder
         record = recorder.path if recorder is not None and recorder.is_whole else None
-        return TakenSession(
+        return SessionCopy(
             self.configuration, self.seed, self.threads, self.state.to_arrays(), self.trajectory.to_arrays(),
             self.statistics.to_arrays(), copy.deepcopy(self.log), tuple(self._keys),
             copy.deepcopy(self.stopwatch.stages), record,
         )  # fmt: skip
 
     def close(self) -> None:
-        """End the record."""
+        """Close the record."""
         if self._recorder is not None:
             self._recorder.close()
 
@@ -106,8 +106,8 @@ class Session:
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class TakenSession:
-    """A copy of a session; it shares nothing with the filter, which goes on."""
+class SessionCopy:
+    """A copy of a session that shares nothing with the running filter."""
 
     configuration: Configuration
     seed: int
@@ -135,7 +135,7 @@ class TakenSession:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
     def result(self) -> MapResult:
-        """Find the full answer, as `gridslam map` does at the end of a log."""
+        """Compute the full result, as `gridslam map` does at the end of a log."""
         config, watch, record = self.configuration, Stopwatch(), RecordWriter()
         watch.stages = self.stages
         state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)
@@ -146,7 +146,7 @@ class TakenSession:
             state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement
         )
         watch.lap("final refinement")
-        online = trajectory.online()
+        online = trajectory.online_trajectory()
         return MapResult(
             trajectory=Trajectory(online.stamps_ns, full.poses),
             covariances=full.covariances,

@@ -1,4 +1,4 @@
-"""What decides how the node listens and speaks; what the filter does is decided by `Configuration`."""
+"""Settings of the node itself; `Configuration` has those of the filter."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pydantic.dataclasses import dataclass as parameters
 __all__ = ["NodeSettings"]
 
 
-def _bare(frame: str) -> str:
+def _strip_slash(frame: str) -> str:
     if not (bare := frame.lstrip("/")):
         raise ValueError("expected the name of a frame")
     return bare
 
 
-Frame: TypeAlias = Annotated[str, AfterValidator(_bare)]
-"""Name of a frame; "/odom" of the days before tf2 is "odom"."""
+Frame: TypeAlias = Annotated[str, AfterValidator(_strip_slash)]
+"""Name of a frame without tf1's leading slash: "/odom" becomes "odom"."""
 
 
 @final
@@ -28,15 +28,15 @@ class NodeSettings:
     Parameters
     ----------
     base_frame, odom_frame, map_frame : str
-        The robot, its odometry, and the map that is made.
+        Frames of the robot, its odometry and the map.
     odometry : str
-        "needed": a scan without odometry is refused; "optional": it is matched without; "none": none is asked for.
+        "needed": scans without odometry are refused; "optional": they are matched without; "none": odometry is ignored.
     map_update_interval_s : float, s
-        Between two maps; 0: one after each scan, as fast as they are drawn.
+        Time between two maps; 0: a map after each scan, as fast as rendering permits.
     transform_publish_period_s : float, s
-        Between two transforms from map to odometry; 0: none is published.
+        Time between two transforms from map to odometry; 0: no transform is published.
     tf_delay_s : float, s
-        How far in the future that transform is stamped: until then it may be used.
+        How far in the future that transform is stamped, i.e. how long it is valid.
     throttle_scans : int
         Use every n-th scan.
     transform_wait_s : float, s
@@ -45,11 +45,11 @@ class NodeSettings:
         Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
         first: the filter is never further behind. Half a second bridges the correction of a loop.
     jump_s : float, s
-        Two scans in a row that are stamped so much before the last one: time has jumped back.
+        Time has jumped back if two scans in a row are stamped this much before the last one.
     map_values : str
-        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where nothing is known.
+        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
     min_beams, max_beams : int
-        Scans of fewer or more are refused.
+        Scans with fewer or more beams are refused.
     seed, threads : int
         As in `map_log`: the generator is re-seeded for each session; the threads do not affect results.
     """

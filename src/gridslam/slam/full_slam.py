@@ -126,7 +126,7 @@ def full_slam(
         For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
     mapper, closure, final_refinement
         Components of the run; without loop closure only the drift model of `closure` is used, for covariances.
-    tick
+    on_progress
         Called periodically during the final refinement.
     """
     trajectory = state.ancestry.trajectory(state.best)

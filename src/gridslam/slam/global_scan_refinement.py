@@ -139,7 +139,7 @@ class GlobalScanRefinement:
 
         Parameters
         ----------
-        memory
+        closure_state
             Scans, and which places were recognized.
         trajectory : (T, 3) float64
             Of the key scans, as the filter has it.
@@ -147,7 +147,7 @@ class GlobalScanRefinement:
             For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
         closure
             Place recognition and outlier rejection.
-        tick
+        on_progress
             Progress callback; may raise to interrupt.
         """
         graph, scans = closure_state.graph, closure_state.scans

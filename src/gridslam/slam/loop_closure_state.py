@@ -94,7 +94,7 @@ class LoopClosureState:
     search_submaps, ambiguity_submaps : tuple of int
         Submaps of the last search, and those of its ambiguity check; their joint maps are cached while they do not
         change.
-    pending : PendingConstraints or None
+    pending_constraints : PendingConstraints or None
         New constraints that the graph solver has not accepted or rejected yet.
     correction : Correction or None
         A corrected trajectory that will replace the filter's.

@@ -94,10 +94,10 @@ def test_a_robot_is_paused_but_not_held_and_what_is_wrong_is_read(browser, drive
 
         def mapped(part):
             rng, observers = np.random.default_rng(1), [page.observer]
-            run(page.session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
-            page.say("")
+            run(page.follow_session(part), build(PROVOKED), particles=8, rng=rng, observers=observers)
+            page.show_message("")
 
-        page.say("missing transform: base_link <- laser")
+        page.show_message("missing transform: base_link <- laser")
         wait(lambda: shown(browser, "notice"), "what is wrong")
         assert text(browser, "#notice") == "missing transform: base_link <- laser"
         mapped(drive[:60])

@@ -44,7 +44,7 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
         browser.get(page.url)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map is there before the first scan")
         page.control.step(to_key_scan=True)
-        given = {"seed": 2, "observers": [page.observer], "gate": page.paced}
+        given = {"seed": 2, "observers": [page.observer], "gate": page.pace}
         found = threading.Thread(target=localize, args=(place / "flat.clf", grid), kwargs=given)
         found.start()
         wait(lambda: told(browser).get("keys") == "1", "an update")
@@ -57,8 +57,8 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
         screenshot("found")
         wait(lambda: pixels_of(browser, "particle"), "the cloud is where the robot is")
         assert not shown(browser, "weights")
-        assert not browser.find_elements("css selector", "#layers label:not([hidden]) [name=pasts]")
-        assert text(browser, "[data-value=doubt]").endswith(" %")
+        assert not browser.find_elements("css selector", "#layers label:not([hidden]) [name=ancestry]")
+        assert text(browser, "[data-value=lost_probability]").endswith(" %")
         page.control.end()
         found.join(PATIENCE_S)
         wait(lambda: told(browser)["stage"] == "writing", "the end")
@@ -73,10 +73,10 @@ def test_a_localization_is_seen_again(browser, place, tmp_path, screenshot):
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
         wait(lambda: pixels_of(browser, "path") > 100, "the way")
         seek(browser, 5)
-        wait(lambda: told(browser)["stage"] == "paused" and "6 scans" in text(browser, "#facts"), "another time")
+        wait(lambda: told(browser)["stage"] == "paused" and "6 scans" in text(browser, "#summary"), "another time")
         screenshot("early")
         seek(browser, 100)
-        wait(lambda: "101 scans" in text(browser, "#facts"), "another time")
+        wait(lambda: "101 scans" in text(browser, "#summary"), "another time")
         screenshot("later")
 
 
@@ -91,7 +91,7 @@ def test_a_map_with_known_poses_is_seen_without_a_time_line(browser, place, tmp_
         browser.get(page.url)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
         assert [name for name in ("pause", "step", "speed", "line", "follow", "robot") if shown(browser, name)] == []
-        assert " m × " in text(browser, "#facts")
+        assert " m × " in text(browser, "#summary")
         screenshot("map")
 
 
@@ -107,7 +107,7 @@ def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
         browser.get(page.url)
         wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")
         assert not shown(browser, "save-map")
-        assert "6 landmarks" in text(browser, "#facts")
+        assert "6 landmarks" in text(browser, "#summary")
         screenshot("way")
 
 

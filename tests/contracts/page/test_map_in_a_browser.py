@@ -56,14 +56,14 @@ def test_the_map_grows_is_paused_stepped_and_finished(browser, drive, screenshot
         wait(lambda: page.control.speed is None, "as fast as can be")
         click(browser, "pause")
         wait(lambda: told(browser)["stage"] == "final refinement", "the last scan")
-        assert "loop closure" in text(browser, "#facts")
+        assert "loop closure" in text(browser, "#summary")
         wait(lambda: pixels_of(browser, "closure") > 5, "the loop closure is seen")
         screenshot("closed")
         mapping.join(PATIENCE_S)
         grid = mapping.state.maps.occupancy(mapping.state.best)
         page.finish(grid, mapping.state.ancestry.trajectory(mapping.state.best), np.zeros((0, 4)))
         wait(lambda: told(browser)["stage"] == "writing", "it is not written yet")
-        threading.Thread(target=page.linger, daemon=True).start()
+        threading.Thread(target=page.serve_until_left, daemon=True).start()
         wait(lambda: told(browser)["stage"] == "done", "done")
         screenshot("done")
 
@@ -83,25 +83,25 @@ def test_a_particle_is_picked_and_its_map_is_seen(browser, drive, screenshot):
         strip = browser.find_element("id", "weights")
         left = -strip.size["width"] / 2 + strip.size["width"] * 2.5 / 8
         ActionChains(browser).move_to_element_with_offset(strip, int(left), 0).click().perform()
-        wait(lambda: told(browser)["watched"] == "2", "particle 2 is chosen")
+        wait(lambda: told(browser)["selected"] == "2", "particle 2 is chosen")
         wait(lambda: int(told(browser)["tiles"]) > 0, "its map")
-        assert "map of number 2" in browser.find_element("id", "watched").text
+        assert "map of particle 2" in browser.find_element("id", "selected").text
         screenshot("chosen")
         click(browser, "best")
-        wait(lambda: told(browser)["watched"] == "", "the best again")
+        wait(lambda: told(browser)["selected"] == "", "the best again")
         for _ in range(7):
             browser.find_element("tag name", "body").send_keys("+")
         click(browser, "follow")
         time.sleep(1.0)  # the camera gets there
         screenshot("near")
-        canvas, pose = browser.find_element("id", "map"), page._run.scene(0).particles[5]
+        canvas, pose = browser.find_element("id", "map"), page._run.make_scene(0).particles[5]
         u, v = on_screen(browser, pose[0], pose[1])
         ActionChains(browser).move_to_element_with_offset(
             canvas, int(u - canvas.size["width"] / 2), int(v - canvas.size["height"] / 2)
         ).click().perform()
-        wait(lambda: told(browser)["watched"] != "", "a particle is chosen on the map")
+        wait(lambda: told(browser)["selected"] != "", "a particle is chosen on the map")
         browser.find_element("tag name", "body").send_keys(Keys.ESCAPE)
-        wait(lambda: told(browser)["watched"] == "", "the best again")
+        wait(lambda: told(browser)["selected"] == "", "the best again")
         page.control.resume()
         mapping.join(PATIENCE_S)
 
@@ -132,7 +132,7 @@ def test_hands_move_the_map_and_save_it(browser, drive):
             assert on_screen(browser, x, y) == pytest.approx((500, 400), abs=1.0)
         click(browser, "follow")
         wait(lambda: pressed(browser, "follow"), "the robot is followed")
-        pose = page._run.scene(0).status["pose"]
+        pose = page._run.make_scene(0).status["pose"]
         wait(lambda: np.hypot(*(view(browser)[:2] - pose[:2])) < 0.05, "the robot is in the middle")
         click(browser, "fit")
         click(browser, "save-map")
@@ -162,11 +162,11 @@ def test_several_look_at_one_run_each_as_it_likes(browser, drive):
         wait(lambda: told(browser)["stage"] == "paused", "paused")
         strip = browser.find_element("id", "weights")
         strip.click()
-        wait(lambda: told(browser)["watched"] == "4", "one is chosen")
+        wait(lambda: told(browser)["selected"] == "4", "one is chosen")
         browser.close()
         browser.switch_to.window(first)
         wait(lambda: told(browser)["stage"] == "paused", "paused for the other, too")
-        assert told(browser)["watched"] == ""
+        assert told(browser)["selected"] == ""
         wait(lambda: page.viewers == 1, "one has gone")
         page.control.end()
         mapping.join(PATIENCE_S)

@@ -37,7 +37,7 @@ def go_on(saved, measurements, threads=1):
 
 def answer(saved):
     grid = saved.state.maps.occupancy(saved.state.best)
-    full, online = saved.trajectory.full(saved.state), saved.trajectory.online()
+    full, online = saved.trajectory.best_trajectory(saved.state), saved.trajectory.online_trajectory()
     arrays = full.stamps_ns, full.poses, online.poses, saved.state.log_weights, grid.log_odds, grid.known
     return grid.origin, grid.log_odds.shape, [array.tobytes() for array in arrays], saved.rng.bit_generator.state
 

@@ -16,21 +16,21 @@ from gridslam.io.carmen_writer import write_carmen
 from gridslam.io.landmark_files import write_landmarks
 from gridslam.io.map_server import read_map, write_map
 from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.live.monitor import LOST
 from gridslam.live.replay import Replay
-from gridslam.live.sight import LOST
 from gridslam.sim import OdometryNoise
 from gridslam.slam.landmark_report import LandmarkMap
 from gridslam.types import Trajectory
 from support.landmark_world import drive as landmark_drive
 from support.landmark_world import ring
 from support.localization_world import drive, flat_map
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 
 def looking(replay):
-    viewer, onlooker = replay.join(lambda: None), Onlooker()
-    onlooker.catch_up(viewer)
-    return viewer, onlooker
+    viewer, client = replay.add_viewer(lambda: None), PageClient()
+    client.catch_up(viewer)
+    return viewer, client
 
 
 @pytest.fixture(scope="module")
@@ -46,27 +46,27 @@ def place(tmp_path_factory):
 
 def test_a_localization_is_shown_at_each_scan(place):
     folder, result = place
-    viewer, onlooker = looking(Replay(folder / "out"))
-    assert onlooker.sees(read_map(folder / "flat.yaml"))
-    assert (onlooker.hello["title"], onlooker.hello["step"]) == ("flat.clf", "scan")
-    assert set(onlooker.hello["shows"]) == {"map", "path", "n_eff", "doubt"}
+    viewer, client = looking(Replay(folder / "out"))
+    assert client.sees(read_map(folder / "flat.yaml"))
+    assert (client.run_info["title"], client.run_info["step"]) == ("flat.clf", "scan")
+    assert set(client.run_info["layers"]) == {"map", "path", "n_eff", "lost_probability"}
     weighed = [report.n_eff for report in result.reports if report.skipped is None]
-    told = onlooker.series[~np.isnan(onlooker.series[:, 1])]
+    told = client.series[~np.isnan(client.series[:, 1])]
     np.testing.assert_allclose(told[:, 1], weighed, atol=0.06)  # as written, one decimal
     assert (told[:, 1] <= told[:, 4]).all()
-    np.testing.assert_array_equal(onlooker.series[:, 3], LOST * result.lost)
+    np.testing.assert_array_equal(client.series[:, 3], LOST * result.lost)
     assert 0 < result.lost.sum() < len(result.lost)
     for at in (len(result.reports) // 2, 3, len(result.reports) - 1):
         viewer.command({"do": "seek", "at": at})
-        onlooker.catch_up(viewer)
-        status, report = onlooker.status, result.reports[at]
+        client.catch_up(viewer)
+        status, report = client.status, result.reports[at]
         np.testing.assert_allclose(status["pose"], report.pose, atol=1e-8)
         np.testing.assert_allclose(status["covariance"], report.covariance, rtol=1e-6, atol=1e-12)
         assert (status["lost"], status["particles"]) == (report.lost, report.particles)
-        assert status["doubt"] == pytest.approx(report.lost_probability, abs=1e-5)
-        assert status["agreement"] == pytest.approx(report.inlier_ratio, abs=1e-4)
-        assert (status["scans"], len(onlooker.path)) == (at + 1, at + 1)
-        np.testing.assert_array_equal(np.isnan(onlooker.path[:, 0]), result.lost[: at + 1])
+        assert status["lost_probability"] == pytest.approx(report.lost_probability, abs=1e-5)
+        assert status["inlier_ratio"] == pytest.approx(report.inlier_ratio, abs=1e-4)
+        assert (status["scans"], len(client.path)) == (at + 1, at + 1)
+        np.testing.assert_array_equal(np.isnan(client.path[:, 0]), result.lost[: at + 1])
 
 
 def replace_parameters(out, tmp_path, name, text):
@@ -81,12 +81,12 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
     document = json.loads((folder / "out" / "run.json").read_text())
     document["input"]["map"] = str(tmp_path / "gone.yaml")
     replay = Replay(replace_parameters(folder / "out", tmp_path, "run.json", json.dumps(document)))
-    _, onlooker = looking(replay)
-    assert "gone.yaml" in replay.lacks
-    assert onlooker.status["says"] == replay.lacks
-    assert "map" not in onlooker.hello["shows"]
-    assert len(onlooker.path)
-    assert replay.map_of(0) is None
+    _, client = looking(replay)
+    assert "gone.yaml" in replay.missing
+    assert client.status["message"] == replay.missing
+    assert "map" not in client.run_info["layers"]
+    assert len(client.path)
+    assert replay.channel_map(0) is None
 
 
 @pytest.mark.parametrize(
@@ -113,17 +113,17 @@ def test_landmarks_are_shown_with_the_way(tmp_path):
     trajectory = Trajectory(np.arange(50) * 10**9, truth)
     write_trajectory_csv(tmp_path / "trajectory.csv", trajectory, covariances)
     (tmp_path / "run.json").write_text(json.dumps({"schema": "gridslam.landmarks/2", "input": {"path": "a/park.txt"}}))
-    viewer, onlooker = looking(Replay(tmp_path))  # of landmarks that were known none are written
-    assert onlooker.hello["shows"] == ["path"]
+    viewer, client = looking(Replay(tmp_path))  # of landmarks that were known none are written
+    assert client.run_info["layers"] == ["path"]
     write_landmarks(tmp_path / "landmarks.csv", found)
-    viewer, onlooker = looking(Replay(tmp_path))
-    assert onlooker.hello["title"] == "park.txt"
-    np.testing.assert_allclose(onlooker.arrays["landmarks"][:, :2], landmarks, atol=1e-6)
-    np.testing.assert_allclose(onlooker.arrays["landmarks"][:, 2:], np.tile([0.04, 0.01, 0.09], (10, 1)), atol=1e-6)
+    viewer, client = looking(Replay(tmp_path))
+    assert client.run_info["title"] == "park.txt"
+    np.testing.assert_allclose(client.arrays["landmarks"][:, :2], landmarks, atol=1e-6)
+    np.testing.assert_allclose(client.arrays["landmarks"][:, 2:], np.tile([0.04, 0.01, 0.09], (10, 1)), atol=1e-6)
     viewer.command({"do": "seek", "at": 20})
-    onlooker.catch_up(viewer)
-    np.testing.assert_allclose(onlooker.status["pose"], truth[20], atol=1e-8)
-    assert (onlooker.status["keys"], onlooker.status["landmarks"], len(onlooker.path)) == (21, 10, 21)
+    client.catch_up(viewer)
+    np.testing.assert_allclose(client.status["pose"], truth[20], atol=1e-8)
+    assert (client.status["keys"], client.status["landmarks"], len(client.path)) == (21, 10, 21)
 
 
 def test_a_map_with_known_poses_stands_still(place, tmp_path):
@@ -131,11 +131,11 @@ def test_a_map_with_known_poses_stands_still(place, tmp_path):
     write_tum(tmp_path / "truth.tum", log.truth)
     write_carmen(tmp_path / "flat.clf", log.measurements)
     map_with_poses(tmp_path / "flat.clf", tmp_path / "truth.tum").save(tmp_path / "out")
-    viewer, onlooker = looking(Replay(tmp_path / "out"))
+    viewer, client = looking(Replay(tmp_path / "out"))
     grid = read_map(tmp_path / "out" / "map.yaml")
-    assert onlooker.sees(grid)
-    assert (onlooker.hello["mode"], onlooker.hello["shows"], onlooker.status["last"]) == ("still", ["map"], 0)
+    assert client.sees(grid)
+    assert (client.run_info["mode"], client.run_info["layers"], client.status["last"]) == ("still", ["map"], 0)
     for command in ({"do": "resume"}, {"do": "step"}, {"do": "seek", "at": 5}):
         viewer.command(command)
-        onlooker.catch_up(viewer)
-        assert onlooker.status["at"] == 0
+        client.catch_up(viewer)
+        assert client.status["at"] == 0

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.live.control import Control, checked_speed
+from gridslam.live.control import Control, check_speed
 
 
 class Filter(threading.Thread):
@@ -26,7 +26,7 @@ class Filter(threading.Thread):
             self.control.wait(scan * 100_000_000, self.meanwhile)
             self.taken += 1
             if scan % 3 == 0:
-                self.control.reached_key_scan()
+                self.control.on_key_scan()
 
 
 def wait_until(condition, at_most_s=5.0):
@@ -124,10 +124,10 @@ def test_the_end_holds_nothing_any_more(held):
 
 @pytest.mark.parametrize("times", [0, -1.0, 1e9, float("nan")])
 def test_speeds_that_are_none(times):
-    with pytest.raises(ArgumentError, match="times"):
-        checked_speed(times)
+    with pytest.raises(ArgumentError, match="factor"):
+        check_speed(times)
 
 
 def test_speeds():
-    assert checked_speed(None) is None
-    assert checked_speed(2.5) == 2.5
+    assert check_speed(None) is None
+    assert check_speed(2.5) == 2.5

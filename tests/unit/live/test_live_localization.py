@@ -11,16 +11,16 @@ from gridslam.api.localization import localize
 from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen_writer import write_carmen
-from gridslam.live.cloud_sight import CloudSight
 from gridslam.live.control import Control
+from gridslam.live.localization_monitor import LocalizationMonitor
+from gridslam.live.monitor import LOST
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
-from gridslam.live.sight import LOST
 from gridslam.localization import MonteCarloConfiguration
 from gridslam.sim import OdometryNoise
 from gridslam.types import OccupancyGrid
 from support.localization_world import drive, flat_map
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 
 @pytest.fixture(scope="module")
@@ -35,81 +35,81 @@ def log(tmp_path_factory):
     return path
 
 
-class Sight:
+class ObservedLocalization:
     """A localization that is looked at without a server, at every scan."""
 
     def __init__(self, grid):
-        self.live, self.onlooker, self.checked = LiveRun("flat", Control(), 30.0, grid), Onlooker(), 0
-        self.observer = self.live.observer = LiveObserver(self.post, self.live.control, CloudSight(grid))
-        self.viewer = self.live.join(lambda: None)
+        self.live, self.client, self.checked = LiveRun("flat", Control(), 30.0, grid), PageClient(), 0
+        self.observer = self.live.observer = LiveObserver(self.post, self.live.control, LocalizationMonitor(grid))
+        self.viewer = self.live.add_viewer(lambda: None)
         self.observer.period_s = 0.0
-        self.onlooker.catch_up(self.viewer)
+        self.client.catch_up(self.viewer)
 
     def post(self, snapshot):
         self.live.apply(snapshot)
-        self.observer.done()
+        self.observer.release()
 
     def go(self, log, grid, check=lambda report, state: None):
         def seen(report, state, seconds):
-            self.onlooker.catch_up(self.viewer)
+            self.client.catch_up(self.viewer)
             check(report, state)
             self.checked += 1
 
-        return localize(log, grid, seed=2, observers=[self.observer, seen], gate=self.observer.measured)
+        return localize(log, grid, seed=2, observers=[self.observer, seen], gate=self.observer.pace)
 
 
 def test_the_map_is_there_before_the_first_scan_and_sent_once(grid, log):
-    sight = Sight(grid)
-    onlooker = sight.onlooker
-    assert onlooker.sees(grid)
-    assert (onlooker.status["stage"], onlooker.hello["step"]) == ("waiting", "update")
-    assert not {"pasts", "closures", "weights"} & set(onlooker.hello["shows"])
-    onlooker.arrays.pop("tiles")
-    sight.go(log, grid)
-    assert sight.checked > 100
-    assert "tiles" not in onlooker.arrays
-    assert sight.live.map_of(0) is grid
+    observed = ObservedLocalization(grid)
+    client = observed.client
+    assert client.sees(grid)
+    assert (client.status["stage"], client.run_info["step"]) == ("waiting", "update")
+    assert not {"ancestry", "closures", "weights"} & set(client.run_info["layers"])
+    client.arrays.pop("tiles")
+    observed.go(log, grid)
+    assert observed.checked > 100
+    assert "tiles" not in client.arrays
+    assert observed.live.channel_map(0) is grid
 
 
 def test_a_map_is_shown_where_its_cells_are(grid):
     moved = OccupancyGrid(grid.log_odds, grid.known, grid.resolution_m, (-12.312, 7.026))
-    onlooker = Sight(moved).onlooker
-    first = np.array(min(onlooker.tiles)) * 32 * grid.resolution_m + onlooker.hello["offset_m"][::-1]
+    client = ObservedLocalization(moved).client
+    first = np.array(min(client.tiles)) * 32 * grid.resolution_m + client.run_info["offset_m"][::-1]
     cells = (np.array([7.026, -12.312]) - first) / grid.resolution_m
     assert cells == pytest.approx(np.round(cells), abs=1e-6)
-    assert (abs(np.array(onlooker.hello["offset_m"])) <= 0.5 * grid.resolution_m).all()
+    assert (abs(np.array(client.run_info["offset_m"])) <= 0.5 * grid.resolution_m).all()
 
 
 def test_the_belief_is_seen_as_it_is(grid, log):
-    sight, way, lost = Sight(grid), [], []
-    onlooker = sight.onlooker
+    observed, way, lost = ObservedLocalization(grid), [], []
+    client = observed.client
 
     def check(report, state):
-        particles = onlooker.arrays["particles"]
+        particles = client.arrays["particles"]
         assert len(particles) <= 1000
         assert particles[:, 3].sum() == pytest.approx(1.0, abs=1e-3)
         # of some 2000 particles each second is shown, and places are rounded to 1.6 cm
         near = np.hypot(*(particles[:, :2] - report.pose[:2]).T) < 1.0
         assert particles[near, 3].sum() == pytest.approx(state.estimate.mass, abs=0.1)
-        status = onlooker.status
+        status = client.status
         assert status["pose"] == report.pose.tolist()
-        assert (status["lost"], status["doubt"]) == (report.lost, report.lost_probability)
-        assert (status["agreement"], status["particles"]) == (report.inlier_ratio, report.particles)
+        assert (status["lost"], status["lost_probability"]) == (report.lost, report.lost_probability)
+        assert (status["inlier_ratio"], status["particles"]) == (report.inlier_ratio, report.particles)
         if report.skipped is None:
             way.append(np.full(2, np.nan) if report.lost else report.pose[:2])
             lost.append(report.lost)
             assert status["n_eff"] == pytest.approx(report.n_eff, rel=1e-6)
-            assert onlooker.series[-1, 4] == len(report.poses)
-        np.testing.assert_allclose(onlooker.path, np.array(way), atol=1e-5)
+            assert client.series[-1, 4] == len(report.poses)
+        np.testing.assert_allclose(client.path, np.array(way), atol=1e-5)
 
-    sight.go(log, grid, check)
+    observed.go(log, grid, check)
     assert 0 < sum(lost) < len(lost)
-    np.testing.assert_array_equal(onlooker.series[:, 3], LOST * np.array(lost))
-    assert len(onlooker.series) == onlooker.status["keys"]
+    np.testing.assert_array_equal(client.series[:, 3], LOST * np.array(lost))
+    assert len(client.series) == client.status["keys"]
 
 
 def test_the_filter_gives_the_same_bytes_with_and_without(grid, log):
-    alone, watched = localize(log, grid, seed=2), Sight(grid).go(log, grid)
+    alone, watched = localize(log, grid, seed=2), ObservedLocalization(grid).go(log, grid)
     assert len(alone.reports) == len(watched.reports) > 100
     for one, other in zip(alone.reports, watched.reports, strict=True):
         for field in dataclasses.fields(one):
@@ -119,25 +119,25 @@ def test_the_filter_gives_the_same_bytes_with_and_without(grid, log):
 
 def test_many_particles_do_not_flood_the_line(grid, log):
     """Of 10,000 a thousand are shown: ten messages a second are at most a tenth of what a viewer is sent."""
-    sight, sizes, seen = Sight(grid), [], []
+    observed, sizes, seen = ObservedLocalization(grid), [], []
     most = override_configuration(
         MonteCarloConfiguration(), ["kld.particles_min=10000", "kld.particles_max=10000"]
     ).configuration
 
     def told(report, state, seconds):
-        before = sight.onlooker.bytes
-        sight.onlooker.catch_up(sight.viewer)
-        sizes.append(sight.onlooker.bytes - before)
+        before = observed.client.bytes
+        observed.client.catch_up(observed.viewer)
+        sizes.append(observed.client.bytes - before)
         seen.append(len(state.poses))
 
-    localize(log, grid, configuration=most, observers=[sight.observer, told], gate=lambda source: list(source)[:40])
+    localize(log, grid, configuration=most, observers=[observed.observer, told], gate=lambda source: list(source)[:40])
     assert min(seen) == 10_000
     assert max(sizes) < 10_000
 
 
 def test_particles_have_no_maps_to_choose(grid, log):
-    sight = Sight(grid)
-    sight.go(log, grid)
+    observed = ObservedLocalization(grid)
+    observed.go(log, grid)
     with pytest.raises(ArgumentError, match="all particles have one map"):
-        sight.viewer.command({"do": "watch", "particle": 0})
-    sight.viewer.command({"do": "watch", "particle": None})
+        observed.viewer.command({"do": "select", "particle": 0})
+    observed.viewer.command({"do": "select", "particle": None})

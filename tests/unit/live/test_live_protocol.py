@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import STEP_NATS, decode, encode, levels, packed, unpacked
+from gridslam.live.protocol import STEP_NATS, decode, encode, levels, pack_tiles, unpack_tiles
 
 KINDS = st.sampled_from([np.float32, np.int32, np.uint8])
 ARRAYS = KINDS.flatmap(lambda kind: arrays(kind, array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=5)))
@@ -49,8 +49,8 @@ def test_what_is_no_number_is_refused_in_a_header():
 
 @given(arrays(np.uint8, (2, TILE, TILE), elements=st.integers(0, 15)))
 def test_packing_loses_nothing(tiles):
-    assert packed(tiles).shape == (2, TILE * TILE // 2)
-    assert np.array_equal(unpacked(packed(tiles)), tiles)
+    assert pack_tiles(tiles).shape == (2, TILE * TILE // 2)
+    assert np.array_equal(unpack_tiles(pack_tiles(tiles)), tiles)
 
 
 def test_levels_tell_unknown_from_even_odds_and_saturate():

@@ -8,14 +8,14 @@ import pytest
 from gridslam.config import build, override
 from gridslam.errors import ArgumentError
 from gridslam.live.control import Control
-from gridslam.live.map_sight import MapSight
+from gridslam.live.mapping_monitor import MappingMonitor
+from gridslam.live.monitor import CORRECTED
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
-from gridslam.live.sight import CORRECTED
 from gridslam.pipeline import run
 from gridslam.scan import StoredScan
 from support.loops import PROVOKED, loop_drive
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 RESAMPLING = override(PROVOKED, "when_to_resample.fraction=0.999")
 
@@ -25,20 +25,20 @@ def drive():
     return loop_drive().measurements
 
 
-class Sight:
+class ObservedRun:
     """A run that is looked at without a server, every scan or as rarely as `every` says."""
 
     def __init__(self, every: int = 1) -> None:
         self.control = Control()
         self.live = LiveRun("loop", self.control, 30.0)
-        self.observer = self.live.observer = LiveObserver(self.post, self.control, MapSight(30.0))
+        self.observer = self.live.observer = LiveObserver(self.post, self.control, MappingMonitor(30.0))
         self.every, self.scans, self.posted, self.held = every, 0, 0, []
         self.check = lambda state: None
 
     def post(self, snapshot):
         self.posted += 1
         self.live.apply(snapshot)
-        self.observer.done()
+        self.observer.release()
 
     def __call__(self, report, state, seconds):
         self.scans += 1
@@ -51,28 +51,28 @@ class Sight:
 
     def go(self, measurements, before=lambda report, state, seconds: None):
         slam, rng = build(RESAMPLING), np.random.default_rng(3)
-        return run(self.observer.measured(measurements), slam, particles=6, rng=rng, observers=[before, self])
+        return run(self.observer.pace(measurements), slam, particles=6, rng=rng, observers=[before, self])
 
 
 @pytest.mark.parametrize("every", [3, 11])
 def test_two_viewers_see_the_best_map_at_every_time(drive, every):
     """One looks from the first scan on, one joins later; the past is resampled and corrected meanwhile."""
-    sight, first, late = Sight(every), Onlooker(), Onlooker()
-    viewers = [(first, sight.live.join(lambda: None))]
+    observed, first, late = ObservedRun(every), PageClient(), PageClient()
+    viewers = [(first, observed.live.add_viewer(lambda: None))]
 
     def check(state):
-        if sight.scans > 210 and len(viewers) == 1:
-            viewers.append((late, sight.live.join(lambda: None)))
-        for onlooker, viewer in viewers:
-            onlooker.catch_up(viewer)
-            assert onlooker.sees(state.maps.occupancy(state.best))
-            assert onlooker.status["best"] == state.best
+        if observed.scans > 210 and len(viewers) == 1:
+            viewers.append((late, observed.live.add_viewer(lambda: None)))
+        for client, viewer in viewers:
+            client.catch_up(viewer)
+            assert client.sees(state.maps.occupancy(state.best))
+            assert client.status["best"] == state.best
             for particle in range(6):
                 past = state.ancestry.trajectory(particle)[:, :2]
-                assert onlooker.past_of(particle) == pytest.approx(past, abs=0.008)
+                assert client.past_of(particle) == pytest.approx(past, abs=0.008)
 
-    sight.check = check
-    sight.go(drive)
+    observed.check = check
+    observed.go(drive)
     assert len(first.series) == first.status["keys"]
     assert np.array_equal(first.series, late.series)
     assert (first.series[:, 3].astype(int) & CORRECTED).any(), "the drive was to correct the past"
@@ -82,143 +82,143 @@ def test_two_viewers_see_the_best_map_at_every_time(drive, every):
 def test_the_filter_gives_the_same_bytes_with_and_without(drive):
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
     alone = run(drive[:150], slam, particles=6, rng=rng).to_arrays()
-    sight = Sight()
-    viewer = sight.live.join(lambda: None)
+    observed = ObservedRun()
+    viewer = observed.live.add_viewer(lambda: None)
 
     def check(state):
-        if sight.scans == 20:
-            viewer.command({"do": "watch", "particle": 0})
-        viewer.message()
+        if observed.scans == 20:
+            viewer.command({"do": "select", "particle": 0})
+        viewer.next_message()
 
-    sight.check = check
-    watched = sight.go(drive[:150]).to_arrays()
+    observed.check = check
+    watched = observed.go(drive[:150]).to_arrays()
     assert alone.keys() == watched.keys()
     for name, array in alone.items():
         assert array.tobytes() == watched[name].tobytes(), name
 
 
 def test_a_chosen_particle_is_followed_until_its_line_dies_out(drive):
-    sight, onlooker = Sight(), Onlooker()
-    viewer, rows, seen = sight.live.join(lambda: None), {}, []
+    observed, client = ObservedRun(), PageClient()
+    viewer, rows, seen = observed.live.add_viewer(lambda: None), {}, []
 
     def note(report, state, seconds):
         if report.parents is not None and "line" in rows:
             rows["line"] = [child for child in range(6) if report.parents[child] in rows["line"]]
 
     def check(state):
-        onlooker.catch_up(viewer)
-        if sight.scans == 5:
-            viewer.command({"do": "watch", "particle": 4})
+        client.catch_up(viewer)
+        if observed.scans == 5:
+            viewer.command({"do": "select", "particle": 4})
             rows["line"] = [4]
         elif rows:
             row = (rows["line"] or [-1])[0]
-            assert onlooker.status["watched"] == row
+            assert client.status["selected_particle"] == row
             if row >= 0:
-                assert onlooker.sees(state.maps.occupancy(row))
+                assert client.sees(state.maps.occupancy(row))
             seen.append(row)
 
-    sight.check = check
-    sight.go(drive[:150], before=note)
+    observed.check = check
+    observed.go(drive[:150], before=note)
     assert seen[0] == 4
     assert len(set(seen)) > 1, "something was to be resampled"
-    viewer.command({"do": "watch", "particle": None})
-    onlooker.catch_up(viewer)
-    assert onlooker.status["watched"] is None
+    viewer.command({"do": "select", "particle": None})
+    client.catch_up(viewer)
+    assert client.status["selected_particle"] is None
 
 
 def test_a_choice_made_before_a_resampling_means_the_particle_that_was_seen(drive):
     """The viewer chose what it saw before the last two resamplings."""
-    sight, told = Sight(), []
+    observed, told = ObservedRun(), []
 
     def note(report, state, seconds):
         if report.parents is not None:
             told.append((state.ancestry.steps, report.parents))
 
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
-    run(sight.observer.measured(drive[:150]), slam, particles=6, rng=rng, observers=[sight, note])
+    run(observed.observer.pace(drive[:150]), slam, particles=6, rng=rng, observers=[observed, note])
     seen = told[-2][0] - 1
     for particle in range(6):
         row = next((k for k in range(6) if told[-2][1][told[-1][1][k]] == particle), -1)
-        sight.observer.watch(7, particle, seen)
-        sight.observer._take(0.0)
-        assert sight.live._rows[7] == row
+        observed.observer.show_particle(7, particle, seen)
+        observed.observer._take_snapshot(0.0)
+        assert observed.live._rows[7] == row
 
 
 def test_a_slow_reader_gets_fewer_snapshots_and_all_that_changed(drive):
     """While a snapshot is not done with none is taken, and nothing waits; the next brings all."""
-    sight, onlooker, late = Sight(), Onlooker(), []
-    viewer = sight.live.join(lambda: None)
+    observed, client, late = ObservedRun(), PageClient(), []
+    viewer = observed.live.add_viewer(lambda: None)
 
     def post(snapshot):
-        sight.posted += 1
+        observed.posted += 1
         late.append(snapshot)
 
     def finish(report, state, seconds):
-        sight(report, state, seconds)
-        if late and sight.scans % 10 == 0:
-            sight.live.apply(late.pop())
-            sight.observer.done()
+        observed(report, state, seconds)
+        if late and observed.scans % 10 == 0:
+            observed.live.apply(late.pop())
+            observed.observer.release()
 
-    sight.observer._post = post
+    observed.observer._post = post
     slam, rng = build(RESAMPLING), np.random.default_rng(3)
     state = run(drive[:120], slam, particles=6, rng=rng, observers=[finish])
-    assert sight.posted <= 13
+    assert observed.posted <= 13
     for snapshot in late:
-        sight.live.apply(snapshot)
-    sight.observer.done()
-    sight.observer._take(0.0)
+        observed.live.apply(snapshot)
+    observed.observer.release()
+    observed.observer._take_snapshot(0.0)
     for snapshot in late[-1:]:
-        sight.live.apply(snapshot)
-    onlooker.catch_up(viewer)
-    assert onlooker.sees(state.maps.occupancy(state.best))
-    assert onlooker.status["scans"] == 120
-    assert len(onlooker.series) == onlooker.status["keys"]
+        observed.live.apply(snapshot)
+    client.catch_up(viewer)
+    assert client.sees(state.maps.occupancy(state.best))
+    assert client.status["scans"] == 120
+    assert len(client.series) == client.status["keys"]
 
 
 def test_final_refinement_replaces_what_was_seen(drive):
-    sight, onlooker = Sight(every=20), Onlooker()
-    viewer = sight.live.join(lambda: None)
-    state = sight.go(drive[:100])
-    viewer.command({"do": "watch", "particle": 2})
-    onlooker.catch_up(viewer)
+    observed, client = ObservedRun(every=20), PageClient()
+    viewer = observed.live.add_viewer(lambda: None)
+    state = observed.go(drive[:100])
+    viewer.command({"do": "select", "particle": 2})
+    client.catch_up(viewer)
     other = build(RESAMPLING).mapper.empty(1)
     poses = state.ancestry.trajectory(0)
     far = np.array([[9.0, 9.0, 0.0]])
     other.update(np.zeros(1, np.int32), far, StoredScan(np.array([[1.0, 1.0]]), np.zeros(2)))
-    sight.live.finish(other.occupancy(0), poses + 1.0, np.array([[0.0, 0.0, 1.0, 1.0]]))
-    onlooker.catch_up(viewer)
-    assert onlooker.sees(other.occupancy(0))
-    assert onlooker.status["stage"] == "writing"
-    assert np.array_equal(onlooker.path, (poses[:, :2] + 1.0).astype(np.float32))
-    assert onlooker.arrays["closures"].tolist() == [[0, 0, 1, 1]]
+    observed.live.finish(other.occupancy(0), poses + 1.0, np.array([[0.0, 0.0, 1.0, 1.0]]))
+    client.catch_up(viewer)
+    assert client.sees(other.occupancy(0))
+    assert client.status["stage"] == "writing"
+    assert np.array_equal(client.path, (poses[:, :2] + 1.0).astype(np.float32))
+    assert client.arrays["closures"].tolist() == [[0, 0, 1, 1]]
 
 
 def test_what_cannot_be_asked_is_refused(drive):
-    sight = Sight()
-    viewer = sight.live.join(lambda: None)
+    observed = ObservedRun()
+    viewer = observed.live.add_viewer(lambda: None)
     with pytest.raises(ArgumentError, match="below 0"):
-        viewer.command({"do": "watch", "particle": 0})
-    sight.go(drive[:10])
-    for command in ({"do": "fly"}, {"do": "watch", "particle": 6}, {"do": "speed", "times": 0}):
+        viewer.command({"do": "select", "particle": 0})
+    observed.go(drive[:10])
+    for command in ({"do": "fly"}, {"do": "select", "particle": 6}, {"do": "speed", "factor": 0}):
         with pytest.raises(ArgumentError):
             viewer.command(command)
     with pytest.raises(KeyError):
         viewer.command({"what": "pause"})
-    viewers = [sight.live.join(lambda: None) for _ in range(9)]
+    viewers = [observed.live.add_viewer(lambda: None) for _ in range(9)]
     for other in viewers[:8]:
-        other.command({"do": "watch", "particle": 1})
+        other.command({"do": "select", "particle": 1})
     with pytest.raises(ArgumentError, match="at most 8"):
-        viewers[8].command({"do": "watch", "particle": 1})
+        viewers[8].command({"do": "select", "particle": 1})
     for other in viewers:
         other.close()
-    viewer.command({"do": "watch", "particle": 1})
-    assert sight.live.viewers == 1
+    viewer.command({"do": "select", "particle": 1})
+    assert observed.live.viewers == 1
 
 
 def test_a_map_can_be_taken_exactly_as_it_is(drive):
-    sight = Sight()
-    state = sight.go(drive[:60])
-    got, has = sight.live.map_of(0), state.maps.occupancy(state.best)
+    observed = ObservedRun()
+    state = observed.go(drive[:60])
+    got, has = observed.live.channel_map(0), state.maps.occupancy(state.best)
     ends = zip(has.origin[::-1], got.origin[::-1], strict=True)
     rows, columns = (slice(round(b / 0.05) - round(a / 0.05), None) for a, b in ends)
     cut = has.log_odds[rows, columns][: got.known.shape[0], : got.known.shape[1]]

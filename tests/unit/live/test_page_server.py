@@ -24,7 +24,7 @@ from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.pipeline import Stopwatch, run
 from support.loops import PROVOKED, loop_drive
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 FREE = LiveOptions(port=0)
 
@@ -40,19 +40,19 @@ def viewing(url, **options):
     address, _, query = url.partition("?")
     target = f"{address.replace('http', 'ws', 1)}socket" + (f"?{query}" if query else "")
     with connect(target, max_size=None, compression=None, **options) as socket:
-        yield socket, Onlooker()
+        yield socket, PageClient()
 
 
-def receive(socket, onlooker, timeout_s=5.0):
-    onlooker.receive(socket.recv(timeout_s))
-    socket.send(json.dumps({"do": "got"}))
+def receive(socket, client, timeout_s=5.0):
+    client.receive(socket.recv(timeout_s))
+    socket.send(json.dumps({"do": "ack"}))
 
 
-def receive_until(socket, onlooker, condition, timeout_s=10.0):
+def receive_until(socket, client, condition, timeout_s=10.0):
     until = time.monotonic() + timeout_s
-    while not condition() or onlooker.more:
-        assert time.monotonic() < until, f"it did not happen; status {onlooker.status}"
-        receive(socket, onlooker)
+    while not condition() or client.more:
+        assert time.monotonic() < until, f"it did not happen; status {client.status}"
+        receive(socket, client)
 
 
 def drain(socket):
@@ -63,71 +63,71 @@ def drain(socket):
 def mapped(page, measurements, watch=None):
     """Run the filter as a page wants it."""
     slam, rng = build(PROVOKED), np.random.default_rng(3)
-    return run(page.paced(measurements, watch), slam, particles=4, rng=rng, observers=[page.observer], stopwatch=watch)
+    return run(page.pace(measurements, watch), slam, particles=4, rng=rng, observers=[page.observer], stopwatch=watch)
 
 
 def last(state):
-    return lambda onlooker: onlooker.sees(state.maps.occupancy(state.best))
+    return lambda client: client.sees(state.maps.occupancy(state.best))
 
 
 def test_several_viewers_get_the_whole_map_whenever_they_come(drive):
-    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
-        receive(socket, onlooker)
-        assert onlooker.status["stage"] == "waiting"
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
+        receive(socket, client)
+        assert client.status["stage"] == "waiting"
         state = mapped(page, drive)
         grid = state.maps.occupancy(state.best)
-        receive_until(socket, onlooker, lambda: onlooker.sees(grid))
+        receive_until(socket, client, lambda: client.sees(grid))
         with viewing(page.url) as (other_socket, other):
             receive_until(other_socket, other, lambda: other.sees(grid))
             assert other.status["scans"] == 120
             assert page.viewers == 2
-            receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 2)
-        assert onlooker.status["particles"] == 4
-        assert onlooker.status["stage"] == "final refinement"
+            receive_until(socket, client, lambda: client.status["viewers"] == 2)
+        assert client.status["particles"] == 4
+        assert client.status["stage"] == "final refinement"
 
 
 def test_a_connection_that_is_lost_comes_back_to_all_there_is(drive):
     with LivePage("loop", FREE, range_max_m=30.0) as page:
-        with viewing(page.url) as (socket, onlooker):
+        with viewing(page.url) as (socket, client):
             mapped(page, drive[:60])
-            receive(socket, onlooker)
-            session = onlooker.hello["session"]
+            receive(socket, client)
+            session = client.run_info["session"]
             socket.socket.close()  # without a word
         with viewing(page.url) as (socket, again):
             receive_until(socket, again, lambda: again.status.get("scans") == 60)
-            assert again.hello["session"] == session
+            assert again.run_info["session"] == session
             assert again.tiles
 
 
 def test_a_restart_is_another_session_at_the_same_port():
     with LivePage("one", FREE) as page:
         url = page.url
-        with viewing(url) as (socket, onlooker):
-            receive(socket, onlooker)
+        with viewing(url) as (socket, client):
+            receive(socket, client)
             port = int(url.rstrip("/").rpartition(":")[2])
             page.__exit__()
             with pytest.raises(ConnectionClosed):
-                receive(socket, onlooker)
+                receive(socket, client)
     with LivePage("two", LiveOptions(port=port)) as page, viewing(url) as (socket, again):
         receive(socket, again)
         assert page.url == url
-        assert again.hello["title"] == "two"
-        assert again.hello["session"] != onlooker.hello["session"]
+        assert again.run_info["title"] == "two"
+        assert again.run_info["session"] != client.run_info["session"]
 
 
 def test_pause_and_step_hold_the_filter_and_its_stopwatch(drive):
     watch = Stopwatch()
-    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
         socket.send(json.dumps({"do": "pause"}))
-        receive_until(socket, onlooker, lambda: onlooker.status.get("stage") == "paused")
+        receive_until(socket, client, lambda: client.status.get("stage") == "paused")
         thread = threading.Thread(target=mapped, args=(page, drive[:30], watch))
         thread.start()
         for scans in (1, 2, 3):
             socket.send(json.dumps({"do": "step", "to_key_scan": False}))
-            receive_until(socket, onlooker, lambda scans=scans: onlooker.status.get("scans") == scans)
-            assert onlooker.status["stage"] == "paused"
-        socket.send(json.dumps({"do": "watch", "particle": 2}))
-        receive_until(socket, onlooker, lambda: onlooker.status["watched"] == 2 and onlooker.tiles)
+            receive_until(socket, client, lambda scans=scans: client.status.get("scans") == scans)
+            assert client.status["stage"] == "paused"
+        socket.send(json.dumps({"do": "select", "particle": 2}))
+        receive_until(socket, client, lambda: client.status["selected_particle"] == 2 and client.tiles)
         time.sleep(0.3)
         socket.send(json.dumps({"do": "resume"}))
         thread.join(10)
@@ -175,8 +175,8 @@ def test_pages_of_other_sites_are_not_let_in():
         with viewing(page.url, origin="http://evil.example") as (socket, _), pytest.raises(ConnectionClosed) as closed:
             socket.recv(5)
         assert closed.value.rcvd.code == 4401
-        with viewing(page.url, origin=page.url.rstrip("/")) as (socket, onlooker):
-            receive(socket, onlooker)
+        with viewing(page.url, origin=page.url.rstrip("/")) as (socket, client):
+            receive(socket, client)
         with pytest.raises(InvalidStatus), viewing(page.url, additional_headers={"Host": "evil.example"}):
             pass
 
@@ -193,8 +193,8 @@ def test_other_hosts_need_the_token(monkeypatch):
             with viewing(here + query) as (socket, _), pytest.raises(ConnectionClosed) as closed:
                 socket.recv(5)
             assert closed.value.rcvd.code == 4401
-        with viewing(here + "?token=secret") as (socket, onlooker):
-            receive(socket, onlooker)
+        with viewing(here + "?token=secret") as (socket, client):
+            receive(socket, client)
     monkeypatch.delenv("GRIDSLAM_LIVE_TOKEN")
     with LivePage("loop", LiveOptions(host="0.0.0.0", port=0)) as page:
         assert len(page.url.partition("token=")[2]) >= 16
@@ -202,27 +202,27 @@ def test_other_hosts_need_the_token(monkeypatch):
 
 NONSENSE = [
     "no json", "[1]", "3", "null", '{"x": 1}', '{"do": "fly"}', '{"do": "' + "\u00e9" * 200 + '"}', "[" * 60_000,
-    b"\x00\xff", '{"do": "speed"}', '{"do": "speed", "times": "fast"}', '{"do": "speed", "times": NaN}', '{"do": {}}',
-    '{"do": "watch", "particle": 1e999}', '{"do": "watch", "particle": "0"}', '{"do": "watch", "particle": -1}',
+    b"\x00\xff", '{"do": "speed"}', '{"do": "speed", "factor": "fast"}', '{"do": "speed", "factor": NaN}', '{"do": {}}',
+    '{"do": "select", "particle": 1e999}', '{"do": "select", "particle": "0"}', '{"do": "select", "particle": -1}',
     '{"do": "seek", "at": 1e999}',
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", NONSENSE, ids=lambda text: str(text)[:30])
 def test_a_viewer_that_says_nonsense_is_told_so_and_the_others_stay(text):
-    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
-        receive(socket, onlooker)
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
+        receive(socket, client)
         with viewing(page.url) as (other, _):
             other.send(text)
             with pytest.raises(ConnectionClosed) as closed:
                 drain(other)
             assert closed.value.rcvd.code == 4400
-        receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
+        receive_until(socket, client, lambda: client.status["viewers"] == 1)
 
 
 def flood(socket):
     for _ in range(10):
-        socket.send(json.dumps({"do": "got"}))
+        socket.send(json.dumps({"do": "ack"}))
     drain(socket)
 
 
@@ -234,40 +234,40 @@ def test_who_confirms_what_was_never_sent_is_sent_away():
 
 
 def test_a_message_that_is_too_long_ends_the_line_and_nothing_else():
-    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
-        receive(socket, onlooker)
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
+        receive(socket, client)
         with viewing(page.url) as (other, _):
             other.send(json.dumps({"do": "x" * 100_000}))
             with pytest.raises(ConnectionClosed):
                 drain(other)
-        receive_until(socket, onlooker, lambda: onlooker.status["viewers"] == 1)
+        receive_until(socket, client, lambda: client.status["viewers"] == 1)
 
 
 def test_who_does_not_confirm_gets_no_more(drive, monkeypatch):
     """A slow line must not be filled with what is old when it arrives."""
     monkeypatch.setattr(application, "PERIOD_S", 0.001)
-    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, onlooker):
+    with LivePage("loop", FREE, range_max_m=30.0) as page, viewing(page.url) as (socket, client):
         page.wait_for_viewer(5)
         page.observer.period_s = 0.0
         state = mapped(page, drive)
         got = 0
         while True:
             try:
-                onlooker.receive(socket.recv(0.3))
+                client.receive(socket.recv(0.3))
                 got += 1
             except TimeoutError:
                 break
         assert got <= 2
-        socket.send(json.dumps({"do": "got"}))
-        receive_until(socket, onlooker, lambda: onlooker.sees(state.maps.occupancy(state.best)))
+        socket.send(json.dumps({"do": "ack"}))
+        receive_until(socket, client, lambda: client.sees(state.maps.occupancy(state.best)))
 
 
 def test_a_viewer_hears_something_though_nothing_happens(monkeypatch):
     monkeypatch.setattr(application, "_HEARTBEAT_S", 0.05)
-    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
         for _ in range(5):
-            receive(socket, onlooker)
-        assert onlooker.bytes < 2000
+            receive(socket, client)
+        assert client.bytes < 2000
 
 
 def test_a_viewer_hears_something_though_nothing_new_happens_again_and_again(monkeypatch):
@@ -277,15 +277,15 @@ def test_a_viewer_hears_something_though_nothing_new_happens_again_and_again(mon
 
     def repeat():
         while not ended.wait(0.02):
-            page.say("")
+            page.show_message("")
 
-    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, onlooker):
-        receive(socket, onlooker)
+    with LivePage("loop", FREE) as page, viewing(page.url) as (socket, client):
+        receive(socket, client)
         repeating = threading.Thread(target=repeat)
         repeating.start()
         try:
             for _ in range(3):
-                receive(socket, onlooker)
+                receive(socket, client)
         finally:
             ended.set()
             repeating.join()
@@ -321,12 +321,12 @@ def test_a_filter_outlives_its_page(drive):
 def test_the_page_stays_for_those_who_look_and_for_nobody_else(drive):
     with LivePage("loop", FREE) as page:
         began = time.monotonic()
-        page.linger()
+        page.serve_until_left()
         assert not page.wait_for_viewer(0.05)
         assert time.monotonic() - began < 1.0
         with viewing(page.url):
             assert page.wait_for_viewer(5)
-            waiting = threading.Thread(target=page.linger)
+            waiting = threading.Thread(target=page.serve_until_left)
             waiting.start()
             waiting.join(0.3)
             assert waiting.is_alive()

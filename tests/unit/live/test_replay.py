@@ -19,7 +19,7 @@ from gridslam.io.map_server import read_map
 from gridslam.io.record import read_record
 from gridslam.live.replay import Replay
 from support.loops import PROVOKED, loop_drive
-from support.onlookers import Onlooker
+from support.page_client import PageClient
 
 
 @pytest.fixture(scope="module")
@@ -44,102 +44,102 @@ def record(out):
 
 
 def looking(replay):
-    viewer, onlooker = replay.join(lambda: None), Onlooker()
-    onlooker.catch_up(viewer)
-    return viewer, onlooker
+    viewer, client = replay.add_viewer(lambda: None), PageClient()
+    client.catch_up(viewer)
+    return viewer, client
 
 
 def test_it_begins_with_the_end(replay, out):
-    viewer, onlooker = looking(replay)
+    viewer, client = looking(replay)
     keys = len(replay.results.times_s)
-    assert onlooker.sees(read_map(out / "map.yaml"))
-    assert (onlooker.status["at"], onlooker.status["stage"]) == (keys - 1, "paused")
-    assert np.array_equal(onlooker.path, replay.results.way)
-    assert onlooker.series.shape == (keys, 5)
-    assert len(onlooker.arrays["closures"]) == onlooker.status["closures"] > 0
-    assert onlooker.hello["mode"] == "replay"
-    assert onlooker.hello["title"] == "loop.clf.gz"
-    assert viewer.message() is None
+    assert client.sees(read_map(out / "map.yaml"))
+    assert (client.status["at"], client.status["stage"]) == (keys - 1, "paused")
+    assert np.array_equal(client.path, replay.results.path)
+    assert client.series.shape == (keys, 5)
+    assert len(client.arrays["closures"]) == client.status["closures"] > 0
+    assert client.run_info["mode"] == "replay"
+    assert client.run_info["title"] == "loop.clf.gz"
+    assert viewer.next_message() is None
 
 
 def test_any_time_can_be_looked_at_in_any_order(replay, record, out):
-    viewer, onlooker = looking(replay)
+    viewer, client = looking(replay)
     places = read_g2o(out / "graph.g2o").graph.poses[:, :2].astype(np.float32)
     closed = [pair["key_scans"][1] for pair in json.loads((out / "run.json").read_text())["loop_closure"]["closures"]]
     for at in (0, 50, 49, len(record) - 1, 7, 120):
         viewer.command({"do": "seek", "at": at})
-        onlooker.catch_up(viewer)
-        assert onlooker.status["at"] == at
-        assert onlooker.status["time_s"] == pytest.approx(1e-9 * (record.stamps_ns[at] - record.stamps_ns[0]))
-        assert np.array_equal(onlooker.path, places[: at + 1])
-        particles = onlooker.arrays["particles"]
+        client.catch_up(viewer)
+        assert client.status["at"] == at
+        assert client.status["time_s"] == pytest.approx(1e-9 * (record.stamps_ns[at] - record.stamps_ns[0]))
+        assert np.array_equal(client.path, places[: at + 1])
+        particles = client.arrays["particles"]
         assert np.array_equal(particles[:, :3], record.poses[at])
         assert particles[:, 3].sum() == pytest.approx(1.0)
-        assert len(onlooker.arrays["closures"]) == sum(end <= at for end in closed)
+        assert len(client.arrays["closures"]) == sum(end <= at for end in closed)
         for particle in range(5):
-            assert onlooker.past_of(particle)[-1] == pytest.approx(record.poses[at, particle, :2], abs=0.008)
-            assert len(onlooker.past_of(particle)) == at + 1
+            assert client.past_of(particle)[-1] == pytest.approx(record.poses[at, particle, :2], abs=0.008)
+            assert len(client.past_of(particle)) == at + 1
     viewer.command({"do": "seek", "at": 10**6})
-    onlooker.catch_up(viewer)
-    assert onlooker.status["at"] == len(record) - 1
+    client.catch_up(viewer)
+    assert client.status["at"] == len(record) - 1
 
 
 def test_what_is_sent_after_a_step_is_little(replay):
-    viewer, onlooker = looking(replay)
+    viewer, client = looking(replay)
     viewer.command({"do": "seek", "at": 60})
-    onlooker.catch_up(viewer)
-    before = onlooker.bytes
+    client.catch_up(viewer)
+    before = client.bytes
     viewer.command({"do": "step"})
-    onlooker.catch_up(viewer)
-    assert onlooker.status["at"] == 61
-    assert onlooker.bytes - before < 4000
+    client.catch_up(viewer)
+    assert client.status["at"] == 61
+    assert client.bytes - before < 4000
 
 
 def test_two_viewers_look_at_times_of_their_own(replay):
     (one, first), (other, second) = looking(replay), looking(replay)
     one.command({"do": "seek", "at": 5})
     other.command({"do": "seek", "at": 100})
-    for viewer, onlooker, at in ((one, first, 5), (other, second, 100)):
-        onlooker.catch_up(viewer)
-        assert (onlooker.status["at"], len(onlooker.path)) == (at, at + 1)
+    for viewer, client, at in ((one, first, 5), (other, second, 100)):
+        client.catch_up(viewer)
+        assert (client.status["at"], len(client.path)) == (at, at + 1)
 
 
 def test_playing_goes_on_with_the_clock_and_stops_at_the_end(replay, record, monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, "perf_counter", lambda: now)
-    viewer, onlooker = looking(replay)
-    viewer.command({"do": "speed", "times": 20})
+    viewer, client = looking(replay)
+    viewer.command({"do": "speed", "factor": 20})
     viewer.command({"do": "resume"})  # at the end: it begins anew
-    onlooker.receive(viewer.message())
-    assert (onlooker.status["at"], onlooker.status["stage"]) == (0, "running")
+    client.receive(viewer.next_message())
+    assert (client.status["at"], client.status["stage"]) == (0, "running")
     for passed in (0.5, 1.0, 2.0):
         now = 100.0 + passed
-        onlooker.receive(viewer.message())
-        assert onlooker.status["time_s"] == pytest.approx(20 * passed)
-        at = onlooker.status["at"]
+        client.receive(viewer.next_message())
+        assert client.status["time_s"] == pytest.approx(20 * passed)
+        at = client.status["at"]
         assert replay.results.times_s[at] <= 20 * passed < replay.results.times_s[at + 1]
     viewer.command({"do": "pause"})
-    onlooker.catch_up(viewer)
+    client.catch_up(viewer)
     now += 50
-    assert viewer.message() is None
+    assert viewer.next_message() is None
     viewer.command({"do": "resume"})
     now += 50
-    onlooker.receive(viewer.message())
-    assert (onlooker.status["at"], onlooker.status["stage"]) == (len(record) - 1, "paused")
+    client.receive(viewer.next_message())
+    assert (client.status["at"], client.status["stage"]) == (len(record) - 1, "paused")
 
 
 def test_a_chosen_particle_keeps_its_line(replay):
-    viewer, onlooker = looking(replay)
+    viewer, client = looking(replay)
     viewer.command({"do": "seek", "at": 80})
-    viewer.command({"do": "watch", "particle": 3})
-    onlooker.catch_up(viewer)
-    past = onlooker.past_of(3)
+    viewer.command({"do": "select", "particle": 3})
+    client.catch_up(viewer)
+    past = client.past_of(3)
     viewer.command({"do": "seek", "at": 20})
-    onlooker.catch_up(viewer)
-    assert np.array_equal(onlooker.past_of(onlooker.status["watched"]), past[:21])
+    client.catch_up(viewer)
+    assert np.array_equal(client.past_of(client.status["selected_particle"]), past[:21])
     with pytest.raises(ArgumentError, match="below 5"):
-        viewer.command({"do": "watch", "particle": 5})
-    for wrong in ({"do": "dance"}, {"do": "watch", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):
+        viewer.command({"do": "select", "particle": 5})
+    for wrong in ({"do": "dance"}, {"do": "select", "particle": "3"}, {"do": "seek", "at": math.inf}, {"do": "seek"}):
         with pytest.raises((ArgumentError, KeyError, OverflowError)):
             viewer.command(wrong)
 

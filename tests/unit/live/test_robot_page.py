@@ -9,10 +9,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from gridslam.cli.ros import watched
+from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
 from gridslam.live.control import RobotControl
-from gridslam.live.map_sight import MapSight
+from gridslam.live.mapping_monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -24,8 +24,8 @@ from gridslam.ros.localization import Localization
 from support.localization_world import drive as localized_drive
 from support.localization_world import flat_map
 from support.loops import PROVOKED, loop_drive
-from support.onlookers import Onlooker
-from support.ros_node import Heard, mounting, play, until
+from support.page_client import PageClient
+from support.ros_node import RecordedOutputs, mounting, play, until
 
 
 @pytest.fixture(scope="module")
@@ -49,54 +49,54 @@ def mapped(source, observe):
 
 
 def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
-    robot, onlooker = Robot(), Onlooker()
+    robot, client = Robot(), PageClient()
     live = LiveRun("robot", robot.control, 30.0)
 
     def post(snapshot):
         live.apply(snapshot)
-        observer.done()
+        observer.release()
 
-    observer = live.observer = LiveObserver(post, robot.control, MapSight(30.0))
-    viewer = live.join(lambda: None)
+    observer = live.observer = LiveObserver(post, robot.control, MappingMonitor(30.0))
+    viewer = live.add_viewer(lambda: None)
     sessions = []
     for part in (drive, drive[20:40]):
-        live.begin()
-        observer.begin()
+        live.reset()
+        observer.reset()
         observer.period_s = 0.0
-        onlooker.catch_up(viewer)
-        assert (len(onlooker.tiles), len(onlooker.path), len(onlooker.series)) == (0, 0, 0)
-        assert onlooker.hello["mode"] == "robot"
-        state = mapped(observer.followed(part), observer)
-        onlooker.catch_up(viewer)
-        assert onlooker.sees(state.maps.occupancy(state.best))
-        assert onlooker.status["scans"] == len(part)
-        viewer.command({"do": "watch", "particle": 2})
-        sessions.append(onlooker.hello["session"])
+        client.catch_up(viewer)
+        assert (len(client.tiles), len(client.path), len(client.series)) == (0, 0, 0)
+        assert client.run_info["mode"] == "robot"
+        state = mapped(observer.follow(part), observer)
+        client.catch_up(viewer)
+        assert client.sees(state.maps.occupancy(state.best))
+        assert client.status["scans"] == len(part)
+        viewer.command({"do": "select", "particle": 2})
+        sessions.append(client.run_info["session"])
     assert len(set(sessions)) == 2
 
 
 def test_a_particle_that_was_chosen_before_a_new_session_is_no_more(drive):
-    robot, onlooker = Robot(), Onlooker()
+    robot, client = Robot(), PageClient()
     live = LiveRun("robot", robot.control)
-    viewer = live.join(lambda: None)
+    viewer = live.add_viewer(lambda: None)
     live._status["particles"] = 4
-    viewer.command({"do": "watch", "particle": 2})
-    onlooker.catch_up(viewer)
-    assert onlooker.status["channel"] != 0
-    live.begin()
-    onlooker.catch_up(viewer)
-    assert (onlooker.status["channel"], onlooker.status["watched"]) == (0, None)
+    viewer.command({"do": "select", "particle": 2})
+    client.catch_up(viewer)
+    assert client.status["channel"] != 0
+    live.reset()
+    client.catch_up(viewer)
+    assert (client.status["channel"], client.status["selected_particle"]) == (0, None)
 
 
 def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
-    robot, seen = Robot(), Onlooker()
+    robot, seen = Robot(), PageClient()
     with LivePage("robot", LiveOptions(port=0), robot=robot.control) as page:
-        mapped(page.session(drive[:10]), page.observer)
+        mapped(page.follow_session(drive[:10]), page.observer)
         with connect(page.url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
             def told(key):
                 seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "got"}))
+                line.send(json.dumps({"do": "ack"}))
                 return seen.status.get(key)
 
             assert until(lambda: told("stage") in ("running", "waiting"))
@@ -104,11 +104,11 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
             assert until(lambda: told("stage") == "paused")
             assert robot.paused
             robot.paused = False  # by its service
-            page.say("missing transform: laser")
-            assert until(lambda: told("says") == "missing transform: laser")
+            page.show_message("missing transform: laser")
+            assert until(lambda: told("message") == "missing transform: laser")
             assert seen.status["stage"] != "paused"
-            page.say("")
-            assert until(lambda: told("says") == "")
+            page.show_message("")
+            assert until(lambda: told("message") == "")
             line.send(json.dumps({"do": "step", "to_key_scan": True}))
             with pytest.raises(ConnectionClosed, match="a robot drives on"):
                 until(lambda: told("stage") == "stepped")
@@ -117,30 +117,30 @@ def test_a_robot_is_paused_by_its_page_and_seen_paused_but_not_held_back(drive):
 def test_a_node_that_localizes_is_watched_and_recorded(tmp_path, capsys):
     """Placed by people meanwhile, it stays one session."""
     pytest.importorskip("rerun", reason="Rerun (the extra rerun) is not installed")
-    log, heard, seen = localized_drive(3), Heard(), Onlooker()
+    log, outputs, seen = localized_drive(3), RecordedOutputs(), PageClient()
     known = Localization(KnownMap(flat_map()), MonteCarloConfiguration())
-    core = NodeCore(NodeSettings(queue_s=60.0), known, heard)
+    core = NodeCore(NodeSettings(queue_s=60.0), known, outputs)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
-    with watched("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
+    with make_viewer_opener("robot", LiveOptions(port=0), str(tmp_path / "run.rrd"))(core):
         url = capsys.readouterr().err.split("live at ")[1].split()[0]
         with connect(url.replace("http", "ws", 1) + "socket", max_size=None) as line:
 
             def told():
                 seen.receive(line.recv(10))
-                line.send(json.dumps({"do": "got"}))
+                line.send(json.dumps({"do": "ack"}))
                 return seen.status
 
             told()
             assert seen.sees(known.known.grid)
-            assert seen.hello["mode"] == "robot"
+            assert seen.run_info["mode"] == "robot"
             core.start()
-            sent = play(core, heard, log.measurements[:30], shift_ns=10**18, ahead=5)
-            assert until(lambda: told()["scans"] == sent), heard.warnings()
-            session = seen.hello["session"]
-            core.place((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
-            play(core, heard, log.measurements[30:60], shift_ns=10**18, ahead=5)
+            sent = play(core, outputs, log.measurements[:30], shift_ns=10**18, ahead=5)
+            assert until(lambda: told()["scans"] == sent), outputs.warnings()
+            session = seen.run_info["session"]
+            core.set_pose((np.array(log.truth.poses[29]), np.diag([0.04, 0.04, 0.03])))
+            play(core, outputs, log.measurements[30:60], shift_ns=10**18, ahead=5)
             assert until(lambda: told()["scans"] == 60)
-            assert seen.hello["session"] == session
+            assert seen.run_info["session"] == session
             assert seen.status["lost"] is False
             assert np.hypot(*(np.array(seen.status["pose"]) - log.truth.poses[59])[:2]) < 0.3
             assert len(seen.arrays["particles"]) <= 1000

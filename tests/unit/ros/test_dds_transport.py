@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
 from gridslam.ros import dds
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.messages import GridMessage
 from gridslam.ros.parameters import node_parameters
 from gridslam.ros.ros2_arguments import RosArguments
@@ -24,7 +24,7 @@ STAMP = 1_700_000_000, 5
 
 def scan(beams):
     values = STAMP, "laser"
-    empty = encoded("sensor_msgs/LaserScan", (values, -1.0, 1.0, 2e-8, 0.0, 0.0, 0.1, 30.0, [], []))
+    empty = encode_message("sensor_msgs/LaserScan", (values, -1.0, 1.0, 2e-8, 0.0, 0.0, 0.1, 30.0, [], []))
     return empty[:-8] + beams.to_bytes(4, "little") + np.ones(beams, "<f4").tobytes() + bytes(4)
 
 
@@ -36,7 +36,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
         take["rt/scan"](scan(26_214_400))
         take["rt/scan"](b"\0\1\0\0nonsense")
         take["rt/scan"](b"")
-        take["rt/scan"](encoded("std_msgs/Float64", (1.0,)))
+        take["rt/scan"](encode_message("std_msgs/Float64", (1.0,)))
         take["rt/tf"](b"\0\1\0\0\xff\xff\xff\xff")
         take["rq/gridslam/pauseRequest"](b"\0\1")
         said = []
@@ -44,7 +44,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
         values = node.core.diagnostics().values
         assert values["refused"] == "1"
         assert values["message refused, times"] == "4"
-        assert "scan refused: /scan: 26214400 beams, more than the 100000 that a scan may have" in "".join(said)
+        assert "scan refused: /scan: 26214400 beams, more than the maximum of 100000" in "".join(said)
         assert not node.core.ended.is_set()
     finally:
         node.close(None)

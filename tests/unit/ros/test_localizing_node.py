@@ -13,12 +13,12 @@ from gridslam.geometry.se2 import between
 from gridslam.io.map_server import write_map
 from gridslam.io.ros_messages import MessageError, wire_of_cdr, wire_of_ros1
 from gridslam.ros import NodeCore
-from gridslam.ros.cdr import encoded
-from gridslam.ros.initial_pose import place_by_message
+from gridslam.ros.cdr import encode_message
+from gridslam.ros.initial_pose import set_pose_from_message
 from gridslam.ros.messages import Level
 from gridslam.ros.parameters import node_parameters
 from support.localization_world import drive, flat_map
-from support.ros_node import Heard, mounting, play, until
+from support.ros_node import RecordedOutputs, mounting, play, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 HERE = np.array([2.6, 1.6, 0.0])
@@ -37,19 +37,19 @@ def log():
     return drive(3)
 
 
-def node(heard, map_file, record=None, **given):
+def node(outputs, map_file, record=None, **given):
     parameters = node_parameters({"mode": "localization", "map_file": str(map_file), **given})
-    core = NodeCore(parameters.settings, parameters.configuration, heard, record=record)
+    core = NodeCore(parameters.settings, parameters.configuration, outputs, record=record)
     core.on_transforms([mounting(0.0, 0.0)._replace(pose=(0.0,) * 6 + (1.0,))], static=True)
     core.start()
     return core
 
 
-def driven(core, heard, log, scans):
-    done = len(heard.poses)
-    sent = play(core, heard, log.measurements[:scans], shift_ns=SHIFT_NS, ahead=5)  # the clock is the last scan's
-    assert until(lambda: len(heard.poses) == done + sent), heard.warnings()
-    return between(log.truth.poses[scans - 1], heard.poses[-1].pose)
+def driven(core, outputs, log, scans):
+    done = len(outputs.poses)
+    sent = play(core, outputs, log.measurements[:scans], shift_ns=SHIFT_NS, ahead=5)  # the clock is the last scan's
+    assert until(lambda: len(outputs.poses) == done + sent), outputs.warnings()
+    return between(log.truth.poses[scans - 1], outputs.poses[-1].pose)
 
 
 def placed(log):
@@ -58,42 +58,42 @@ def placed(log):
 
 
 def test_a_robot_that_is_placed_is_followed_and_told(map_file, log):
-    heard = Heard()
-    core = node(heard, map_file, initial_cov_xx=0.04, initial_cov_yy=0.04, initial_cov_aa=0.03, **placed(log))
-    assert heard.maps[0] is core.dynamic_map()
-    apart = driven(core, heard, log, 60)
+    outputs = RecordedOutputs()
+    core = node(outputs, map_file, initial_cov_xx=0.04, initial_cov_yy=0.04, initial_cov_aa=0.03, **placed(log))
+    assert outputs.maps[0] is core.dynamic_map()
+    apart = driven(core, outputs, log, 60)
     assert np.hypot(*apart[:2]) < 0.3
     assert abs(apart[2]) < 0.15
-    last = heard.transforms[-1]
+    last = outputs.transforms[-1]
     assert (last.parent, last.child) == ("map", "odom")
     told = core.diagnostics()
     assert (told.level, told.summary) == (Level.OK, "localizing")
-    assert len(heard.clouds[-1].poses) >= 100
-    assert len(heard.clouds[-1].data()) == 56 * len(heard.clouds[-1].poses)
-    assert len(heard.maps) == 1
+    assert len(outputs.clouds[-1].poses) >= 100
+    assert len(outputs.clouds[-1].data()) == 56 * len(outputs.clouds[-1].poses)
+    assert len(outputs.maps) == 1
     assert core.close() is None
 
 
 def test_the_record_is_localized_to_the_same_poses(map_file, log, tmp_path):
-    heard = Heard()
-    core = node(heard, map_file, tmp_path / "scans.csv", **placed(log))
-    driven(core, heard, log, 50)
+    outputs = RecordedOutputs()
+    core = node(outputs, map_file, tmp_path / "scans.csv", **placed(log))
+    driven(core, outputs, log, 50)
     core.close()
     again = localize(tmp_path / "scans.csv", map_file, pose=log.truth.poses[0])
-    np.testing.assert_array_equal([told.pose for told in heard.poses], again.trajectory.poses)
+    np.testing.assert_array_equal([told.pose for told in outputs.poses], again.trajectory.poses)
 
 
 def test_people_say_where_the_robot_is(map_file, log):
-    heard = Heard()
-    core = node(heard, map_file)
-    core.place((np.array(log.truth.poses[0]), COVARIANCE))
-    apart = driven(core, heard, log, 30)
+    outputs = RecordedOutputs()
+    core = node(outputs, map_file)
+    core.set_pose((np.array(log.truth.poses[0]), COVARIANCE))
+    apart = driven(core, outputs, log, 30)
     assert np.hypot(*apart[:2]) < 0.3
     core.reset()
-    play(core, heard, log.measurements[30:31], shift_ns=SHIFT_NS)
-    assert until(lambda: len(heard.poses) == 31)
-    assert core.diagnostics().summary.startswith("lost: it may be elsewhere")
-    assert "restarts" not in heard.warnings()
+    play(core, outputs, log.measurements[30:31], shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) == 31)
+    assert core.diagnostics().summary.startswith("lost: the pose or the map may be wrong")
+    assert "restarts" not in outputs.warnings()
     core.close()
 
 
@@ -103,15 +103,15 @@ def message(frame="map", pose=(1.0, 2.0, 0.0, 0.0, 0.0, 1.0, 0.0), yaw_variance=
     ros1 = struct.pack("<III", 1, 5, 6) + struct.pack("<I", len(frame)) + frame.encode()
     ros1 += struct.pack("<43d", *pose, *covariance)
     values = ((5, 6), frame), ((pose[:3], pose[3:]), covariance)
-    return ros1, encoded("geometry_msgs/PoseWithCovarianceStamped", values)
+    return ros1, encode_message("geometry_msgs/PoseWithCovarianceStamped", values)
 
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_where_people_say_it_is_comes_as_a_message(map_file, which, monkeypatch):
-    core, found = node(Heard(), map_file), []
+    core, found = node(RecordedOutputs(), map_file), []
     wire = wire_of_ros1(b"") if which == 0 else wire_of_cdr(b"\0\1")
-    monkeypatch.setattr(core, "place", found.append)
-    place_by_message(core, message()[which], wire)
+    monkeypatch.setattr(core, "set_pose", found.append)
+    set_pose_from_message(core, message()[which], wire)
     ((pose, covariance),) = found
     np.testing.assert_allclose(pose, [1.0, 2.0, np.pi])
     np.testing.assert_array_equal(covariance, np.diag([0.04, 0.05, 0.03]))
@@ -123,7 +123,7 @@ def test_where_people_say_it_is_comes_as_a_message(map_file, which, monkeypatch)
         ((b"", b"\0\1\0\0"), "unpack"),
     ):
         with pytest.raises(MessageError, match=says):
-            place_by_message(core, wrong[which], wire)
+            set_pose_from_message(core, wrong[which], wire)
     core.close()
 
 
@@ -137,10 +137,10 @@ def test_amcl_s_parameters_by_their_names(map_file):
     assert (found.settings.odom_frame, found.settings.tf_delay_s) == ("wheels", 0.2)
     parts = found.configuration.configuration
     assert (parts.kld.particles_min, parts.kld.particles_max, parts.max_beams) == (50, 200, 33)
-    assert "do_beamskip (nothing here corresponds to it)" in found.warning
-    assert "preset (the node localizes, and makes no map)" in found.warning
+    assert "do_beamskip (it has no equivalent)" in found.warning
+    assert "preset (the node localizes and builds no map)" in found.warning
     assert "particels (there is no such parameter" in found.warning
-    assert found.configuration.place is None
+    assert found.configuration.initial_pose is None
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_amcl_s_parameters_by_their_names(map_file):
     [
         ({"mode": "localisation"}, ConfigurationError, "mode: expected mapping or localization"),
         ({"mode": "localization"}, ConfigurationError, "map_file: expected the YAML file"),
-        ({"map_file": "a.yaml"}, ConfigurationError, "map_file: needs the mode localization"),
+        ({"map_file": "a.yaml"}, ConfigurationError, "map_file: requires the mode localization"),
         ({"mode": "localization", "map_file": "none.yaml"}, InputError, r"none\.yaml"),
     ],
 )
@@ -159,13 +159,13 @@ def test_what_cannot_be_is_said(given, error, says):
 
 def test_a_node_that_maps_cannot_be_placed_and_one_that_localizes_saves_no_map(map_file, tmp_path):
     parameters = node_parameters({"particles": 3})
-    core = NodeCore(parameters.settings, parameters.configuration, Heard())
-    with pytest.raises(ArgumentError, match="place: expected a node that localizes"):
-        core.place((HERE, COVARIANCE))
+    core = NodeCore(parameters.settings, parameters.configuration, RecordedOutputs())
+    with pytest.raises(ArgumentError, match="pose: expected a node that localizes"):
+        core.set_pose((HERE, COVARIANCE))
     core.close()
-    core = node(Heard(), map_file)
+    core = node(RecordedOutputs(), map_file)
     with pytest.raises(ArgumentError, match=r"pose: expected a place in the map, x from .*, got 1e\+09, 0"):
-        core.place((np.array([1e9, 0.0, 0.0]), COVARIANCE))
+        core.set_pose((np.array([1e9, 0.0, 0.0]), COVARIANCE))
     with pytest.raises(ArgumentError, match="gridslam localize"):
         core.save(tmp_path / "out")
     core.close()

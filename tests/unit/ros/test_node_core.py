@@ -19,10 +19,10 @@ from gridslam.geometry.se2 import compose
 from gridslam.io.map_server import read_map
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.messages import Level
-from gridslam.ros.rendering import cells_of_map
-from gridslam.ros.services import saved
+from gridslam.ros.rendering import map_cells
+from gridslam.ros.services import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
-from support.ros_node import BASE, ODOM, Heard, mounting, odometry_message, play, scan_message, until
+from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9
 FEW = Configuration(particles=4)
@@ -35,39 +35,39 @@ def drive():
     return list(log.measurements)[:120]
 
 
-def node(heard, *, configuration=FEW, record=None, **settings):
+def node(outputs, *, configuration=FEW, record=None, **settings):
     given = NodeSettings(**{"map_update_interval_s": 0.2, "queue_s": 60.0, **settings})
-    core = NodeCore(given, configuration, heard, record=record)
+    core = NodeCore(given, configuration, outputs, record=record)
     core.on_transforms([mounting()], static=True)
     core.start()
     return core
 
 
-def drive_all(core, heard, measurements, *, shift_ns=SHIFT_NS):
-    done = len(heard.poses)
-    sent = play(core, heard, measurements, shift_ns=shift_ns)
-    assert until(lambda: len(heard.poses) == done + sent), heard.warnings()
+def drive_all(core, outputs, measurements, *, shift_ns=SHIFT_NS):
+    done = len(outputs.poses)
+    sent = play(core, outputs, measurements, shift_ns=shift_ns)
+    assert until(lambda: len(outputs.poses) == done + sent), outputs.warnings()
 
 
 def test_the_record_of_a_live_run_is_mapped_to_the_same_bytes(drive, tmp_path):
-    heard = Heard()
-    core = node(heard, record=tmp_path / "scans.csv")
-    drive_all(core, heard, drive)
+    outputs = RecordedOutputs()
+    core = node(outputs, record=tmp_path / "scans.csv")
+    drive_all(core, outputs, drive)
     core.close().save(tmp_path / "live")
     map_log(tmp_path / "scans.csv", configuration=FEW, repair="none").save(tmp_path / "replayed")
     for name in ("map.pgm", "map.yaml", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o"):
         assert (tmp_path / "live" / name).read_bytes() == (tmp_path / "replayed" / name).read_bytes(), name
-    assert all(level is Level.OK for level, _ in heard.said), heard.said
+    assert all(level is Level.OK for level, _ in outputs.logs), outputs.logs
 
 
 def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
-    heard = Heard()
-    core = node(heard, record=tmp_path / "scans.csv")
-    drive_all(core, heard, drive[:10])
+    outputs = RecordedOutputs()
+    core = node(outputs, record=tmp_path / "scans.csv")
+    drive_all(core, outputs, drive[:10])
     core._session.close()
     core._session._recorder._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115 - the recorder closes it
-    drive_all(core, heard, drive[10:60])
-    assert heard.warnings().count("No space left on device") == 1
+    drive_all(core, outputs, drive[10:60])
+    assert outputs.warnings().count("No space left on device") == 1
     assert core.save(tmp_path / "out")["scans"]["read"] == 60
     taken = core.close()
     assert (taken.log.scan_count, taken.record) == (60, None)
@@ -78,29 +78,32 @@ def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch)
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("gridslam.ros.session.MapResult.save", full)
-    heard = Heard()
-    core = node(heard)
-    drive_all(core, heard, drive[:10])
-    assert saved(core, tmp_path / "out") == (False, f"{tmp_path / 'out'}: cannot be written: No space left on device")
-    drive_all(core, heard, drive[10:20])
+    outputs = RecordedOutputs()
+    core = node(outputs)
+    drive_all(core, outputs, drive[:10])
+    assert save_results(core, tmp_path / "out") == (
+        False,
+        f"{tmp_path / 'out'}: cannot be written: No space left on device",
+    )
+    drive_all(core, outputs, drive[10:20])
     core.close()
 
 
 def test_what_it_says_of_a_drive(drive):
-    heard = Heard()
-    core = node(heard, transform_publish_period_s=0.01, tf_delay_s=0.3)
-    drive_all(core, heard, drive)
-    last = heard.transforms[-1]
+    outputs = RecordedOutputs()
+    core = node(outputs, transform_publish_period_s=0.01, tf_delay_s=0.3)
+    drive_all(core, outputs, drive)
+    last = outputs.transforms[-1]
     assert (last.parent, last.child) == ("map", ODOM)
     assert last.stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS + 300_000_000
     x, y, _, _, _, sine, cosine = last.pose
     expected = compose([x, y, 2 * np.arctan2(sine, cosine)], drive[-1].odometry.pose)
-    np.testing.assert_allclose(heard.poses[-1].pose, expected, atol=1e-9)
-    assert heard.poses[-1].covariance.shape == (3, 3)
-    assert all(0 <= entropy <= np.log(4) + 1e-9 for entropy in heard.entropies)
-    assert len(heard.entropies) > 3
-    assert until(lambda: len(heard.maps) >= 2)
-    assert core.dynamic_map() is heard.maps[-1]
+    np.testing.assert_allclose(outputs.poses[-1].pose, expected, atol=1e-9)
+    assert outputs.poses[-1].covariance.shape == (3, 3)
+    assert all(0 <= entropy <= np.log(4) + 1e-9 for entropy in outputs.entropies)
+    assert len(outputs.entropies) > 3
+    assert until(lambda: len(outputs.maps) >= 2)
+    assert core.dynamic_map() is outputs.maps[-1]
     told = core.diagnostics()
     assert told.level is Level.OK, told
     assert told.values["accepted"] == str(len(drive))
@@ -109,24 +112,24 @@ def test_what_it_says_of_a_drive(drive):
 
 
 def test_the_published_map_is_the_one_that_is_written(drive, tmp_path):
-    heard = Heard()
-    core = node(heard, configuration=preset("gmapping", 4))
-    drive_all(core, heard, drive)
+    outputs = RecordedOutputs()
+    core = node(outputs, configuration=preset("gmapping", 4))
+    drive_all(core, outputs, drive)
     assert until(lambda: core._renderer.is_idle)
-    assert until(lambda: heard.maps[-1].stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS)
+    assert until(lambda: outputs.maps[-1].stamp_ns == drive[-1].scan.stamp_ns + SHIFT_NS)
     core.save(tmp_path / "out")
     written = read_map(tmp_path / "out" / "map.yaml")
-    np.testing.assert_array_equal(cells_of_map(written, "trinary"), heard.maps[-1].cells)
-    np.testing.assert_allclose(heard.maps[-1].origin, written.origin)
+    np.testing.assert_array_equal(map_cells(written, "trinary"), outputs.maps[-1].cells)
+    np.testing.assert_allclose(outputs.maps[-1].origin, written.origin)
     core.close()
 
 
 def test_probabilities_are_told_in_per_cent(drive):
-    heard = Heard()
-    core = node(heard, map_values="probability")
-    drive_all(core, heard, drive[:30])
-    assert until(lambda: bool(heard.maps))
-    cells = np.unique(heard.maps[-1].cells)
+    outputs = RecordedOutputs()
+    core = node(outputs, map_values="probability")
+    drive_all(core, outputs, drive[:30])
+    assert until(lambda: bool(outputs.maps))
+    cells = np.unique(outputs.maps[-1].cells)
     assert cells[0] == -1
     assert cells[-1] > 90
     assert len(cells) > 4
@@ -134,65 +137,65 @@ def test_probabilities_are_told_in_per_cent(drive):
 
 
 def test_with_an_interval_of_0_a_map_comes_after_each_scan(drive):
-    heard = Heard()
-    core = node(heard, map_update_interval_s=0.0)
+    outputs = RecordedOutputs()
+    core = node(outputs, map_update_interval_s=0.0)
     for k, one in enumerate(drive[:10]):
-        drive_all(core, heard, [one])
-        assert until(lambda k=k: len(heard.maps) == k + 1 and core._renderer.is_idle)
+        drive_all(core, outputs, [one])
+        assert until(lambda k=k: len(outputs.maps) == k + 1 and core._renderer.is_idle)
     core.close()
 
 
 def test_frames_with_a_slash_are_those_without(drive):
     """As in launch files and bags from before tf2, whose listeners refuse them."""
-    heard = Heard()
-    core = node(heard, base_frame="/base_link", odom_frame="/odom", map_frame="/map")
-    drive_all(core, heard, drive[:3])
-    assert until(lambda: bool(heard.maps))
-    assert (heard.transforms[-1].parent, heard.transforms[-1].child) == ("map", "odom")
-    assert {heard.maps[-1].frame, heard.poses[-1].frame, heard.clouds[-1].frame} == {"map"}
-    core.on_transforms([heard.transforms[0]._replace(stamp_ns=1)])
-    assert "transform of another node" in heard.warnings()
+    outputs = RecordedOutputs()
+    core = node(outputs, base_frame="/base_link", odom_frame="/odom", map_frame="/map")
+    drive_all(core, outputs, drive[:3])
+    assert until(lambda: bool(outputs.maps))
+    assert (outputs.transforms[-1].parent, outputs.transforms[-1].child) == ("map", "odom")
+    assert {outputs.maps[-1].frame, outputs.poses[-1].frame, outputs.clouds[-1].frame} == {"map"}
+    core.on_transforms([outputs.transforms[0]._replace(stamp_ns=1)])
+    assert "transform of another node" in outputs.warnings()
     core.close()
 
 
 def test_what_it_is_at_is_logged_when_it_changes(drive, monkeypatch):
     """A lidar that falls silent, too: the last thing that its log says would else be that it maps."""
     monkeypatch.setattr("gridslam.ros.core._DIAGNOSTICS_S", 0.02)
-    monkeypatch.setattr("gridslam.ros.speaker._SILENT_S", 0.3)
-    heard = Heard()
-    core = node(heard)
+    monkeypatch.setattr("gridslam.ros.state_publisher._SILENT_S", 0.3)
+    outputs = RecordedOutputs()
+    core = node(outputs)
     assert core.diagnostics().summary == "waiting for a scan"
-    drive_all(core, heard, drive[:3])
-    assert until(lambda: (Level.OK, "mapping") in heard.said)
-    assert until(lambda: (Level.WARN, "no scan has been taken for 0.3 s") in heard.said)
-    drive_all(core, heard, drive[3:5])
-    assert until(lambda: heard.said[-1] == (Level.OK, "mapping"))
+    drive_all(core, outputs, drive[:3])
+    assert until(lambda: (Level.OK, "mapping") in outputs.logs)
+    assert until(lambda: (Level.WARN, "no scan accepted for 0.3 s") in outputs.logs)
+    drive_all(core, outputs, drive[3:5])
+    assert until(lambda: outputs.logs[-1] == (Level.OK, "mapping"))
     core.pause(True)
-    assert until(lambda: heard.said[-1] == (Level.OK, "paused"))
+    assert until(lambda: outputs.logs[-1] == (Level.OK, "paused"))
     core.close()
-    assert len(heard.said) == 4
+    assert len(outputs.logs) == 4
 
 
 def test_a_slow_subscriber_of_the_map_does_not_hold_the_filter_up(drive):
-    heard = Heard()
-    heard.hold = threading.Event()
-    core = node(heard)
-    drive_all(core, heard, drive)
-    assert len(heard.maps) == 1
-    heard.hold.set()
+    outputs = RecordedOutputs()
+    outputs.hold = threading.Event()
+    core = node(outputs)
+    drive_all(core, outputs, drive)
+    assert len(outputs.maps) == 1
+    outputs.hold.set()
     core.close()
 
 
 def test_saving_does_not_change_what_comes_after(drive, tmp_path):
     ends = []
     for save in (False, True):
-        heard = Heard()
-        core = node(heard)
-        drive_all(core, heard, drive[:60])
+        outputs = RecordedOutputs()
+        core = node(outputs)
+        drive_all(core, outputs, drive[:60])
         if save:
             assert core.save(tmp_path / "half")["scans"]["read"] == 60
-        drive_all(core, heard, drive[60:])
-        ends.append(np.array([pose.pose for pose in heard.poses]))
+        drive_all(core, outputs, drive[60:])
+        ends.append(np.array([pose.pose for pose in outputs.poses]))
         core.close()
     assert ends[0].tobytes() == ends[1].tobytes()
 
@@ -200,19 +203,19 @@ def test_saving_does_not_change_what_comes_after(drive, tmp_path):
 DRIVE = """
 import sys
 import numpy as np
-from support.ros_node import Heard, mounting, play, until
+from support.ros_node import RecordedOutputs, mounting, play, until
 from gridslam.config import Configuration
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 rng = np.random.default_rng(1)
 log = simulate(make_world("rooms", rng), RobotConfig(), OdometryNoise(), LidarConfig(beams=90), rng)
-drive, heard = list(log.measurements)[:250], Heard()
-core = NodeCore(NodeSettings(map_update_interval_s=0.2), Configuration(particles=2), heard)
+drive, outputs = list(log.measurements)[:250], RecordedOutputs()
+core = NodeCore(NodeSettings(map_update_interval_s=0.2), Configuration(particles=2), outputs)
 core.on_transforms([mounting()], static=True)
 core.start()
 before = set(sys.modules)
-play(core, heard, drive, shift_ns=10**18)
-assert until(lambda: len(heard.poses) == len(drive)), heard.warnings()
+play(core, outputs, drive, shift_ns=10**18)
+assert until(lambda: len(outputs.poses) == len(drive)), outputs.warnings()
 print(*sorted(sys.modules.keys() - before))
 core.close()
 """
@@ -227,74 +230,74 @@ def test_nothing_is_imported_while_it_maps():
 
 
 def test_reset_begins_anew(drive, tmp_path):
-    heard = Heard()
-    core = node(heard, record=tmp_path / "scans.csv")
+    outputs = RecordedOutputs()
+    core = node(outputs, record=tmp_path / "scans.csv")
     with pytest.raises(ArgumentError, match="at least one scan"):
         core.save(tmp_path / "nothing")
-    drive_all(core, heard, drive[:60])
+    drive_all(core, outputs, drive[:60])
     core.reset()
     assert until(lambda: core.dynamic_map() is None)
-    drive_all(core, heard, drive[60:])
-    np.testing.assert_array_equal(heard.poses[60].pose, np.zeros(3))
+    drive_all(core, outputs, drive[60:])
+    np.testing.assert_array_equal(outputs.poses[60].pose, np.zeros(3))
     taken = core.close()
     assert taken.log.scan_count == len(drive) - 60
     assert len((tmp_path / "scans.csv").read_text().splitlines()) == 61
     assert taken.record == tmp_path / "scans-2.csv"
-    assert "a new map is begun: reset" in heard.warnings()
+    assert "starting a new map: reset" in outputs.warnings()
 
 
 def test_a_log_that_is_played_twice_gives_the_same_map_twice(drive):
-    heard = Heard()
-    core = node(heard)
-    drive_all(core, heard, drive)
-    play(core, heard, drive, shift_ns=SHIFT_NS)
-    assert until(lambda: len(heard.poses) >= 2 * len(drive) - 2)
+    outputs = RecordedOutputs()
+    core = node(outputs)
+    drive_all(core, outputs, drive)
+    play(core, outputs, drive, shift_ns=SHIFT_NS)
+    assert until(lambda: len(outputs.poses) >= 2 * len(drive) - 2)
     assert core.diagnostics().values["session"] == "2"
-    assert "time jumped back" in heard.warnings()
-    np.testing.assert_array_equal(heard.poses[len(drive)].pose, np.zeros(3))
+    assert "time jumped back" in outputs.warnings()
+    np.testing.assert_array_equal(outputs.poses[len(drive)].pose, np.zeros(3))
     core.close()
 
 
 def test_while_it_is_paused_scans_are_left_out(drive):
-    heard = Heard()
-    core = node(heard)
-    drive_all(core, heard, drive[:20])
+    outputs = RecordedOutputs()
+    core = node(outputs)
+    drive_all(core, outputs, drive[:20])
     core.pause(True)
     for one in drive[20:30]:
         core.on_scan(scan_message(one, SHIFT_NS), "/scan")
     core.pause(False)
-    drive_all(core, heard, drive[30:60])
+    drive_all(core, outputs, drive[30:60])
     assert core.diagnostics().values["paused"] == "10"
-    assert len(heard.poses) == 50
+    assert len(outputs.poses) == 50
     core.close()
 
 
 def test_when_it_is_behind_the_newest_scans_win(drive):
-    heard = Heard()
-    core = node(heard, queue_scans=3)
+    outputs = RecordedOutputs()
+    core = node(outputs, queue_scans=3)
     for one in drive:
         core.on_transforms([odometry_message(one, SHIFT_NS)])
     gate = threading.Event()
-    core._intake.post(lambda: gate.wait(10) and None)
+    core._queue.post(lambda: gate.wait(10) and None)
     for one in drive:
         core.on_scan(scan_message(one, SHIFT_NS), "/scan")
     gate.set()
-    assert until(lambda: len(heard.poses) == 3)
-    assert [pose.stamp_ns - SHIFT_NS for pose in heard.poses] == [one.scan.stamp_ns for one in drive[-3:]]
+    assert until(lambda: len(outputs.poses) == 3)
+    assert [pose.stamp_ns - SHIFT_NS for pose in outputs.poses] == [one.scan.stamp_ns for one in drive[-3:]]
     assert core.diagnostics().values["dropped"] == str(len(drive) - 3)
     core.close()
 
 
 def test_it_lives_on_after_whatever_is_wrong(drive):
-    heard = Heard()
-    core = node(heard, transform_wait_s=0.02)
-    core.refuse("message", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String")
+    outputs = RecordedOutputs()
+    core = node(outputs, transform_wait_s=0.02)
+    core.refuse_message("message", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String")
     core.on_scan(scan_message(drive[0], SHIFT_NS, ranges=np.ones(3, np.float32)), "/scan")
     core.on_scan(scan_message(drive[0], SHIFT_NS, ranges=np.ones(26_214_400, np.float32)), "/scan")
     core.on_scan(scan_message(drive[0], SHIFT_NS, stamp_ns=-1), "/scan")
     core.on_scan(scan_message(drive[0], SHIFT_NS, frame="elsewhere"), "/scan")
-    assert until(lambda: "missing transform" in heard.warnings())
-    drive_all(core, heard, drive[:10])
+    assert until(lambda: "missing transform" in outputs.warnings())
+    drive_all(core, outputs, drive[:10])
     assert not core.ended.is_set()
     assert core.diagnostics().values["refused"] == "4"
     core.close()
@@ -302,41 +305,41 @@ def test_it_lives_on_after_whatever_is_wrong(drive):
 
 
 def test_a_clock_that_differs_is_named(drive):
-    heard = Heard()
-    core = node(heard)
+    outputs = RecordedOutputs()
+    core = node(outputs)
     core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
     core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")  # the node's clock stands at 0
-    assert until(lambda: "clock differs" in heard.warnings())
-    assert "1700000000.0 s after the node's clock" in heard.warnings()
+    assert until(lambda: "clock differs" in outputs.warnings())
+    assert "1700000000.0 s after the node's clock" in outputs.warnings()
     core.close()
 
 
 def test_without_odometry_the_base_is_told_in_the_map(drive):
-    heard = Heard()
-    core = node(heard, odometry="none")
-    drive_all(core, heard, drive[:30])
-    assert heard.transforms[-1].child == BASE
-    np.testing.assert_allclose(heard.transforms[-1].pose[:2], heard.poses[-1].pose[:2])
+    outputs = RecordedOutputs()
+    core = node(outputs, odometry="none")
+    drive_all(core, outputs, drive[:30])
+    assert outputs.transforms[-1].child == BASE
+    np.testing.assert_allclose(outputs.transforms[-1].pose[:2], outputs.poses[-1].pose[:2])
     core.close()
 
 
 def test_a_filter_that_needs_odometry_is_not_run_without():
     with pytest.raises(ConfigurationError, match="odometry: expected needed"):
-        NodeCore(NodeSettings(odometry="none"), preset("gmapping"), Heard())
+        NodeCore(NodeSettings(odometry="none"), preset("gmapping"), RecordedOutputs())
 
 
 def test_an_observer_that_fails_ends_the_node_and_not_unheard(drive):
-    heard = Heard()
+    outputs = RecordedOutputs()
 
     def fails(report, state, seconds):
         raise RuntimeError("no more")
 
-    core = NodeCore(NodeSettings(), FEW, heard, observers=[fails])
+    core = NodeCore(NodeSettings(), FEW, outputs, observers=[fails])
     core.on_transforms([odometry_message(drive[0], SHIFT_NS)])
     core.on_transforms([mounting()], static=True)
     core.start()
     core.on_scan(scan_message(drive[0], SHIFT_NS), "/scan")
     assert core.ended.wait(10)
     assert isinstance(core.failure, RuntimeError)
-    assert "the filter has ended: RuntimeError: no more" in heard.warnings()
+    assert "the filter failed: RuntimeError: no more" in outputs.warnings()
     core.close()

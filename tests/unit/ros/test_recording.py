@@ -14,7 +14,7 @@ from gridslam.errors import OutputError
 from gridslam.geometry import rigid
 from gridslam.io.csv_log import CsvLog
 from gridslam.io.ros_messages import ScanMessage
-from gridslam.ros.accepted import ScanMaker, refusal_of
+from gridslam.ros.accepted_scan import MeasurementBuilder, find_refusal_reason
 from gridslam.ros.recording import ScanRecorder
 from gridslam.types import Odometry
 
@@ -36,7 +36,7 @@ def accepted(draw):
         range_max=draw(single),
         ranges=np.array(draw(st.lists(single, min_size=beams, max_size=beams)), np.float32),
     )
-    assert refusal_of(message, 2, 100) == ""
+    assert find_refusal_reason(message, 2, 100) == ""
     quaternion = np.array(draw(st.tuples(finite, finite, finite, finite)))
     if np.linalg.norm(quaternion) < 1e-3:
         quaternion = np.array([0.0, 0.0, 0.0, 1.0])
@@ -45,7 +45,7 @@ def accepted(draw):
     matrix = rigid.to_matrix(rigid.from_quaternion(place, quaternion.tolist()))
     pose = draw(st.none() | st.tuples(finite, finite, st.floats(-math.pi, math.nextafter(math.pi, 0))))
     odometry = None if pose is None else Odometry.at(message.stamp_ns, pose)
-    return ScanMaker().measurement(message, draw(names), matrix, odometry, 0.0)
+    return MeasurementBuilder().build(message, draw(names), matrix, odometry, 0.0)
 
 
 @settings(max_examples=60, deadline=None)
@@ -79,7 +79,7 @@ def test_rows_are_read_back_bit_by_bit(tmp_path_factory, given_scans):
 
 def plain(stamp_ns: int):
     message = ScanMessage(stamp_ns, "laser", 0.0, 0.1, 0.0, 0.02, 8.0, np.linspace(1, 7, 20, dtype=np.float32))
-    return ScanMaker().measurement(message, "scan", np.eye(4), Odometry.at(stamp_ns, (1.0, 2.0, 0.5)), 0.0)
+    return MeasurementBuilder().build(message, "scan", np.eye(4), Odometry.at(stamp_ns, (1.0, 2.0, 0.5)), 0.0)
 
 
 def test_a_row_is_in_the_file_as_soon_as_it_is_written(tmp_path):

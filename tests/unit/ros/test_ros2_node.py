@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.cdr import encoded
+from gridslam.ros.cdr import encode_message
 from gridslam.ros.ros2 import run_ros2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support import fake_rclpy
@@ -31,7 +31,7 @@ def header(stamp_ns, frame):
 
 def transforms(link):
     values = [(header(link.stamp_ns, link.parent), link.child, (link.pose[:3], link.pose[3:]))]
-    return encoded("tf2_msgs/TFMessage", (values,))
+    return encode_message("tf2_msgs/TFMessage", (values,))
 
 
 def send(world, measurement):
@@ -40,7 +40,7 @@ def send(world, measurement):
     world.subscriptions["/tf"][2](transforms(odometry_message(measurement, SHIFT_NS)))
     values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
     scan = header(message.stamp_ns, message.frame), *values, message.ranges.tolist(), []
-    world.subscriptions["scan"][2](encoded("sensor_msgs/LaserScan", scan))
+    world.subscriptions["scan"][2](encode_message("sensor_msgs/LaserScan", scan))
 
 
 def run(world, script, **options):
@@ -80,12 +80,12 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
         assert saved.success, saved.message
         assert world.services["~/pause"](SimpleNamespace(data=True), SimpleNamespace()).message == "paused"
         world.services["~/reset"](None, SimpleNamespace())
-        assert until(lambda: "a new map is begun: reset" in str(world.logged))
+        assert until(lambda: "starting a new map: reset" in str(world.logged))
 
     run(world, script, given={"out": str(tmp_path / "out")})
     assert (tmp_path / "out" / "map.pgm").is_file()
     assert "message refused: scan: " in str(world.logged)
-    assert "parameters that are ignored: xmin" in str(world.logged)
+    assert "ignored parameters: xmin" in str(world.logged)
     assert world.nodes[0].destroyed
 
 
@@ -103,10 +103,10 @@ def test_ctrl_c_leaves_time_to_tell_the_last_map(monkeypatch, drive, tmp_path):
         raise KeyboardInterrupt
 
     world.spun = script
-    run_ros2([], given={"out": str(tmp_path / "out")}, on_progress=interrupted)
+    run_ros2([], given={"out": str(tmp_path / "out")}, on_poll=interrupted)
     assert world.signals == "NO"
     assert (tmp_path / "out" / "map.pgm").is_file()
-    assert f"40 scans, which are written to {tmp_path / 'out'}" in world.logged[-1][1]
+    assert f"writing 40 scans to {tmp_path / 'out'}" in world.logged[-1][1]
 
 
 def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, tmp_path):
@@ -114,7 +114,7 @@ def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, 
     world, cores = fake_rclpy.installed(monkeypatch, {"particles": 4}), []
 
     @contextmanager
-    def watch(core):
+    def open_viewers(core):
         cores.append(core)
         yield
 
@@ -126,7 +126,7 @@ def test_a_context_that_others_shut_down_ends_the_node_well(monkeypatch, drive, 
         send(world, drive[1])
         assert until(lambda: cores[0].diagnostics().values["accepted"] == "2")
 
-    run(world, script, given={"out": str(tmp_path / "out")}, watch=watch)
+    run(world, script, given={"out": str(tmp_path / "out")}, open_viewers=open_viewers)
     assert (tmp_path / "out" / "map.pgm").is_file()
 
 
@@ -160,7 +160,7 @@ def test_a_managed_node_maps_while_it_is_active(monkeypatch, drive):
         send(world, drive[2])
         assert node.core.diagnostics().values["paused"] == "2"
         node.on_cleanup(None)
-        assert until(lambda: "a new map is begun: reset" in str(world.logged))
+        assert until(lambda: "starting a new map: reset" in str(world.logged))
         node.on_activate(None)
         node.on_shutdown(None)
         send(world, drive[3])
@@ -177,14 +177,14 @@ def test_what_ros_would_not_understand_is_refused(monkeypatch):
 
 
 def test_without_ros_the_other_way_is_named():
-    with pytest.raises(ConfigurationError, match=r"ROS 2 is not there .*--transport dds"):
+    with pytest.raises(ConfigurationError, match=r"ROS 2 is not available .*--transport dds"):
         run_ros2()
 
 
 def scan_bytes(measurement, **changes):
     message = scan_message(measurement, SHIFT_NS, **changes)
     values = message.angle_min, 0.0, message.angle_increment, 0.0, 0.0, message.range_min, message.range_max
-    empty = encoded("sensor_msgs/LaserScan", (header(message.stamp_ns, message.frame), *values, [], []))
+    empty = encode_message("sensor_msgs/LaserScan", (header(message.stamp_ns, message.frame), *values, [], []))
     count = len(message.ranges).to_bytes(4, "little")
     return empty[:-8] + count + message.ranges.astype("<f4").tobytes() + bytes(4)
 
@@ -193,7 +193,10 @@ def scan_bytes(measurement, **changes):
     ("change", "says"),
     [
         ({"ranges": np.ones(3, np.float32)}, "scan refused: /scan: 3 beams are too few"),
-        ({"ranges": np.ones(26_214_400, np.float32)}, "scan refused: /scan: 26214400 beams, more than the 100000"),
+        (
+            {"ranges": np.ones(26_214_400, np.float32)},
+            "scan refused: /scan: 26214400 beams, more than the maximum of 100000",
+        ),
         ({"stamp_ns": 0}, "scan refused: /scan: expected a stamp of more than 0 s"),
         ({"frame": ""}, "scan refused: /scan: expected the name of a frame"),
         ({"angle_min": float("nan")}, "message refused: scan: its angles are from nan"),

@@ -11,7 +11,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
 from gridslam.io.bag_scans import BagScanBuilder
 from gridslam.io.ros_messages import ScanMessage
-from gridslam.ros import accepted
+from gridslam.ros import accepted_scan
 from gridslam.types import BeamStatus, LaserScan
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)
@@ -70,7 +70,7 @@ def test_readers_and_nodes_make_the_same_of_a_message():
     scans = [
         LaserScan.from_ros(7, RANGES, **FIELDS, time_increment=1e-3),
         BagScanBuilder().scan(message, 7, "/s", np.eye(4)),
-        accepted.ScanMaker().measurement(message, "/s", np.eye(4), None, 0.0).measurement.scan,
+        accepted_scan.MeasurementBuilder().build(message, "/s", np.eye(4), None, 0.0).measurement.scan,
     ]
     hit = scans[0].status == HIT
     for scan in scans:

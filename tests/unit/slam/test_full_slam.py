@@ -40,7 +40,7 @@ def closed(loop):
 def test_the_filter_alone_is_the_best_particles_past(loop):
     state, recorder, answer = answered(OFF, loop.measurements)
     assert answer.loop_summary is None
-    assert answer.poses.tobytes() == recorder.full(state).poses.tobytes()
+    assert answer.poses.tobytes() == recorder.best_trajectory(state).poses.tobytes()
     assert answer.map.log_odds.tobytes() == state.maps.occupancy(state.best).log_odds.tobytes()
     assert np.array_equal(answer.graph.poses, state.ancestry.trajectory(state.best))
     assert answer.graph.trusted.all()
@@ -75,7 +75,7 @@ def test_closures_are_recognized_constraints_and_true(loop, closed):
 
 def test_the_trajectory_is_near_the_truth(loop, closed):
     _, recorder, answer = closed
-    estimate = Trajectory(recorder.online().stamps_ns, answer.poses)
+    estimate = Trajectory(recorder.online_trajectory().stamps_ns, answer.poses)
     assert absolute_errors(estimate, loop.truth).trans_rmse_m < 0.06  # about a cell, after 80 m
 
 

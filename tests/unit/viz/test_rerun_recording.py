@@ -149,17 +149,17 @@ def test_the_command_records_and_its_results_stay_the_same(rerun, read, tmp_path
 def test_a_node_is_recorded(read, tmp_path):
     from gridslam.config import Configuration
     from gridslam.ros import NodeCore, NodeSettings
-    from support.ros_node import Heard, mounting, play, until
+    from support.ros_node import RecordedOutputs, mounting, play, until
 
-    heard = Heard()
-    core = NodeCore(NodeSettings(), Configuration(particles=3), heard)
+    outputs = RecordedOutputs()
+    core = NodeCore(NodeSettings(), Configuration(particles=3), outputs)
     with RerunRecording(str(tmp_path / "node.rrd"), "node") as recording:
-        core.watch(recording, recording.followed)
+        core.add_observer(recording, recording.followed)
         core.on_transforms([mounting()], static=True)
         core.start()
-        sent = play(core, heard, loop_drive().measurements[:30], shift_ns=10**18, ahead=5)
-        assert until(lambda: len(heard.poses) == sent)
+        sent = play(core, outputs, loop_drive().measurements[:30], shift_ns=10**18, ahead=5)
+        assert until(lambda: len(outputs.poses) == sent)
         core.close()
     rows = read(tmp_path / "node.rrd")
-    assert len(rows["map/particles"]["stamp"]) == len(heard.entropies)
+    assert len(rows["map/particles"]["stamp"]) == len(outputs.entropies)
     assert rows["map/scan"]

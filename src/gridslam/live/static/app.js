@@ -1,10 +1,10 @@
-// Puts the page together: messages change the world, and what has changed is drawn.
+// Entry of the page: applies messages to the displayed state and redraws.
 
 import { Camera } from "./camera.js";
-import { Chart, COLUMNS, Strip } from "./chart.js";
+import { Chart, COLUMNS, WeightBars } from "./chart.js";
 import { Drawing } from "./drawing.js";
 import { Panel } from "./panel.js";
-import { Line } from "./socket.js";
+import { Connection } from "./socket.js";
 import { palette, TileMap } from "./tilemap.js";
 
 const $ = (selector) => document.querySelector(selector);
@@ -13,24 +13,24 @@ const NONE = new Float32Array(), NO_NUMBERS = new Int32Array();
 const world = { map: new TileMap() };
 const camera = new Camera($("#map"));
 const drawing = new Drawing($("#map"), world, camera);
-const panel = new Panel((command) => line.send(command));
+const panel = new Panel((command) => connection.send(command));
 const charts = [
   new Chart($("#n_eff"), 1, { share: true }),
   new Chart($("#latency"), 2, { unit: " ms" }),
 ];
-const strip = new Strip($("#weights"), choose);
-let colours = {}, wanted = false;
+const weightBars = new WeightBars($("#weights"), selectParticle);
+let colours = {}, redrawPending = false;
 
-function forget() {
+function reset() {
   world.map.clear();
   Object.assign(world, {
-    hello: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
+    runInfo: {}, status: {}, path: NONE, plan: NONE, tree: NONE, parents: NO_NUMBERS, leaves: NO_NUMBERS,
     particles: NONE, scan: NONE, closures: NONE, landmarks: NONE, series: NONE, steps: 0,
   });
 }
 
-// A copy of the first `kept` items and then others.
-function spliced(before, kept, added) {
+// Returns the first `kept` items followed by new ones.
+function splice(before, kept, added) {
   const joined = new Float32Array(kept + added.length);
   joined.set(before.subarray(0, kept));
   joined.set(added, kept);
@@ -38,45 +38,45 @@ function spliced(before, kept, added) {
 }
 
 function receive({ header, arrays }) {
-  if (header.hello && header.hello.session !== world.hello.session) forget();
-  if (header.hello) greet(header.hello);
+  if (header.run_info && header.run_info.session !== world.runInfo.session) reset();
+  if (header.run_info) setRunInfo(header.run_info);
   if (header.status) world.status = header.status;
   if (header.clear) world.map.clear();
   if (arrays.tiles) world.map.put(arrays.tiles_at, arrays.tiles);
-  if (arrays.path) world.path = spliced(world.path, 2 * header.path, arrays.path);
+  if (arrays.path) world.path = splice(world.path, 2 * header.path, arrays.path);
   if (arrays.series) {
-    world.series = spliced(world.series, COLUMNS * header.series, arrays.series);
+    world.series = splice(world.series, COLUMNS * header.series, arrays.series);
     world.steps = world.series.length / COLUMNS;
   }
   for (const name of ["particles", "scan", "closures", "plan", "landmarks"]) world[name] = arrays[name] ?? world[name];
   if (arrays.tree) [world.tree, world.parents, world.leaves] = [arrays.tree, arrays.tree_parents, arrays.tree_leaves];
   panel.show(world);
-  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, keys: world.steps, watched: world.status.watched ?? "" });
+  Object.assign(document.body.dataset, { tiles: world.map.tiles.size, keys: world.steps, selected: world.status.selected_particle ?? "" });
   redraw();
 }
 
-function greet(hello) {
-  world.hello = hello;
-  world.map.place(hello.resolution_m ?? 0.05, hello.offset_m);
-  document.body.dataset.session = hello.session;
-  panel.greet(hello);
+function setRunInfo(runInfo) {
+  world.runInfo = runInfo;
+  world.map.place(runInfo.resolution_m ?? 0.05, runInfo.offset_m);
+  document.body.dataset.session = runInfo.session;
+  panel.setRunInfo(runInfo);
   resize();
 }
 
 function redraw() {
-  if (wanted) return;
-  wanted = true;
+  if (redrawPending) return;
+  redrawPending = true;
   requestAnimationFrame(() => {
-    wanted = false;
-    look();
+    redrawPending = false;
+    moveCamera();
     drawing.draw(colours);
-    for (const chart of [...charts, strip]) chart.draw(world, colours);
-    rule();
+    for (const chart of [...charts, weightBars]) chart.draw(world, colours);
+    drawScaleBar();
   });
 }
 
-// Moves the camera to what it is to show.
-function look() {
+// Moves the camera as its mode demands.
+function moveCamera() {
   const pose = world.status.pose;
   if (camera.mode === "follow" && pose && camera.approach(pose[0], pose[1])) redraw();
   const extent = world.map.extent() ?? drawing.extent();
@@ -86,23 +86,23 @@ function look() {
   $("#follow").setAttribute("aria-pressed", camera.mode === "follow");
 }
 
-// The scale bar: a round length of about 100 px.
-function rule() {
+// Draws the scale bar: a round length of about 100 px.
+function drawScaleBar() {
   const power = 10 ** Math.floor(Math.log10(100 / camera.scale));
   const metres = power * [5, 2, 1].find((step) => step * power * camera.scale <= 120);
   $("#scale").style.width = `${metres * camera.scale}px`;
   $("#scale span").textContent = metres >= 1 ? `${metres} m` : `${Math.round(100 * metres)} cm`;
 }
 
-// Whether particles have maps or pasts of their own.
-const choosable = () => world.hello.shows?.includes("weights");
+// Whether particles can be selected.
+const isSelectable = () => world.runInfo.layers?.includes("weights");
 
-function choose(particle) {
-  if (!choosable()) return;
-  line.send({ do: "watch", particle: particle === world.status.watched ? null : particle });
+function selectParticle(particle) {
+  if (!isSelectable()) return;
+  connection.send({ do: "select", particle: particle === world.status.selected_particle ? null : particle });
 }
 
-function set(mode) {
+function setMode(mode) {
   camera.mode = mode;
   if (mode === "follow") camera.scale = Math.max(camera.scale, 30);
   redraw();
@@ -120,9 +120,9 @@ function resize() {
   redraw();
 }
 
-function dress() {
+function applyColours() {
   const style = getComputedStyle(document.documentElement);
-  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "pasts", "particle", "chosen", "scan", "closure", "landmark", "bad"]) {
+  for (const name of ["unknown", "free", "occupied", "text", "faint", "rule", "path", "ancestry", "particle", "selected", "scan", "closure", "landmark", "bad"]) {
     colours[name] = style.getPropertyValue(`--${name}`).trim();
   }
   world.map.colour(palette(colours.unknown, colours.free, colours.occupied));
@@ -146,34 +146,34 @@ function saveMap() {
 }
 
 function save(address, suffix) {
-  const name = (world.hello.title ?? "map").replace(/[^\w.-]+/g, "_");
+  const name = (world.runInfo.title ?? "map").replace(/[^\w.-]+/g, "_");
   Object.assign(document.createElement("a"), { href: address, download: `${name}.${suffix}` }).click();
 }
 
-forget();
-dress();
+reset();
+applyColours();
 resize();
-const line = new Line(receive, (is, why) => panel.connected(is, why, world.status.stage === "done"));
+const connection = new Connection(receive, (is, why) => panel.connected(is, why, world.status.stage === "done"));
 camera.moved = redraw;
 camera.clicked = (u, v) => {
   const particle = drawing.particleAt(u, v);
-  if (particle >= 0) choose(particle);
+  if (particle >= 0) selectParticle(particle);
 };
-camera.hovered = (u, v) => $("#map").classList.toggle("over", choosable() && drawing.particleAt(u, v) >= 0);
+camera.hovered = (u, v) => $("#map").classList.toggle("over", isSelectable() && drawing.particleAt(u, v) >= 0);
 for (const chart of charts) chart.again = redraw;
-$("#fit").onclick = () => set("fit");
-$("#follow").onclick = () => set(camera.mode === "follow" ? "free" : "follow");
+$("#fit").onclick = () => setMode("fit");
+$("#follow").onclick = () => setMode(camera.mode === "follow" ? "free" : "follow");
 $("#save-picture").onclick = savePicture;
 $("#save-map").onclick = saveMap;
 $("#layers").onchange = ({ target }) => { drawing.shown[target.name] = target.checked; redraw(); };
 addEventListener("resize", resize);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", dress);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyColours);
 addEventListener("keydown", (event) => {
   if (event.target.matches("input, select, button") || event.ctrlKey || event.metaKey || event.altKey) return;
   const keys = {
     " ": () => panel.toggle(), ".": () => panel.step(false), ">": () => panel.step(true), f: () => $("#follow").click(),
-    0: () => set("fit"), "+": () => camera.zoom(1.25, ...camera.middle), "-": () => camera.zoom(0.8, ...camera.middle),
-    Escape: () => line.send({ do: "watch", particle: null }),
+    0: () => setMode("fit"), "+": () => camera.zoom(1.25, ...camera.middle), "-": () => camera.zoom(0.8, ...camera.middle),
+    Escape: () => connection.send({ do: "select", particle: null }),
   };
   if (!keys[event.key]) return;
   event.preventDefault();

@@ -1,4 +1,4 @@
-// What part of the world is seen: metres to pixels, and the hands that move it.
+// The camera: metres to pixels, and the gestures that move it.
 
 const CLOSEST = 400, FARTHEST = 0.2; // px per m
 
@@ -7,12 +7,12 @@ export class Camera {
     this.canvas = canvas;
     this.x = 0; this.y = 0; // of the middle of the free part of the screen, m
     this.scale = 20; // px per m
-    this.margin = { left: 0, right: 0, top: 0, bottom: 0 }; // px that lie under other things
+    this.margin = { left: 0, right: 0, top: 0, bottom: 0 }; // px covered by other elements
     this.mode = "fit"; // or "follow", or "free"
     this.moved = () => {};
     this.clicked = () => {};
     this.hovered = () => {};
-    this.hold();
+    this.listen();
   }
 
   get width() { return this.canvas.clientWidth; }
@@ -32,7 +32,7 @@ export class Camera {
     return [this.x + (u - mu) / this.scale, this.y - (v - mv) / this.scale];
   }
 
-  // Shows a rectangle [x0, y0, x1, y1] as a whole.
+  // Fits a rectangle [x0, y0, x1, y1].
   fit([x0, y0, x1, y1]) {
     const { left, right, top, bottom } = this.margin;
     const scale = Math.min((this.width - left - right) / (x1 - x0), (this.height - top - bottom) / (y1 - y0));
@@ -41,7 +41,7 @@ export class Camera {
     this.y = (y0 + y1) / 2;
   }
 
-  // One step towards a place; true while it is still far.
+  // Moves one step towards a position; true while it is still far.
   approach(x, y) {
     const [dx, dy] = [x - this.x, y - this.y];
     const far = Math.hypot(dx, dy) * this.scale > 0.5;
@@ -53,7 +53,7 @@ export class Camera {
   pan(du, dv) {
     this.x -= du / this.scale;
     this.y += dv / this.scale;
-    this.leave();
+    this.setFree();
   }
 
   zoom(factor, u, v) {
@@ -68,12 +68,12 @@ export class Camera {
     this.moved();
   }
 
-  leave() {
+  setFree() {
     this.mode = "free";
     this.moved();
   }
 
-  hold() {
+  listen() {
     const canvas = this.canvas;
     const held = new Map();
     let travelled = 0;

@@ -1,6 +1,6 @@
 // Small charts over time, and the strip of weights.
 
-function prepared(canvas) {
+function prepare(canvas) {
   const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
   if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
   if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
@@ -11,7 +11,7 @@ function prepared(canvas) {
 }
 
 // A round number at or above a value.
-function ceiling(value) {
+function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(Math.max(value, 1e-6)));
   return power * [1, 2, 5, 10].find((step) => step * power >= value);
 }
@@ -20,9 +20,9 @@ export const COLUMNS = 5; // of the series: time, effective sample size, latency
 const FLAGS = 3, PARTICLES = 4;
 const LOST = 1, CORRECTED = 8;
 
-// One quantity of the series; of all key scans that fall on one pixel the range is drawn.
+// A chart of one column of the series; key scans on the same pixel are drawn as their range.
 export class Chart {
-  // `column` of the series; as a `share` of the particles, of which half are marked, where that is asked for.
+  // `column` of the series; `share`: as a ratio of the number of particles, with a line at one half.
   constructor(canvas, column, { share = false, unit = "" } = {}) {
     Object.assign(this, { canvas, column, share, unit, pointer: null });
     canvas.addEventListener("pointermove", (event) => { this.pointer = event.offsetX; this.again?.(); });
@@ -30,13 +30,13 @@ export class Chart {
   }
 
   draw(world, colours) {
-    const [context, width, height] = prepared(this.canvas), { series, steps } = world;
+    const [context, width, height] = prepare(this.canvas), { series, steps } = world;
     if (!steps) return;
     const first = series[0], last = Math.max(series[COLUMNS * (steps - 1)], first + 1);
     const toX = (time) => ((time - first) / (last - first)) * (width - 1);
     const columns = new Map();
     let greatest = 0;
-    this.marks(context, series, steps, toX, height, colours);
+    this.drawMarks(context, series, steps, toX, height, colours);
     for (let k = 0; k < steps; k++) {
       const value = this.value(series, k), x = Math.round(toX(series[COLUMNS * k]));
       if (Number.isNaN(value)) continue;
@@ -44,8 +44,8 @@ export class Chart {
       const [low, high] = columns.get(x) ?? [value, value];
       columns.set(x, [Math.min(low, value), Math.max(high, value)]);
     }
-    const top = this.share ? 1 : ceiling(greatest), toY = (value) => height - 1 - (value / top) * (height - 12);
-    this.axes(context, width, height, toY(0.5), this.share ? "100 %" : `${+top.toPrecision(3)}${this.unit}`, colours);
+    const top = this.share ? 1 : roundUp(greatest), toY = (value) => height - 1 - (value / top) * (height - 12);
+    this.drawAxes(context, width, height, toY(0.5), this.share ? "100 %" : `${+top.toPrecision(3)}${this.unit}`, colours);
     context.beginPath();
     let before = null;
     for (const [x, [low, high]] of [...columns].sort(([a], [b]) => a - b)) {
@@ -56,8 +56,8 @@ export class Chart {
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: 1.2, lineJoin: "round" });
     context.stroke();
-    if (world.status.at !== undefined) this.needle(context, toX(world.status.time_s ?? 0), height, colours.text);
-    if (this.pointer !== null) this.read(context, world, first + (this.pointer / width) * (last - first), toX, toY, width, colours);
+    if (world.status.at !== undefined) this.drawCursor(context, toX(world.status.time_s ?? 0), height, colours.text);
+    if (this.pointer !== null) this.drawReading(context, world, first + (this.pointer / width) * (last - first), toX, toY, width, colours);
   }
 
   value(series, k) {
@@ -65,25 +65,25 @@ export class Chart {
     return this.share ? value / series[COLUMNS * k + PARTICLES] : value;
   }
 
-  // Where the robot was lost, from one step to the next, and where the past was corrected.
-  marks(context, series, steps, toX, height, colours) {
+  // Marks where the robot was lost, and where a correction happened.
+  drawMarks(context, series, steps, toX, height, colours) {
     context.globalAlpha = 0.4;
     const flag = (k) => series[COLUMNS * k + FLAGS], x = (k) => Math.round(toX(series[COLUMNS * Math.min(k, steps - 1)]));
     for (let k = 0; k < steps; k++) {
       const first = k;
       while (flag(k) & LOST) k++;
-      if (k > first) this.mark(context, x(first), x(k), height, colours.bad);
-      if (flag(k) & CORRECTED) this.mark(context, x(k), x(k), height, colours.closure);
+      if (k > first) this.drawMark(context, x(first), x(k), height, colours.bad);
+      if (flag(k) & CORRECTED) this.drawMark(context, x(k), x(k), height, colours.closure);
     }
     context.globalAlpha = 1;
   }
 
-  mark(context, first, end, height, colour) {
+  drawMark(context, first, end, height, colour) {
     context.fillStyle = colour;
     context.fillRect(first, 12, Math.max(end - first, 1), height - 12);
   }
 
-  axes(context, width, height, half, top, colours) {
+  drawAxes(context, width, height, half, top, colours) {
     context.fillStyle = colours.rule;
     context.fillRect(0, height - 1, width, 1);
     if (this.share) for (let x = 0; x < width; x += 6) context.fillRect(x, Math.round(half), 3, 1);
@@ -92,13 +92,13 @@ export class Chart {
     context.fillText(top, 0, 8);
   }
 
-  needle(context, x, height, colour) {
+  drawCursor(context, x, height, colour) {
     context.fillStyle = colour;
     context.fillRect(Math.round(x), 10, 1, height - 10);
   }
 
-  // What was there at the time under the pointer.
-  read(context, { series, steps }, time, toX, toY, width, colours) {
+  // Draws the value at the time under the pointer.
+  drawReading(context, { series, steps }, time, toX, toY, width, colours) {
     let [low, high] = [0, steps - 1];
     while (low < high) {
       const middle = (low + high) >> 1;
@@ -117,12 +117,12 @@ export class Chart {
 }
 
 // A bar for each particle, as high as its weight.
-export class Strip {
-  constructor(canvas, chosen) {
+export class WeightBars {
+  constructor(canvas, selected) {
     this.canvas = canvas;
     canvas.addEventListener("click", ({ offsetX }) => {
       const particle = Math.floor((offsetX / canvas.clientWidth) * this.count);
-      if (particle >= 0 && particle < this.count) chosen(particle);
+      if (particle >= 0 && particle < this.count) selected(particle);
     });
   }
 
@@ -130,14 +130,14 @@ export class Strip {
     const { particles, status } = world;
     this.count = particles.length / 4;
     this.canvas.hidden = !this.count;
-    const [context, width, height] = prepared(this.canvas);
+    const [context, width, height] = prepare(this.canvas);
     let most = 0;
     for (let k = 0; k < this.count; k++) most = Math.max(most, particles[4 * k + 3]);
     const step = width / this.count;
     for (let k = 0; k < this.count; k++) {
       const tall = Math.max((particles[4 * k + 3] / most) * (height - 2), 1);
-      context.fillStyle = k === status.watched ? colours.chosen : k === status.best ? colours.path : colours.particle;
-      context.globalAlpha = k === status.watched || k === status.best ? 1 : 0.6;
+      context.fillStyle = k === status.selected_particle ? colours.selected : k === status.best ? colours.path : colours.particle;
+      context.globalAlpha = k === status.selected_particle || k === status.best ? 1 : 0.6;
       context.fillRect(k * step, height - tall, Math.max(step - 1.5, 0.5), tall);
     }
     context.globalAlpha = 1;

@@ -2,7 +2,7 @@
 
 const ROBOT = 9; // px
 
-// A line through points; it is broken where there is NaN.
+// Draws a line through points, interrupted at NaN.
 function line(context, points, camera) {
   let broken = true;
   context.beginPath();
@@ -14,8 +14,8 @@ function line(context, points, camera) {
   context.stroke();
 }
 
-// The past of one particle, from itself back to where all pasts are one.
-export function pastOf(world, particle) {
+// The path of one particle, from its pose back to the path that all particles share.
+export function ancestryPoints(world, particle) {
   const points = [], [x, y] = world.particles.subarray(4 * particle, 4 * particle + 2);
   if (x !== undefined) points.push(x, y);
   let at = world.leaves[particle] ?? -1;
@@ -31,7 +31,7 @@ function place(world, at) {
 export class Drawing {
   constructor(canvas, world, camera) {
     Object.assign(this, { canvas, world, camera });
-    this.shown = { map: true, path: true, pasts: true, particles: true, scan: true, closures: true, landmarks: true };
+    this.shown = { map: true, path: true, ancestry: true, particles: true, scan: true, closures: true, landmarks: true };
   }
 
   resize() {
@@ -45,7 +45,7 @@ export class Drawing {
     context.clearRect(0, 0, camera.width, camera.height);
     if (shown.map) world.map.draw(context, camera);
     Object.assign(context, { lineJoin: "round", lineCap: "round" });
-    if (shown.pasts) this.pasts(context, colours.pasts);
+    if (shown.ancestry) this.ancestry(context, colours.ancestry);
     if (shown.path) this.path(context, colours);
     if (shown.closures) this.closures(context, colours.closure);
     if (shown.landmarks) this.landmarks(context, colours.landmark);
@@ -70,7 +70,7 @@ export class Drawing {
     context.fill();
   }
 
-  pasts(context, colour) {
+  ancestry(context, colour) {
     const { world, camera } = this;
     Object.assign(context, { strokeStyle: colour, lineWidth: 1, globalAlpha: 0.7 });
     context.beginPath();
@@ -86,23 +86,23 @@ export class Drawing {
   path(context, colours) {
     const { world, camera } = this;
     if (world.plan.length) {
-      Object.assign(context, { strokeStyle: colours.pasts, lineWidth: 1, globalAlpha: 0.6 });
+      Object.assign(context, { strokeStyle: colours.ancestry, lineWidth: 1, globalAlpha: 0.6 });
       line(context, world.plan, camera);
       context.globalAlpha = 1;
     }
     Object.assign(context, { strokeStyle: colours.path, lineWidth: Math.min(Math.max(camera.scale / 8, 1.2), 2.2) });
     line(context, world.path, camera);
-    const chosen = world.status.watched ?? -1, best = world.status.best ?? -1;
-    if (best >= 0 && !world.plan.length) line(context, pastOf(world, best), camera);
-    if (chosen >= 0) {
-      Object.assign(context, { strokeStyle: colours.chosen, lineWidth: 2.6 });
-      line(context, pastOf(world, chosen), camera);
+    const selected = world.status.selected_particle ?? -1, best = world.status.best ?? -1;
+    if (best >= 0 && !world.plan.length) line(context, ancestryPoints(world, best), camera);
+    if (selected >= 0) {
+      Object.assign(context, { strokeStyle: colours.selected, lineWidth: 2.6 });
+      line(context, ancestryPoints(world, selected), camera);
     }
   }
 
-  // What the laser sees now, from where the robot stands: or the chosen particle, whose map is shown.
+  // Draws the current scan at the pose of the robot, or of the selected particle.
   scan(context, colour) {
-    const { world, camera } = this, pose = this.standing();
+    const { world, camera } = this, pose = this.scanPose();
     if (!pose || !world.scan.length) return;
     const [c, s] = [Math.cos(pose[2]), Math.sin(pose[2])];
     const size = Math.min(Math.max(0.06 * camera.scale, 1.5), 5);
@@ -114,9 +114,9 @@ export class Drawing {
     }
   }
 
-  standing() {
-    const { world } = this, chosen = world.status.watched ?? -1;
-    return chosen >= 0 ? world.particles.subarray(4 * chosen, 4 * chosen + 3) : world.status.pose;
+  scanPose() {
+    const { world } = this, selected = world.status.selected_particle ?? -1;
+    return selected >= 0 ? world.particles.subarray(4 * selected, 4 * selected + 3) : world.status.pose;
   }
 
   particles(context, colours) {
@@ -126,12 +126,12 @@ export class Drawing {
     const headed = camera.scale > 60, dot = Math.min(Math.max(camera.scale / 30, 1.4), 3.2);
     for (let k = 0; k < count; k++) {
       const [x, y, theta, weight] = world.particles.subarray(4 * k, 4 * k + 4);
-      const chosen = k === world.status.watched, [u, v] = camera.toScreen(x, y);
-      context.globalAlpha = chosen ? 1 : 0.25 + 0.65 * Math.sqrt(weight / most);
-      context.fillStyle = context.strokeStyle = chosen ? colours.chosen : colours.particle;
+      const selected = k === world.status.selected_particle, [u, v] = camera.toScreen(x, y);
+      context.globalAlpha = selected ? 1 : 0.25 + 0.65 * Math.sqrt(weight / most);
+      context.fillStyle = context.strokeStyle = selected ? colours.selected : colours.particle;
       context.lineWidth = 1.5;
       context.beginPath();
-      context.arc(u, v, chosen ? 1.6 * dot : dot, 0, 7);
+      context.arc(u, v, selected ? 1.6 * dot : dot, 0, 7);
       context.fill();
       if (headed) {
         context.beginPath();
@@ -163,7 +163,7 @@ export class Drawing {
     context.restore();
   }
 
-  // Within two deviations, where that is large enough to be seen.
+  // Draws the ellipse of two standard deviations if it is large enough to be visible.
   ellipse(context, a, b, c, colour, filled = true) {
     const mean = (a + c) / 2, spread = Math.hypot((a - c) / 2, b);
     const radii = [mean + spread, Math.max(mean - spread, 0)].map((variance) => 2 * Math.sqrt(variance) * this.camera.scale);
@@ -177,7 +177,7 @@ export class Drawing {
     context.globalAlpha = 1;
   }
 
-  // Landmarks, and where they may be.
+  // Draws the landmarks and their covariances.
   landmarks(context, colour) {
     const { landmarks } = this.world, side = 7;
     for (let k = 0; k < landmarks.length; k += 5) {
@@ -191,7 +191,7 @@ export class Drawing {
     }
   }
 
-  // What holds the way and the landmarks: [x0, y0, x1, y1], or null.
+  // The bounding box of paths and landmarks: [x0, y0, x1, y1], or null.
   extent() {
     let box = null;
     for (const [points, stride] of [[this.world.plan, 2], [this.world.path, 2], [this.world.landmarks, 5]]) {
@@ -205,7 +205,7 @@ export class Drawing {
     return box && [box[0] - 1, box[1] - 1, box[2] + 1, box[3] + 1];
   }
 
-  // The particle nearest to a place on the screen; -1 where none is near.
+  // The particle nearest to a point of the screen; -1 if none is near.
   particleAt(u, v, reach = 14) {
     let nearest = -1;
     for (let k = 0; 4 * k < this.world.particles.length; k++) {

@@ -1,4 +1,4 @@
-// The words and buttons about the map.
+// The texts and controls around the map.
 
 import { COLUMNS } from "./chart.js";
 
@@ -11,22 +11,22 @@ function clock(seconds) {
   return whole < 3600 ? minutes : `${Math.floor(whole / 3600)}:${minutes.padStart(5, "0")}`;
 }
 
-const WORDS = { "final refinement": "finding the final map", writing: "writing the results", done: "finished" };
+const WORDS = { "final refinement": "finding the final map", writing: "writing results", done: "finished" };
 const put = (name, text) => { $(`[data-value="${name}"]`).textContent = text; };
-const share = (value) => `${(100 * value).toFixed(0)} %`;
-const few = (value) => value.toFixed(value < 100 ? 1 : 0);
-const short = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
+const percent = (value) => `${(100 * value).toFixed(0)} %`;
+const oneDecimal = (value) => value.toFixed(value < 100 ? 1 : 0);
+const twoDigits = (value) => (value >= 10 ? value.toFixed(0) : value.toPrecision(2));
 
 export class Panel {
   // `ask` sends a command to the server.
   constructor(ask) {
     this.ask = ask;
-    for (const times of SPEEDS) $("#speed").add(new Option(`${times} ×`, times));
-    $("#speed").onchange = ({ target }) => ask({ do: "speed", times: target.value === "" ? null : Number(target.value) });
+    for (const factor of SPEEDS) $("#speed").add(new Option(`${factor} ×`, factor));
+    $("#speed").onchange = ({ target }) => ask({ do: "speed", factor: target.value === "" ? null : Number(target.value) });
     $("#pause").onclick = () => this.toggle();
     $("#step").onclick = (event) => ask({ do: "step", to_key_scan: !event.shiftKey });
     $("#line").oninput = ({ target }) => ask({ do: "seek", at: Number(target.value) });
-    $("#best").onclick = () => ask({ do: "watch", particle: null });
+    $("#best").onclick = () => ask({ do: "select", particle: null });
     $("#sheet").onclick = () => {
       const open = document.body.toggleAttribute("data-sheet");
       $("#sheet").setAttribute("aria-expanded", open);
@@ -34,14 +34,14 @@ export class Panel {
     };
   }
 
-  greet(hello) {
-    this.mode = hello.mode;
-    document.title = `${hello.title} · gridslam`;
-    $("#title").textContent = hello.title;
+  setRunInfo(runInfo) {
+    this.mode = runInfo.mode;
+    document.title = `${runInfo.title} · gridslam`;
+    $("#title").textContent = runInfo.title;
     const replay = this.mode === "replay", unlimited = $("#speed option[value='']");
-    for (const shown of document.querySelectorAll("[data-shows]")) shown.hidden = !hello.shows.includes(shown.dataset.shows);
-    $("#latency-of").textContent = `Time per ${hello.step}`;
-    document.body.dataset.mode = hello.mode; // of which the style sheet knows what there is to hold
+    for (const part of document.querySelectorAll("[data-layer]")) part.hidden = !runInfo.layers.includes(part.dataset.layer);
+    $("#latency-of").textContent = `Time per ${runInfo.step}`;
+    document.body.dataset.mode = runInfo.mode; // the style sheet hides the controls that do not apply
     if (!replay && !unlimited) $("#speed").add(new Option("max", ""));
     if (replay) unlimited?.remove();
   }
@@ -61,7 +61,7 @@ export class Panel {
     const notice = $("#notice");
     notice.hidden = is || finished;
     this.online = is;
-    notice.textContent = why ? `The server says: ${why}.` : "The connection is lost; trying again…";
+    notice.textContent = why ? `Refused by the server: ${why}.` : "Connection lost; trying again…";
     if (is) return;
     document.body.dataset.stage = finished ? "done" : "offline";
     $("#stage").textContent = finished ? "finished, server closed" : "offline";
@@ -70,69 +70,72 @@ export class Panel {
 
   show(world) {
     const { status } = world;
-    if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.says, status.says ?? ""];
+    if (this.online) [$("#notice").hidden, $("#notice").textContent] = [!status.message, status.message ?? ""];
     document.body.dataset.stage = status.lost && status.stage === "running" ? "lost" : status.stage;
-    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, the robot is lost" : WORDS[status.stage] ?? status.stage;
+    $("#stage").textContent = document.body.dataset.stage === "lost" ? "running, robot lost" : WORDS[status.stage] ?? status.stage;
     document.body.toggleAttribute("data-held", status.stage === "paused");
     const going = ["running", "paused", "waiting"].includes(status.stage) && this.mode !== "still";
     $("#pause").disabled = !going;
     for (const id of ["#step", "#speed"]) $(id).disabled = !going || this.mode === "robot";
-    $("#pause").setAttribute("aria-label", this.held ? "Go on" : "Pause");
+    $("#pause").setAttribute("aria-label", this.held ? "Resume" : "Pause");
     if (document.activeElement !== $("#speed")) this.speed(status.speed ?? "");
-    $("#facts").textContent = this.facts(world).join(" · ");
+    $("#summary").textContent = this.summarize(world).join(" · ");
     this.robot(status);
     this.particles(world);
     this.time(world);
   }
 
-  speed(times) {
-    $("#speed").value = times;
-    if ($("#speed").value !== String(times)) $("#speed").add(new Option(`${times} ×`, times, false, true), 0);
+  speed(factor) {
+    $("#speed").value = factor;
+    if ($("#speed").value !== String(factor)) $("#speed").add(new Option(`${factor} ×`, factor, false, true), 0);
   }
 
-  facts({ status, hello: { step } }) {
-    const facts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
+  summarize({ status, runInfo: { step } }) {
+    const parts = status.size_m ? [status.size_m.map((side) => `${side.toFixed(1)} m`).join(" × ")] : [];
     const counts = [[status.scans, "scan"], [status.keys, step], [status.landmarks, "landmark"], [status.closures, "loop closure"]];
-    for (const [count, what] of counts) if (count) facts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
-    if (status.times && status.stage === "running" && this.mode === "live") facts.push(`${short(status.times)} × real time`);
-    if (status.bytes) facts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
-    return facts;
+    for (const [count, what] of counts) if (count) parts.push(`${count} ${what}${count > 1 ? "s" : ""}`);
+    if (status.real_time_factor && status.stage === "running" && this.mode === "live") parts.push(`${twoDigits(status.real_time_factor)} × real time`);
+    if (status.bytes) parts.push(`maps ${(status.bytes / 1e6).toFixed(0)} MB`);
+    return parts;
   }
 
-  robot({ pose, covariance, doubt, agreement }) {
+  robot({ pose, covariance, lost_probability, inlier_ratio }) {
     if (!pose) return;
-    if (doubt !== undefined) [put("doubt", share(doubt)), put("agreement", share(agreement))];
+    if (lost_probability !== undefined) {
+      put("lost_probability", percent(lost_probability));
+      put("inlier_ratio", percent(inlier_ratio));
+    }
     put("position", `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m`);
     put("heading", `${((pose[2] * 180) / Math.PI).toFixed(1)}°`);
     for (const row of document.querySelectorAll(".deviation")) row.hidden = !covariance;
     if (!covariance) return;
     const deviation = Math.sqrt(covariance[0][0] + covariance[1][1]), turn = Math.sqrt(covariance[2][2]);
     const length = deviation < 1 ? `${(100 * deviation).toFixed(1)} cm` : `${deviation.toFixed(1)} m`;
-    put("deviation", `${length}, ${few((turn * 180) / Math.PI)}°`);
+    put("deviation", `${length}, ${oneDecimal((turn * 180) / Math.PI)}°`);
   }
 
-  particles({ status, hello, series, steps }) {
+  particles({ status, runInfo, series, steps }) {
     const now = status.at ?? steps - 1, [, , latency, , count] = series.subarray(COLUMNS * now, COLUMNS * (now + 1));
-    put("n_eff", status.n_eff == null ? "" : `${few(status.n_eff)} of ${count}`);
-    put("latency", steps ? `${short(latency)} ms` : "");
+    put("n_eff", status.n_eff == null ? "" : `${oneDecimal(status.n_eff)} of ${count}`);
+    put("latency", steps ? `${twoDigits(latency)} ms` : "");
     put("particles", status.particles || "");
-    const replay = hello.mode === "replay", what = replay ? "past" : "map";
-    $("#watched span").textContent = ["writing", "done"].includes(status.stage) ? "final map"
-      : status.watched < 0 ? "the chosen one has died out"
-      : status.watched != null ? `${what} of number ${status.watched}`
-      : replay ? "final map" : status.best === undefined ? "" : `map of the best, number ${status.best}`;
-    $("#best").hidden = status.watched == null;
+    const replay = runInfo.mode === "replay", what = replay ? "path" : "map";
+    $("#selected span").textContent = ["writing", "done"].includes(status.stage) ? "final map"
+      : status.selected_particle < 0 ? "no descendants left"
+      : status.selected_particle != null ? `${what} of particle ${status.selected_particle}`
+      : replay ? "final map" : status.best === undefined ? "" : `map of the best particle, ${status.best}`;
+    $("#best").hidden = status.selected_particle == null;
   }
 
-  time({ status, hello }) {
-    const slider = $("#line"), replay = hello.mode === "replay";
+  time({ status, runInfo }) {
+    const slider = $("#line"), replay = runInfo.mode === "replay";
     slider.disabled = !replay;
     if (replay) {
       slider.max = Math.max(status.last, 0);
       if (document.activeElement !== slider || !slider.matches(":active")) slider.value = status.at;
     } else {
       slider.max = 1000;
-      slider.value = 1000 * (status.share ?? 0);
+      slider.value = 1000 * (status.progress ?? 0);
     }
     const total = replay ? ` / ${clock(status.total_s)}` : "";
     $("#time output").textContent = status.time_s === undefined ? "" : clock(status.time_s) + total;

@@ -1,18 +1,18 @@
-// The line to the server: messages in, commands out, and another try whenever it is lost.
+// The connection to the server: receives messages, sends commands, and reconnects when lost.
 
 const FIRST_PAUSE_MS = 400, LONGEST_PAUSE_MS = 5000;
-const SILENCE_MS = 10000; // the server sends a message every 3 s: after this time the connection is regarded as lost
+const TIMEOUT_MS = 10000; // the server sends a message every 3 s: after this time the connection is regarded as lost
 
-async function inflated(data) {
+async function inflate(data) {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Response(stream).arrayBuffer();
 }
 
 const KINDS = { f4: Float32Array, i4: Int32Array, u1: Uint8Array };
 
-// Reads what gridslam.live.protocol.encode wrote: {header, arrays}, each array with its shape.
-export async function decoded(data) {
-  const buffer = await inflated(data);
+// Decodes a message of gridslam.live.protocol.encode: {header, arrays}.
+export async function decode(data) {
+  const buffer = await inflate(data);
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   const arrays = {};
@@ -25,16 +25,16 @@ export async function decoded(data) {
   return { header, arrays };
 }
 
-export class Line {
-  // `received` gets every message in its order; `changed` whether there is a connection, and why not.
+export class Connection {
+  // `received` is called with each message in order; `changed` with whether there is a connection, and why not.
   constructor(received, changed) {
     this.received = received;
     this.changed = changed;
     this.pause = FIRST_PAUSE_MS;
     this.open();
-    setInterval(() => this.socket && performance.now() - this.heard > SILENCE_MS && this.drop(), 1000);
-    addEventListener("online", () => this.hurry());
-    document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
+    setInterval(() => this.socket && performance.now() - this.lastMessageMs > TIMEOUT_MS && this.drop(), 1000);
+    addEventListener("online", () => this.reconnect());
+    document.addEventListener("visibilitychange", () => document.hidden || this.reconnect());
   }
 
   open() {
@@ -49,13 +49,13 @@ export class Line {
       this.pause = FIRST_PAUSE_MS;
       this.changed(true, "");
     };
-    this.heard = performance.now();
+    this.lastMessageMs = performance.now();
     socket.onmessage = ({ data }) => {
-      this.heard = performance.now();
-      queue = queue.then(() => decoded(data)).then((message) => {
+      this.lastMessageMs = performance.now();
+      queue = queue.then(() => decode(data)).then((message) => {
         if (this.socket !== socket) return;
         this.received(message);
-        this.send({ do: "got" });
+        this.send({ do: "ack" });
       });
     };
     socket.onclose = ({ code, reason }) => this.socket === socket && this.lost(code, reason);
@@ -69,14 +69,14 @@ export class Line {
     this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
   }
 
-  // Give a line up that is dead: closing it would wait for an answer.
+  // Drops a dead connection without waiting for the closing handshake.
   drop() {
     this.socket.close();
     this.lost(0, "");
   }
 
-  // Try again at once: the network is back, or somebody looks again.
-  hurry() {
+  // Reconnects at once: the network is back, or the page is visible again.
+  reconnect() {
     if (this.socket) return;
     clearTimeout(this.timer);
     this.open();

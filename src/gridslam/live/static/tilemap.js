@@ -1,4 +1,4 @@
-// The map: tiles of levels as they come, kept as bitmaps of many tiles each.
+// The map: tiles of levels, kept as bitmaps of many tiles each.
 
 const TILES = 8; // along a bitmap's side
 
@@ -9,14 +9,14 @@ function rgb(css) {
   return [...probe.getImageData(0, 0, 1, 1).data.slice(0, 3)];
 }
 
-// Colours of the levels: 0 unknown, 1 to 7 the freer the lower, 8 even, 9 to 15 the more occupied the higher.
+// Colours of the levels: 0 unknown, 1 to 7 free, 8 even odds, 9 to 15 occupied.
 export function palette(unknown, free, occupied) {
   const [u, f, o] = [unknown, free, occupied].map(rgb);
-  const mixed = (a, b, share) => a.map((value, k) => Math.round(value + share * (b[k] - value)));
+  const mix = (a, b, share) => a.map((value, k) => Math.round(value + share * (b[k] - value)));
   return Array.from({ length: 16 }, (_, level) => {
     if (level === 0) return u;
-    if (level <= 8) return mixed(u, f, Math.min((9 - level) / 4, 1));
-    return mixed(f, o, Math.min((level - 8) / 6, 1));
+    if (level <= 8) return mix(u, f, Math.min((9 - level) / 4, 1));
+    return mix(f, o, Math.min((level - 8) / 6, 1));
   });
 }
 
@@ -30,10 +30,10 @@ export class TileMap {
   clear() {
     this.tiles = new Map(); // "row,column" to the tile's levels, two in a byte
     this.sheets = new Map();
-    this.box = null; // of tiles that hold something: [row0, column0, row1, column1]
+    this.box = null; // of the known tiles: [row0, column0, row1, column1]
   }
 
-  // The side of a cell, m, and where the corner of tile (0, 0) lies.
+  // Sets the side of a cell, m, and the corner of tile (0, 0).
   place(resolution, offset) {
     Object.assign(this, { resolution, offset });
   }
@@ -45,7 +45,7 @@ export class TileMap {
     for (const [key, tile] of this.tiles) this.paint(...key.split(",").map(Number), tile);
   }
 
-  // Takes tiles over: rows and columns, and half a byte for each cell.
+  // Stores tiles: rows and columns, and half a byte for each cell.
   put(at, data) {
     const bytes = (this.side * this.side) / 2;
     for (let k = 0; 2 * k < at.length; k++) {
@@ -75,14 +75,14 @@ export class TileMap {
     if (!sheet) {
       const canvas = new OffscreenCanvas(TILES * side, TILES * side);
       sheet = { row: sheetRow, column: sheetColumn, context: canvas.getContext("2d") };
-      sheet.context.fillStyle = this.unknown; // what is not there must not shine through where a sheet is scaled
+      sheet.context.fillStyle = this.unknown; // missing tiles must not shine through where a sheet is scaled
       sheet.context.fillRect(0, 0, canvas.width, canvas.height);
       this.sheets.set(key, sheet);
     }
     sheet.context.putImageData(image, (column - TILES * sheetColumn) * side, (TILES - 1 - row + TILES * sheetRow) * side);
   }
 
-  // Edges are put on whole pixels, so that no seams show between bitmaps.
+  // Edges lie on whole pixels, so that there are no seams between bitmaps.
   draw(context, camera) {
     const metres = TILES * this.side * this.resolution, ratio = devicePixelRatio, [x0, y0] = this.offset;
     context.imageSmoothingEnabled = camera.scale * this.resolution * ratio < 2;

@@ -1,4 +1,4 @@
-"""Between the callbacks and the filter: a bounded queue in which scans wait for their transforms."""
+"""The bounded queue between callbacks and filter, in which scans wait for their transforms."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ import numpy as np
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.io.ros_messages import ScanMessage, StampedTransform
-from gridslam.ros.accepted import Accepted, ScanMaker, refusal_of
-from gridslam.ros.complaints import Complaints
+from gridslam.ros.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
 from gridslam.ros.live_transforms import LiveTransforms
 from gridslam.ros.settings import NodeSettings
+from gridslam.ros.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import Coverage, MissingTransform
 from gridslam.types import BeamStatus, FloatArray, Odometry
 
-__all__ = ["Counts", "Intake", "Turn"]
+__all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
 
-_NEAR_M = 0.5  # and rad: the robot goes on where it was
-_LATE_S, _FORGOTTEN_S, _LATE_SCANS = 0.5, 10.0, 10  # one after the other: a single one was held up
-_LEAP, _FAST = 1.0, 10.0  # m and rad, and both per second: no robot moves so
-_MAY_COME = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
+_CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
+_LATE_S, _IGNORED_S, _MIN_LATE_SCANS = 0.5, 10.0, 10  # in a row: a single scan may be delayed
+_MAX_STEP, _MAX_SPEED = 1.0, 10.0  # m and rad; m/s and rad/s: faster than any robot
+_MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
 
-class Turn(Enum):
+class SessionEnd(Enum):
     """Why a session ends."""
 
     RESET = "reset"
@@ -47,12 +47,12 @@ class _Waiting(NamedTuple):
 
 @final
 class Counts:
-    """What became of the scans that came.
+    """Counts of scans.
 
     Attributes
     ----------
     received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused, see `Complaints`; dropped
+        All of them; those left out on request, and while the node paused; refused, see `ThrottledWarnings`; dropped
         because the filter was behind; given to the filter; times that the stamps jumped back.
     """
 
@@ -63,48 +63,48 @@ class Counts:
 
 
 @final
-class Intake:
-    """Takes messages from any thread, and gives measurements to the one thread that asks.
+class MeasurementQueue:
+    """Accepts messages from any thread and passes measurements to the filter's thread.
 
     Parameters
     ----------
     settings : NodeSettings
         Bounds and frames.
-    complain : Complaints
+    warn : ThrottledWarnings
         Called with refused data, by kind.
     clock : callable
-        Time in s, ascending: that of all waiting.
+        Monotonic time, s.
 
     Attributes
     ----------
     counts : Counts
-        Of the scans.
+        Counts of scans.
     is_paused : bool
-        Whether scans are left out for the present.
+        Whether incoming scans are dropped.
     """
 
     def __init__(
-        self, settings: NodeSettings, complain: Complaints, clock: Callable[[], float] = time.perf_counter
+        self, settings: NodeSettings, warn: ThrottledWarnings, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self.counts = Counts()
         self.is_paused = False
-        self._settings, self._complain, self._clock = settings, complain, clock
+        self._settings, self._warn, self._clock = settings, warn, clock
         self._changed = threading.Condition()
-        self._queue: deque[_Waiting] = deque()
+        self._scans: deque[_Waiting] = deque()
         self._calls: deque[Callable[[], None]] = deque()
-        self._turn: Turn | None = None
-        self._transforms = LiveTransforms(settings.jump_s, complain)
-        self._makers: dict[str, ScanMaker] = {}
+        self._session_end: SessionEnd | None = None
+        self._transforms = LiveTransforms(settings.jump_s, warn)
+        self._builders: dict[str, MeasurementBuilder] = {}
         self._mountings: dict[str, FloatArray] = {}
         self._latest_ns: dict[str, int] = {}
         self._strays: dict[str, int] = {}
-        self._came_ns: dict[tuple[str, str], int] = {}
+        self._received_ns: dict[tuple[str, str], int] = {}
         self._late: dict[str, int] = {}
         self._odometry: Odometry | None = None
-        self._owed_jump = False
+        self._pending_jump = False
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
-        """Queue a scan, or refuse it; never waits."""
+        """Queue a scan, or refuse it; never blocks."""
         arrived_s, settings, counts = self._clock(), self._settings, self.counts
         with self._changed:
             counts.received += 1
@@ -114,84 +114,86 @@ class Intake:
             if (counts.received - 1) % settings.throttle_scans:
                 counts.throttled += 1
                 return
-            if problem := refusal_of(message, settings.min_beams, settings.max_beams):
+            if problem := find_refusal_reason(message, settings.min_beams, settings.max_beams):
                 self._refuse("scan refused", f"{sensor}: {problem}")
                 return
             source = sensor, message.frame
-            if self._came_ns.get(source) == message.stamp_ns:
-                self._refuse("scan refused", f"{sensor}: one of this stamp has come; are there two publishers?")
+            if self._received_ns.get(source) == message.stamp_ns:
+                self._refuse("scan refused", f"{sensor}: duplicate stamp; are there two publishers?")
                 return
-            self._came_ns[source] = message.stamp_ns
-            jumped = self._jumped(message.stamp_ns, sensor)
+            self._received_ns[source] = message.stamp_ns
+            jumped = self._detect_jump(message.stamp_ns, sensor)
             if jumped is None:
-                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the one ahead")
+                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the previous one")
                 return
             if jumped:
                 counts.jumps += 1
-                counts.dropped += len(self._queue)
-                self._queue.clear()
+                counts.dropped += len(self._scans)
+                self._scans.clear()
             else:
                 self._compare_clocks(message.stamp_ns, sensor)
-            self._queue.append(_Waiting(message, sensor, arrived_s, jumped or self._owed_jump))
-            self._owed_jump = False
-            self._drop(arrived_s)
+            self._scans.append(_Waiting(message, sensor, arrived_s, jumped or self._pending_jump))
+            self._pending_jump = False
+            self._drop_old(arrived_s)
             self._changed.notify()
 
     def add_transforms(
         self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
     ) -> None:
-        """Take transforms; never waits."""
+        """Add transforms; never blocks."""
         with self._changed:
             self._transforms.add(transforms, static=static, publisher=publisher)
-            if self._queue:
+            if self._scans:
                 self._changed.notify()
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have something done by the thread that takes, between two scans."""
+        """Run a call in the filter's thread between two scans."""
         with self._changed:
             self._calls.append(call)
             self._changed.notify()
 
-    def turn(self, why: Turn) -> None:
-        """End the session: what is queued is dropped; a closed intake gives nothing any more."""
+    def end_session(self, why: SessionEnd) -> None:
+        """End the session and drop all queued scans; a closed queue returns no more measurements."""
         with self._changed:
-            if self._turn is not Turn.CLOSED:
-                self._turn = why
-            self._queue.clear()
+            if self._session_end is not SessionEnd.CLOSED:
+                self._session_end = why
+            self._scans.clear()
             self._changed.notify()
 
-    def take(self) -> Accepted | Callable[[], None] | Turn:
-        """Wait for what is next: what was posted, a measurement, or the end of the session."""
+    def take(self) -> AcceptedScan | Callable[[], None] | SessionEnd:
+        """Wait for the next posted call, measurement, or end of the session."""
         with self._changed:
             while True:
                 if self._calls:
                     return self._calls.popleft()
-                if self._turn is not None:
-                    return self._turned()
-                found, wait_s = self._head()
-                if found is not None:
-                    return found
+                if self._session_end is not None:
+                    return self._take_session_end()
+                accepted, wait_s = self._next_measurement()
+                if accepted is not None:
+                    return accepted
                 self._changed.wait(wait_s)
 
-    def _turned(self) -> Turn:
-        why = self._turn
+    def _take_session_end(self) -> SessionEnd:
+        why = self._session_end
         assert why is not None
-        if why is not Turn.CLOSED:
-            self._turn = None
-        self._odometry, self._owed_jump = None, False
+        if why is not SessionEnd.CLOSED:
+            self._session_end = None
+        self._odometry, self._pending_jump = None, False
         self._latest_ns.clear()
         return why
 
-    def _head(self) -> tuple[Accepted | Turn | None, float | None]:
-        """The first scan, where it need not wait any longer; else for how long."""
-        queue, counts = self._queue, self.counts
-        while queue:
-            waiting = queue[0]
+    def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
+        """Return the first scan if its transforms are known, else the time to wait, s."""
+        scans, counts = self._scans, self.counts
+        while scans:
+            waiting = scans[0]
             late_s = self._clock() - waiting.arrived_s - self._settings.transform_wait_s
             try:
-                found = self._measured(waiting, last=late_s >= 0)
+                accepted = self._make_measurement(waiting, last=late_s >= 0)
             except MissingTransform as missing:
-                if late_s < 0 and (missing.coverage in _MAY_COME or waiting.after_jump):  # theirs may jump after it
+                if late_s < 0 and (
+                    missing.coverage in _MAY_ARRIVE or waiting.after_jump
+                ):  # its transforms may jump later
                     return None, -late_s
                 self._discard()
                 self._refuse("missing transform", str(missing))
@@ -200,19 +202,19 @@ class Intake:
                 self._discard()
                 self._refuse("scan refused", f"{waiting.sensor}: {error}")
                 continue
-            if waiting.after_jump and not self._goes_on(found.measurement.odometry):
-                queue[0] = waiting._replace(after_jump=False)
+            if waiting.after_jump and not self._continues(accepted.measurement.odometry):
+                scans[0] = waiting._replace(after_jump=False)
                 self._odometry = None
                 self._latest_ns.clear()
-                return Turn.JUMP, None
-            queue.popleft()
+                return SessionEnd.JUMP, None
+            scans.popleft()
             counts.accepted += 1
-            self._note(found)
-            return found, None
+            self._check_measurement(accepted)
+            return accepted, None
         return None, None
 
-    def _measured(self, waiting: _Waiting, *, last: bool) -> Accepted:
-        """Measurement of a scan; raises MissingTransform where it is not known yet, or will never be."""
+    def _make_measurement(self, waiting: _Waiting, *, last: bool) -> AcceptedScan:
+        """Build the measurement of a scan; raises MissingTransform if a transform is not known (yet)."""
         message, sensor, settings = waiting.message, waiting.sensor, self._settings
         odometry: Odometry | None = None
         if settings.odometry != "none":
@@ -221,9 +223,9 @@ class Intake:
                 pose.flags.writeable = False
                 odometry = Odometry(message.stamp_ns, pose)
             except MissingTransform as missing:
-                if settings.odometry == "needed" or (missing.coverage in _MAY_COME and not last):
+                if settings.odometry == "needed" or (missing.coverage in _MAY_ARRIVE and not last):
                     raise
-                self._complain("scan without odometry", str(missing))
+                self._warn("scan without odometry", str(missing))
         try:
             mounting = self._transforms.buffer.lookup(settings.base_frame, message.frame, message.stamp_ns)
             self._mountings[message.frame] = mounting
@@ -231,31 +233,31 @@ class Intake:
             if message.frame not in self._mountings:
                 raise
             mounting = self._mountings[message.frame]
-        maker = self._makers.setdefault(sensor, ScanMaker())
-        return maker.measurement(message, sensor, mounting, odometry, waiting.arrived_s)
+        builder = self._builders.setdefault(sensor, MeasurementBuilder())
+        return builder.build(message, sensor, mounting, odometry, waiting.arrived_s)
 
-    def _note(self, accepted: Accepted) -> None:
+    def _check_measurement(self, accepted: AcceptedScan) -> None:
         odometry, scan = accepted.measurement
         self._latest_ns[scan.sensor] = scan.stamp_ns
         if not (scan.status == BeamStatus.HIT).any():
-            self._complain("nothing seen", f"{scan.sensor}: no beam of {len(scan.status)} hits anything in range")
+            self._warn("no returns", f"{scan.sensor}: none of {len(scan.status)} beams hits anything in range")
         if odometry is None:
             return
         if self._odometry is not None:
             seconds = abs(odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
             dx, dy, turn = between(self._odometry.pose, odometry.pose).tolist()
             moved = math.hypot(dx, dy)
-            if max(moved, abs(turn)) > _LEAP + _FAST * seconds:
-                self._complain("odometry jumped", f"by {moved:.2f} m and {abs(turn):.2f} rad in {seconds:.3g} s")
+            if max(moved, abs(turn)) > _MAX_STEP + _MAX_SPEED * seconds:
+                self._warn("odometry jumped", f"by {moved:.2f} m and {abs(turn):.2f} rad in {seconds:.3g} s")
         self._odometry = odometry
 
-    def _goes_on(self, odometry: Odometry | None) -> bool:
-        """Whether the odometry goes on where it was: then only a clock was set."""
+    def _continues(self, odometry: Odometry | None) -> bool:
+        """Whether the odometry continues: then only a clock was set back."""
         if odometry is None or self._odometry is None:
             return False
-        return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _NEAR_M)
+        return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _CONTINUES_M)
 
-    def _jumped(self, stamp_ns: int, sensor: str) -> bool | None:
+    def _detect_jump(self, stamp_ns: int, sensor: str) -> bool | None:
         """Whether time has jumped back; None for the first such scan, whose stamp may be wrong."""
         jump_ns = round(self._settings.jump_s * 1e9)
         latest_ns = self._latest_ns.get(sensor, stamp_ns)
@@ -272,26 +274,26 @@ class Intake:
         """Report scans that are always older than the odometry which came before: each would get an old pose."""
         newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
         late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
-        self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _FORGOTTEN_S else 0
-        if self._late[sensor] >= _LATE_SCANS:
-            problem = f"{sensor} is stamped {late_s:.2f} s before the odometry that came: it is late, or clocks differ"
-            self._complain("late scans", problem)
+        self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _IGNORED_S else 0
+        if self._late[sensor] >= _MIN_LATE_SCANS:
+            problem = f"{sensor} is stamped {late_s:.2f} s before the latest odometry: it is late, or the clocks differ"
+            self._warn("late scans", problem)
 
-    def _drop(self, now_s: float) -> None:
-        """Keep the newest scans."""
-        queue, settings = self._queue, self._settings
-        while len(queue) > settings.queue_scans or now_s - queue[0].arrived_s > settings.queue_s:
+    def _drop_old(self, now_s: float) -> None:
+        """Drop the oldest scans beyond the limits of the queue."""
+        scans, settings = self._scans, self._settings
+        while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > settings.queue_s:
             self._discard()
             self.counts.dropped += 1
 
     def _discard(self) -> None:
-        """Leave out the first scan; where time jumped before it, it jumped before the next one."""
-        if self._queue.popleft().after_jump:
-            if self._queue:
-                self._queue[0] = self._queue[0]._replace(after_jump=True)
+        """Drop the first scan; a jump of time before it now belongs to the next scan."""
+        if self._scans.popleft().after_jump:
+            if self._scans:
+                self._scans[0] = self._scans[0]._replace(after_jump=True)
             else:
-                self._owed_jump = True
+                self._pending_jump = True
 
     def _refuse(self, kind: str, problem: str) -> None:
         self.counts.refused += 1
-        self._complain(kind, problem)
+        self._warn(kind, problem)

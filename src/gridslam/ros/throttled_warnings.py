@@ -10,35 +10,35 @@ from typing import final
 
 from gridslam.ros.messages import Level
 
-__all__ = ["Complaints"]
+__all__ = ["ThrottledWarnings"]
 
 
 @final
-class Complaints:
+class ThrottledWarnings:
     """Counts problems by kind, and reports each kind at most once in `every_s` seconds.
 
     Parameters
     ----------
-    say : callable
+    log : callable
         Reports to the user.
     every_s : float, s
-        Between two sentences of one kind.
+        Least time between two messages of one kind.
     clock : callable
-        Time in s, ascending.
+        Monotonic time, s.
 
     Attributes
     ----------
     counts : Counter of str
-        How often each kind happened.
+        Number of problems of each kind.
     """
 
     def __init__(
-        self, say: Callable[[Level, str], None], every_s: float = 1.0, clock: Callable[[], float] = time.monotonic
+        self, log: Callable[[Level, str], None], every_s: float = 1.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._say, self._every_s, self._clock = say, every_s, clock
+        self._log, self._every_s, self._clock = log, every_s, clock
         self._due: dict[str, float] = {}
-        self._untold: Counter[str] = Counter()
+        self._suppressed: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._last = "", 0.0
 
@@ -49,14 +49,14 @@ class Complaints:
             self.counts[kind] += 1
             self._last = f"{kind}: {problem}", now
             if now < self._due.get(kind, now):
-                self._untold[kind] += 1
+                self._suppressed[kind] += 1
                 return
             self._due[kind] = now + self._every_s
-            more = self._untold.pop(kind, 0)
-        self._say(Level.WARN, f"{kind}: {problem}" + (f" (and {more} times more before)" if more else ""))
+            suppressed = self._suppressed.pop(kind, 0)
+        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} more before)" if suppressed else ""))
 
     def latest(self, within_s: float) -> str:
-        """The last problem, if there was one within the last seconds; else empty."""
+        """Return the last problem within this many seconds; empty if there was none."""
         with self._lock:
             problem, when = self._last
             return problem if problem and self._clock() - when <= within_s else ""

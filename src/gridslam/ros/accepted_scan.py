@@ -1,4 +1,4 @@
-"""From a scan's message to the measurement that is mapped and recorded: the record is read back to the same bits."""
+"""Conversion of scan messages to measurements, exactly as they are read back from the record."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.ros_messages import ScanMessage
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["Accepted", "LaserForm", "ScanMaker", "refusal_of"]
+__all__ = ["AcceptedScan", "LaserDescription", "MeasurementBuilder", "find_refusal_reason"]
 
-_KEPT = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
+_MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
 _TURN_RAD = 6.3
-_NOTHING = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
-_MOVED_M = 0.005  # and rad: what a mounting on /tf may flutter
+_NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
+_MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
 
 
-class LaserForm(NamedTuple):
+class LaserDescription(NamedTuple):
     """Laser properties in a record, number by number.
 
     Attributes
@@ -38,7 +38,7 @@ class LaserForm(NamedTuple):
     range_min_m, range_max_m : float, m
         Limits of the sensor.
     beams : int
-        How many.
+        Number of beams.
     """
 
     sensor: str
@@ -52,27 +52,27 @@ class LaserForm(NamedTuple):
     beams: int
 
 
-class Accepted(NamedTuple):
-    """A measurement for the filter, the form of its laser, and when its message came (s, `time.perf_counter`)."""
+class AcceptedScan(NamedTuple):
+    """A measurement for the filter, its laser, and the arrival time of its message (s, `time.perf_counter`)."""
 
     measurement: Measurement
-    form: LaserForm
+    laser: LaserDescription
     arrived_s: float
 
 
-def refusal_of(message: ScanMessage, least: int, most: int) -> str:
-    """Reason why a message is not a scan to map; empty for a scan of `least` to `most` beams."""
+def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) -> str:
+    """Reason why a message is not a scan to map; empty for a scan of `min_beams` to `max_beams` beams."""
     beams = len(message.ranges)
-    if beams > most:
-        return f"{beams} beams, more than the {most} that a scan may have"
-    if beams < least:
-        return f"{beams} beams are too few to localize; at least {least} are required"
+    if beams > max_beams:
+        return f"{beams} beams, more than the maximum of {max_beams}"
+    if beams < min_beams:
+        return f"{beams} beams are too few to localize; at least {min_beams} are required"
     if not message.frame or not message.frame.isprintable() or message.frame != message.frame.strip():
         return f"expected the name of a frame, got {message.frame!r:.60}"
     if not isinstance(message.stamp_ns, int) or not 0 < message.stamp_ns < 1 << 63:
         return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
     if message.range_min == math.inf:
-        return "its least range is infinite, so that no range is valid"
+        return "range_min is infinite, so no range is valid"
     start, step = message.angle_min, message.angle_increment
     span = abs(step) * (beams - 1)
     if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
@@ -81,62 +81,62 @@ def refusal_of(message: ScanMessage, least: int, most: int) -> str:
 
 
 @final
-class ScanMaker:
-    """Makes measurements of one laser; geometries are shared as far as angles and mounting are the same.
+class MeasurementBuilder:
+    """Builds measurements of one laser; scans of the same angles and mounting share their geometry.
 
-    The mounting goes through its six numbers, and what hit nothing through `inf` and `nan`, as in the record.
+    The mounting is rounded through its six numbers, and beams without a hit become `inf` or `nan`, as in the record.
     """
 
     def __init__(self) -> None:
-        self._known: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
+        self._geometries: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
         self._matrix: FloatArray = np.full((4, 4), np.nan)
         self._mounting: tuple[float, ...] = ()
 
-    def measurement(
+    def build(
         self,
         message: ScanMessage,
         sensor: str,
         base_from_laser: FloatArray,
         odometry: Odometry | None,
         arrived_s: float,
-    ) -> Accepted:
-        """Make the measurement of a message that `refusal_of` has nothing against."""
-        mounting, beams = self._mounted(base_from_laser), len(message.ranges)
-        start, step, on_progress = (
+    ) -> AcceptedScan:
+        """Build the measurement of a message that `find_refusal_reason` accepts."""
+        mounting, beams = self._stabilize_mounting(base_from_laser), len(message.ranges)
+        start, step, time_increment = (
             float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
         )
         scan = LaserScan.from_ros(
             message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
-            range_max=message.range_max, time_increment=on_progress,
-            geometry=self._shared(mounting, start, step, beams), sensor=sensor, frame=message.frame,
+            range_max=message.range_max, time_increment=time_increment, sensor=sensor, frame=message.frame,
+            geometry=self._share_geometry(mounting, start, step, beams),
         )  # fmt: skip
-        form = LaserForm(
-            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else on_progress,
+        laser = LaserDescription(
+            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else time_increment,
             scan.range_min_m, scan.range_max_m, beams,
         )  # fmt: skip
-        return Accepted(Measurement(odometry, replace(scan, ranges=_readable(scan))), form, arrived_s)
+        return AcceptedScan(Measurement(odometry, replace(scan, ranges=_normalize_ranges(scan))), laser, arrived_s)
 
-    def _mounted(self, matrix: FloatArray) -> tuple[float, ...]:
-        if not np.abs(matrix - self._matrix).max() <= _MOVED_M:
+    def _stabilize_mounting(self, matrix: FloatArray) -> tuple[float, ...]:
+        if not np.abs(matrix - self._matrix).max() <= _MOUNTING_NOISE_M:
             self._matrix = matrix
             values = *matrix[:3, 3].tolist(), *angles_of_rotation(matrix[:3, :3])
             self._mounting = tuple(value + 0.0 for value in values)  # no -0.0
         return self._mounting
 
-    def _shared(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
+    def _share_geometry(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
         key = *mounting, start, step, beams
-        known = self._known.get(key)
+        known = self._geometries.get(key)
         if known is None:
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*mounting[3:]), mounting[:3]
-            known = self._known[key] = ScanGeometry(start + step * np.arange(beams), matrix)
-            if len(self._known) > _KEPT:
-                self._known.popitem(last=False)
+            known = self._geometries[key] = ScanGeometry(start + step * np.arange(beams), matrix)
+            if len(self._geometries) > _MAX_GEOMETRIES:
+                self._geometries.popitem(last=False)
         return known
 
 
-def _readable(scan: LaserScan) -> FloatArray:
-    """Ranges (B,) of which only hits keep their value."""
-    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NOTHING[scan.status])
+def _normalize_ranges(scan: LaserScan) -> FloatArray:
+    """Return ranges (B,) in which only hits keep their value."""
+    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
     ranges.flags.writeable = False
     return ranges

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.io.record import Record, RecordFlag
-from gridslam.live.pasts import Pasts
-from gridslam.live.scene import rooted, tree_of
+from gridslam.live.ancestry_replay import AncestryReplay
+from gridslam.live.scene import full_tree, thin_tree
 from gridslam.particles.ancestry import Ancestry
 
 N = 5
@@ -41,7 +41,7 @@ def past_of(record, particle, key):
 def walked(tree, particle, stem):
     at, places = tree.leaves[particle], []
     while at >= 0:
-        places.append(tree.places[at])
+        places.append(tree.positions[at])
         at = tree.parents[at]
     places = np.array(places[::-1], np.float32).reshape(-1, 2)
     return np.concatenate([stem, places]) if at == -1 else places
@@ -60,11 +60,11 @@ def ancestry_of(record, key):
 def test_path_and_tree_are_the_pasts(steps, seed, share):
     record = record_of(steps, seed, share)
     ancestry = ancestry_of(record, steps - 1)
-    trunk, tree = tree_of(ancestry)
+    trunk, tree = thin_tree(ancestry)
     for particle in range(N):
         expected = past_of(record, particle, steps - 1)
         assert np.array_equal(walked(tree, particle, trunk), expected)
-        assert np.array_equal(walked(rooted(ancestry), particle, trunk[:0]), expected)
+        assert np.array_equal(walked(full_tree(ancestry), particle, trunk[:0]), expected)
 
 
 @settings(max_examples=40, deadline=None)
@@ -72,8 +72,8 @@ def test_path_and_tree_are_the_pasts(steps, seed, share):
 def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
     record = record_of(steps, seed, 0.1)
     ancestry = ancestry_of(record, steps - 1)
-    trunk, tree = tree_of(ancestry, most)
-    assert len(tree.places) <= most + N * (1 + len(tree.places) // most)
+    trunk, tree = thin_tree(ancestry, most)
+    assert len(tree.positions) <= most + N * (1 + len(tree.positions) // most)
     for particle in range(N):
         full, thin = past_of(record, particle, steps - 1), walked(tree, particle, trunk)
         kept = [int(np.flatnonzero((full == place).all(axis=1))[0]) for place in thin]
@@ -83,17 +83,17 @@ def test_a_thinned_tree_leaves_places_out_and_invents_none(steps, seed, most):
 
 
 def test_pasts_shared_by_all_are_no_tree():
-    trunk, tree = tree_of(Ancestry.from_trajectory(np.arange(9.0).reshape(3, 3), 4))
+    trunk, tree = thin_tree(Ancestry.from_trajectory(np.arange(9.0).reshape(3, 3), 4))
     assert trunk.tolist() == [[0, 1], [3, 4], [6, 7]]
     assert tree.leaves.tolist() == [-1] * 4
-    assert rooted(Ancestry.from_trajectory(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
+    assert full_tree(Ancestry.from_trajectory(np.zeros((3, 3)), 2)).parents.tolist() == [-2, 0, 1]
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 150), st.lists(st.integers(0, 149), min_size=1, max_size=12), st.integers(0, 2**32 - 1))
 def test_pasts_at_any_time_in_any_order(steps, keys, seed):
     record = record_of(steps, seed)
-    pasts = Pasts(record)
+    pasts = AncestryReplay(record)
     for key in (min(key, steps - 1) for key in keys):
         ancestry = pasts.at(key)
         assert ancestry.steps == key + 1
@@ -105,10 +105,10 @@ def test_pasts_at_any_time_in_any_order(steps, keys, seed):
 def test_relatives(particle, before, after, seed):
     """The past of a descendant is the particle; and whoever has none left has no other relative later."""
     record = record_of(30, seed, 0.15)
-    pasts = Pasts(record)
-    other = pasts.relative(particle, before, after)
+    pasts = AncestryReplay(record)
+    other = pasts.find_relative(particle, before, after)
     if after <= before:
-        assert other == pasts.relative(other, after, after)
+        assert other == pasts.find_relative(other, after, after)
         assert np.array_equal(past_of(record, particle, before)[after], record.poses[after, other, :2])
     elif other >= 0:
         assert np.array_equal(past_of(record, other, after)[before], record.poses[before, particle, :2])
@@ -118,6 +118,6 @@ def test_relatives(particle, before, after, seed):
 
 
 def test_who_died_out_has_no_past_either():
-    assert Pasts(record_of(4, 1)).relative(-1, 3, 0) == -1
+    assert AncestryReplay(record_of(4, 1)).find_relative(-1, 3, 0) == -1
     with pytest.raises(ValueError, match="empty"):
-        Pasts(record_of(4, 1)).at(-1)
+        AncestryReplay(record_of(4, 1)).at(-1)

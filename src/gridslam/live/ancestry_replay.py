@@ -1,4 +1,4 @@
-"""The particles' pasts at any time of a recorded run."""
+"""The particles' ancestry at any time of a recorded run."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from gridslam.io.record import Record, RecordFlag
 from gridslam.particles.ancestry import Ancestry
 
-__all__ = ["Pasts"]
+__all__ = ["AncestryReplay"]
 
-_KEPT = 32  # snapshots of the ancestry, evenly over the record: going back costs that share of going through it all
+_SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
 
 
 @final
-class Pasts:
-    """Replays the ancestry of a record, forwards step by step and backwards from the snapshot before.
+class AncestryReplay:
+    """Replays the ancestry of a record, forwards step by step and backwards from the previous snapshot.
 
     Parameters
     ----------
@@ -25,23 +25,23 @@ class Pasts:
     """
 
     def __init__(self, record: Record) -> None:
-        """Begin at the first key scan."""
+        """Start at the first key scan."""
         self._record = record
-        self._every = max(len(record) // _KEPT, 1)
+        self._interval = max(len(record) // _SNAPSHOTS, 1)
         self._at, self._ancestry = 0, Ancestry.start(record.poses[0])
-        self._kept = {0: self._ancestry.snapshot()}
+        self._snapshots = {0: self._ancestry.snapshot()}
 
     def at(self, key: int) -> Ancestry:
-        """The pasts at a key scan, before its resampling; belongs to this object, and holds until the next call."""
-        near = max(kept for kept in self._kept if kept <= key)
+        """Return the ancestry at a key scan, before its resampling; valid until the next call."""
+        near = max(kept for kept in self._snapshots if kept <= key)
         if not near <= self._at <= key:
-            self._at, self._ancestry = near, self._kept[near].snapshot()
+            self._at, self._ancestry = near, self._snapshots[near].snapshot()
         while self._at < key:
             self._advance()
         return self._ancestry
 
-    def relative(self, particle: int, before: int, after: int) -> int:
-        """Who at key scan `after` descends from, or is the past of, a particle at `before`; -1 where nobody is.
+    def find_relative(self, particle: int, before: int, after: int) -> int:
+        """Return the descendant or ancestor at key scan `after` of a particle at `before`; -1 if there is none.
 
         Of several descendants it is the first.
         """
@@ -52,10 +52,10 @@ class Pasts:
             particle = int(parents[key, particle])
         if after <= before:
             return particle
-        pasts = np.arange(parents.shape[1])
+        ancestors = np.arange(parents.shape[1])
         for key in range(after - 1, before - 1, -1):
-            pasts = parents[key, pasts]
-        descendants = np.flatnonzero(pasts == particle)
+            ancestors = parents[key, ancestors]
+        descendants = np.flatnonzero(ancestors == particle)
         return int(descendants[0]) if len(descendants) else -1
 
     def _advance(self) -> None:
@@ -64,5 +64,5 @@ class Pasts:
             self._ancestry.resample(record.parents[at])
         self._ancestry.extend(record.poses[at + 1])
         self._at = at + 1
-        if self._at % self._every == 0 and self._at not in self._kept:
-            self._kept[self._at] = self._ancestry.snapshot()
+        if self._at % self._interval == 0 and self._at not in self._snapshots:
+            self._snapshots[self._at] = self._ancestry.snapshot()

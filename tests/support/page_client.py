@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from gridslam.live.protocol import decode, unpacked
-from gridslam.live.tiles import TileMirror, tiles_of
+from gridslam.live.protocol import decode, unpack_tiles
+from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.types import OccupancyGrid
 
 
-class Onlooker:
+class PageClient:
     """What a page has after some messages."""
 
     def __init__(self) -> None:
-        self.hello: dict[str, Any] = {}
+        self.run_info: dict[str, Any] = {}
         self.status: dict[str, Any] = {}
         self.tiles: dict[tuple[int, int], np.ndarray] = {}
         self.path, self.series = np.zeros((0, 2), np.float32), np.zeros((0, 5), np.float32)
@@ -26,15 +26,15 @@ class Onlooker:
     def receive(self, message: bytes) -> None:
         self.messages, self.bytes = self.messages + 1, self.bytes + len(message)
         header, arrays = decode(message)
-        if "hello" in header and header["hello"]["session"] != self.hello.get("session"):
+        if "run_info" in header and header["run_info"]["session"] != self.run_info.get("session"):
             messages, sent = self.messages, self.bytes
             self.__init__()
             self.messages, self.bytes = messages, sent
-        self.hello, self.status = header.get("hello", self.hello), header.get("status", self.status)
+        self.run_info, self.status = header.get("run_info", self.run_info), header.get("status", self.status)
         if header.get("clear"):
             self.tiles = {}
         if "tiles" in arrays:
-            self.tiles.update(zip(map(tuple, arrays["tiles_at"].tolist()), unpacked(arrays["tiles"]), strict=True))
+            self.tiles.update(zip(map(tuple, arrays["tiles_at"].tolist()), unpack_tiles(arrays["tiles"]), strict=True))
         if "path" in arrays:
             self.path = np.concatenate([self.path[: header["path"]], arrays["path"]])
         if "series" in arrays:
@@ -44,14 +44,14 @@ class Onlooker:
 
     def catch_up(self, viewer: Any) -> None:
         """Take all messages that there are."""
-        while (message := viewer.message()) is not None:
+        while (message := viewer.next_message()) is not None:
             self.receive(message)
 
     def sees(self, grid: OccupancyGrid) -> bool:
         """Whether the map looks like this one, cell by cell."""
-        mirror = TileMirror()
-        mirror.apply(tiles_of(grid))
-        at, looks, _ = mirror.since(0, 10**9)
+        replica = TileReplica()
+        replica.apply(split_into_tiles(grid))
+        at, looks, _ = replica.since(0, 10**9)
         expected = {tuple(where): look for where, look in zip(at.tolist(), looks, strict=True) if look.any()}
         seen = {where: look for where, look in self.tiles.items() if look.any()}
         return expected.keys() == seen.keys() and all(np.array_equal(seen[where], expected[where]) for where in seen)

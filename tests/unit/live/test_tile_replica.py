@@ -11,7 +11,7 @@ from gridslam.grid.evidence import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
-from gridslam.live.tiles import NOWHERE, Box, TileChanges, TileMirror, TileWatch, tiles_of
+from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges, TileReplica, split_into_tiles
 from gridslam.scan import StoredScan
 from gridslam.types import OccupancyGrid
 
@@ -40,7 +40,7 @@ DOING = st.lists(st.sampled_from(["write", "write", "select", "look", "look", "o
 @given(DOING, st.integers(0, 2**32 - 1))
 def test_changes_give_the_map_exactly(doing, seed):
     rng = np.random.default_rng(seed)
-    maps, watch, mirror, written, row = TileMaps(5, **FORM), TileWatch(), TileMirror(), [], 0
+    maps, detector, replica, written, row = TileMaps(5, **FORM), TileChangeDetector(), TileReplica(), [], 0
     where = np.zeros(2)
     for what in [*doing, "look"]:
         if what == "write":
@@ -51,81 +51,81 @@ def test_changes_give_the_map_exactly(doing, seed):
         elif what == "other":
             row = int(rng.integers(5))
         else:
-            box = Box.about(np.concatenate(written), 2.0) if written else NOWHERE
-            mirror.apply(watch.look(maps, row, box))
+            box = Box.around(np.concatenate(written), 2.0) if written else EMPTY_BOX
+            replica.apply(detector.find_changes(maps, row, box))
             written = []
-            grid = mirror.grid(SIDE_M)
+            grid = replica.grid(SIDE_M)
             assert_same(tight(grid), tight(maps.occupancy(row)))
 
 
 def tight(grid):
     """Cut to the tiles that hold something; maps are cut to the tiles there are, of which some may hold nothing."""
-    mirror = TileMirror()
-    mirror.apply(tiles_of(grid))
-    return mirror.grid(SIDE_M)
+    replica = TileReplica()
+    replica.apply(split_into_tiles(grid))
+    return replica.grid(SIDE_M)
 
 
 def test_other_maps_are_taken_over_whole():
-    rng, watch, mirror = np.random.default_rng(2), TileWatch(), TileMirror()
+    rng, detector, replica = np.random.default_rng(2), TileChangeDetector(), TileReplica()
     for centre in ([0.0, 0.0], [40.0, -25.0]):  # as after a correction: no tile and no id in common
         maps = TileMaps(3, **FORM)
         write(maps, rng, np.array(centre))
-        mirror.apply(watch.look(maps, 1, None))
-        assert_same(mirror.grid(SIDE_M), maps.occupancy(1))
+        replica.apply(detector.find_changes(maps, 1, None))
+        assert_same(replica.grid(SIDE_M), maps.occupancy(1))
 
 
 def test_what_lies_outside_the_box_is_not_copied():
-    rng, watch, maps = np.random.default_rng(3), TileWatch(), TileMaps(1, **FORM)
+    rng, detector, maps = np.random.default_rng(3), TileChangeDetector(), TileMaps(1, **FORM)
     for x in (0.0, 100.0, 200.0):
         write(maps, rng, np.array([x, 0.0]))
-    everything = watch.look(maps, 0, None)
+    everything = detector.find_changes(maps, 0, None)
     poses = write(maps, rng, np.array([100.0, 0.0]))
-    changes = watch.look(maps, 0, Box.about(poses, 2.0))
+    changes = detector.find_changes(maps, 0, Box.around(poses, 2.0))
     assert 0 < len(changes.at) < len(everything.at) / 2
     assert abs((changes.at[:, 1] + 0.5) * TILE * SIDE_M - 100).max() < 10
-    assert not len(watch.look(maps, 0, NOWHERE).at)
+    assert not len(detector.find_changes(maps, 0, EMPTY_BOX).at)
 
 
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))
 def test_any_number_of_viewers_gets_all_in_pieces_of_any_size(most, seed):
     """Two viewers who look at other times; in between tiles change again."""
-    rng, mirror = np.random.default_rng(seed), TileMirror()
+    rng, replica = np.random.default_rng(seed), TileReplica()
     seen = [({}, 0), ({}, 0)]
     for _ in range(6):
         at = np.unique(rng.integers(-3, 3, (4, 2)), axis=0).astype(np.int32)
-        mirror.apply(TileChanges(at, rng.choice([UNKNOWN, -300, 0, 300], (len(at), TILE, TILE)).astype(np.int16)))
+        replica.apply(TileChanges(at, rng.choice([UNKNOWN, -300, 0, 300], (len(at), TILE, TILE)).astype(np.int16)))
         for k in np.flatnonzero(rng.integers(0, 2, 2)):
             tiles, number = seen[k]
-            where, looks, number = mirror.since(number, most)
+            where, looks, number = replica.since(number, most)
             assert len(where) <= most
             tiles.update(zip(map(tuple, where.tolist()), looks, strict=True))
             seen[k] = tiles, number
     for tiles, number in seen:
-        while number < mirror.sequence:
-            where, looks, number = mirror.since(number, most)
+        while number < replica.sequence:
+            where, looks, number = replica.since(number, most)
             tiles.update(zip(map(tuple, where.tolist()), looks, strict=True))
-        where, looks, _ = mirror.since(0, 10**6)
+        where, looks, _ = replica.since(0, 10**6)
         assert {at: look.tobytes() for at, look in tiles.items()} == {
             tuple(at): look.tobytes() for at, look in zip(where.tolist(), looks, strict=True)
         }
 
 
 def test_what_looks_as_before_is_not_sent_again():
-    mirror, at = TileMirror(), np.zeros((1, 2), np.int32)
-    mirror.apply(TileChanges(at, np.full((1, TILE, TILE), 200, np.int16)))
-    mirror.apply(TileChanges(at, np.full((1, TILE, TILE), 900, np.int16)))  # surer of the same
-    assert mirror.sequence == 1
-    assert mirror.grid(SIDE_M).log_odds.min() == pytest.approx(9.0)
+    replica, at = TileReplica(), np.zeros((1, 2), np.int32)
+    replica.apply(TileChanges(at, np.full((1, TILE, TILE), 200, np.int16)))
+    replica.apply(TileChanges(at, np.full((1, TILE, TILE), 900, np.int16)))  # surer of the same
+    assert replica.sequence == 1
+    assert replica.grid(SIDE_M).log_odds.min() == pytest.approx(9.0)
 
 
 def test_a_new_map_replaces_the_old_one():
-    mirror = TileMirror()
-    mirror.apply(TileChanges(np.array([[0, 0], [5, 5]], np.int32), np.full((2, TILE, TILE), 200, np.int16)))
-    mirror.replace(TileChanges(np.array([[5, 5], [6, 5]], np.int32), np.full((2, TILE, TILE), -200, np.int16)))
-    grid = mirror.grid(SIDE_M)
+    replica = TileReplica()
+    replica.apply(TileChanges(np.array([[0, 0], [5, 5]], np.int32), np.full((2, TILE, TILE), 200, np.int16)))
+    replica.replace(TileChanges(np.array([[5, 5], [6, 5]], np.int32), np.full((2, TILE, TILE), -200, np.int16)))
+    grid = replica.grid(SIDE_M)
     assert grid.origin == (5 * TILE * SIDE_M, 5 * TILE * SIDE_M)
     assert grid.known.shape == (2 * TILE, TILE)
-    where, looks, _ = mirror.since(0, 100)
+    where, looks, _ = replica.since(0, 100)
     assert not looks[where.tolist().index([0, 0])].any()
 
 
@@ -135,7 +135,7 @@ def test_a_rectangle_of_any_place_and_size_is_cut_into_tiles(row, column, height
     rng = np.random.default_rng(seed)
     known = rng.random((height, width)) < 0.7
     log_odds = np.where(known, rng.integers(-400, 400, known.shape) * 0.01, 0).astype(np.float32)
-    changes = tiles_of(OccupancyGrid(log_odds, known, SIDE_M, (column * SIDE_M, row * SIDE_M)))
+    changes = split_into_tiles(OccupancyGrid(log_odds, known, SIDE_M, (column * SIDE_M, row * SIDE_M)))
     cells = {tuple(at): tile for at, tile in zip(changes.at.tolist(), changes.log_odds, strict=True)}
     for r, c in np.ndindex(known.shape):
         (tile_row, y), (tile_column, x) = divmod(row + r, TILE), divmod(column + c, TILE)
@@ -146,6 +146,6 @@ def test_a_rectangle_of_any_place_and_size_is_cut_into_tiles(row, column, height
 
 
 def test_a_map_of_nothing():
-    assert not TileMirror().grid(SIDE_M).known.any()
+    assert not TileReplica().grid(SIDE_M).known.any()
     empty = OccupancyGrid(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.bool_), SIDE_M, (0.0, 0.0))
-    assert not len(tiles_of(empty).at)
+    assert not len(split_into_tiles(empty).at)

@@ -1,4 +1,4 @@
-"""What there is to see of a filter that maps."""
+"""Monitor of a filter that maps."""
 
 from __future__ import annotations
 
@@ -9,101 +9,101 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.geometry.se2 import compose
-from gridslam.live.scene import NO_CLOSURES, Float32Array, Tree, tree_of
-from gridslam.live.sight import BEST, CORRECTED, View
-from gridslam.live.tiles import NOWHERE, Box, TileChanges, TileWatch
+from gridslam.live.monitor import BEST, CORRECTED, StateView
+from gridslam.live.scene import NO_CLOSURES, AncestryTree, Float32Array, thin_tree
+from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.particles.ancestry import Ancestry
 from gridslam.slam.state import GridFastSlamState
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, StepReport
 
-__all__ = ["MapSight"]
+__all__ = ["MappingMonitor"]
 
 _DIED_OUT = -1
-_REMEMBERED = 256  # resamplings
+_MAX_RESAMPLINGS = 256  # resamplings
 
 
 @final
-class MapSight:
-    """Of a filter that maps.
+class MappingMonitor:
+    """Monitor of a filter that maps.
 
     Parameters
     ----------
     range_max_m : float, m
-        Beams of this range or more write nothing; infinite if it is not known.
+        Beams of this range or more do not change the map; infinite if unknown.
     """
 
     def __init__(self, range_max_m: float) -> None:
-        """Begin before the first scan."""
+        """Start before the first scan."""
         self._range_max_m = range_max_m
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Begin before the first scan, with other maps than those looked at until now."""
-        self._everything, self._keys = True, 0
+    def reset(self) -> None:
+        """Start before the first scan of a new session with new maps."""
+        self._all_changed, self._keys = True, 0
         self._written: list[tuple[FloatArray, LaserScan | None]] = []
         self._closures: list[tuple[int, int]] = []
-        self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_REMEMBERED)
-        self._watches = {BEST: TileWatch()}
-        self._lines: dict[int, IntArray] = {}  # of each channel the particles that continue the chosen one
+        self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
+        self._detectors = {BEST: TileChangeDetector()}
+        self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
 
-    def note(self, report: StepReport, scan: LaserScan | None) -> int:
+    def record(self, report: StepReport, scan: LaserScan | None) -> int:
         """Record a scan; return `CORRECTED` if the trajectory was corrected."""
         self._closures += report.closures
         if report.skipped is not None:
             return 0
         self._keys += 1
-        self._everything |= report.corrected
+        self._all_changed |= report.corrected
         if report.poses is not None:
             self._written.append((report.poses, scan))
         if report.parents is not None:
             self._resamplings.append((self._keys, report.parents))
-            self._lines = {channel: _children(line, report.parents) for channel, line in self._lines.items()}
+            self._lines = {channel: _find_children(line, report.parents) for channel, line in self._lines.items()}
         return CORRECTED * report.corrected
 
-    def watch(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and of who continues it; no longer if it is -1."""
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
+        """Show the map of a particle and its descendants as a channel; -1 closes the channel."""
         if particle < 0:
-            self._watches.pop(channel, None)
+            self._detectors.pop(channel, None)
             self._lines.pop(channel, None)
             return
         line = np.array([particle])
         for key, parents in self._resamplings:
             if key > keys:
-                line = _children(line, parents)
-        self._watches[channel], self._lines[channel] = TileWatch(), line
+                line = _find_children(line, parents)
+        self._detectors[channel], self._lines[channel] = TileChangeDetector(), line
 
-    def look(self, report: StepReport, state: GridFastSlamState) -> View:
-        """See the state as it is now, and what of the maps has changed since the last look."""
+    def view(self, report: StepReport, state: GridFastSlamState) -> StateView:
+        """Return a view of the current state, with all changes of the maps since the last view."""
         rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
         rows[BEST] = state.best
-        written = None if self._everything else self._box()
+        written = None if self._all_changed else self._written_box()
         maps = {
-            channel: watch.look(state.maps, rows[channel], written)
-            for channel, watch in self._watches.items()
+            channel: detector.find_changes(state.maps, rows[channel], written)
+            for channel, detector in self._detectors.items()
             if rows[channel] != _DIED_OUT
         }
-        self._everything, self._written = False, []
-        return _MapView(
+        self._all_changed, self._written = False, []
+        return _MappingView(
             maps, rows, state.maps.resolution_m, state.maps.nbytes, report, state.poses, state.log_weights,
             state.ancestry.snapshot(), np.array(self._closures, np.int64).reshape(-1, 2),
         )  # fmt: skip
 
-    def _box(self) -> Box | None:
-        """Where maps were written to since the last look."""
+    def _written_box(self) -> Box | None:
+        """Return the box in which maps may have changed since the last view; None if unknown."""
         if not self._written:
-            return NOWHERE
+            return EMPTY_BOX
         reach = 0.0
         for _, scan in self._written:
             if scan is None:
                 return None
             hits = scan.ranges[(scan.status == BeamStatus.HIT) & (scan.ranges < self._range_max_m)]
             reach = max(reach, float(hits.max(initial=0.0)) + float(np.hypot(*scan.geometry.origin)))
-        return Box.about(np.concatenate([poses for poses, _ in self._written]), reach)
+        return Box.around(np.concatenate([poses for poses, _ in self._written]), reach)
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
-class _MapView:
+class _MappingView:
     maps: dict[int, TileChanges]
     rows: dict[int, int]
     resolution_m: float
@@ -112,27 +112,27 @@ class _MapView:
     poses: FloatArray
     log_weights: FloatArray
     ancestry: Ancestry
-    pairs: IntArray  # of key scans that show one place
+    pairs: IntArray  # of key scans at the same place
 
     def particles(self) -> Float32Array:
         now = compose(self.poses, self.report.key_from_base) if self.report.skipped else self.poses
         return np.column_stack([now, np.exp(self.log_weights)]).astype(np.float32)
 
-    def past(self) -> tuple[Float32Array, Tree]:
-        return tree_of(self.ancestry)
+    def path_and_tree(self) -> tuple[Float32Array, AncestryTree]:
+        return thin_tree(self.ancestry)
 
     def closures(self) -> Float32Array:
-        """Where they are as the best particle has it; they move when the past is corrected."""
+        """Return the end points of the closures on the best particle's path, which corrections move."""
         if not len(self.pairs):
             return NO_CLOSURES
-        places = self.ancestry.trajectory(self.rows[BEST])[:, :2]
-        return places[self.pairs].reshape(-1, 4).astype(np.float32)
+        positions = self.ancestry.trajectory(self.rows[BEST])[:, :2]
+        return positions[self.pairs].reshape(-1, 4).astype(np.float32)
 
-    def facts(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
         count, closures = len(self.poses), len(self.pairs)
         return {"particles": count, "best": self.rows[BEST], "closures": closures, "bytes": self.nbytes}
 
 
-def _children(line: IntArray, parents: IntArray) -> IntArray:
-    """The particles that continue one of `line`."""
+def _find_children(line: IntArray, parents: IntArray) -> IntArray:
+    """Return the particles whose parent is one of `line`."""
     return np.flatnonzero(np.isin(parents, line))

@@ -1,0 +1,335 @@
+"""Scans wait for their transforms, the newest win, and what is refused is named."""
+
+from __future__ import annotations
+
+import math
+import threading
+
+import numpy as np
+import pytest
+
+from gridslam.io.ros_messages import ScanMessage, StampedTransform
+from gridslam.ros.accepted_scan import AcceptedScan, find_refusal_reason
+from gridslam.ros.measurement_queue import MeasurementQueue, SessionEnd
+from gridslam.ros.messages import Level
+from gridslam.ros.settings import NodeSettings
+from gridslam.ros.throttled_warnings import ThrottledWarnings
+from support.ros_node import BASE, LASER, ODOM, mounting
+
+S = 10**9
+START = 1_700_000_000 * S
+
+
+class QueueSetup:
+    """A queue with a clock that stands still, and its logged warnings."""
+
+    def __init__(self, **settings: object) -> None:
+        self.now_s = 100.0
+        self.logs: list[str] = []
+        self.warn = ThrottledWarnings(lambda level, text: self.logs.append(text), clock=lambda: self.now_s)
+        self.queue = MeasurementQueue(NodeSettings(**settings), self.warn, lambda: self.now_s)
+        self.queue.add_transforms([mounting()], static=True)
+
+    def scan(self, at_s: float, **changes: object) -> None:
+        message = ScanMessage(START + round(at_s * S), LASER, -1.0, 0.1, 0.0, 0.1, 30.0, np.ones(20, np.float32))
+        self.queue.add_scan(message._replace(**changes), "/scan")
+
+    def odometry(self, at_s: float, x: float = 0.0) -> None:
+        pose = (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self.queue.add_transforms([StampedTransform(START + round(at_s * S), ODOM, BASE, pose)])
+
+    def taken(self) -> list[float]:
+        """Times of the scans that need not wait."""
+        times = []
+        self.queue.post(lambda: None)
+        while True:
+            with self.queue._changed:
+                found, _ = self.queue._next_measurement()
+            if not isinstance(found, AcceptedScan):
+                return times
+            times.append((found.measurement.scan.stamp_ns - START) / S)
+
+
+def test_a_scan_waits_for_the_odometry_after_it_which_is_interpolated():
+    setup = QueueSetup()
+    setup.odometry(0.0, x=1.0)
+    setup.scan(0.05)
+    assert setup.taken() == []
+    setup.odometry(0.1, x=2.0)
+    with setup.queue._changed:
+        found, _ = setup.queue._next_measurement()
+    np.testing.assert_allclose(found.measurement.odometry.pose, [1.5, 0, 0])
+    assert setup.logs == []
+
+
+def test_a_scan_whose_odometry_does_not_come_is_refused_with_the_very_link():
+    setup = QueueSetup(transform_wait_s=0.5)
+    setup.odometry(0.0)
+    setup.scan(0.05)
+    setup.now_s += 0.49
+    assert setup.taken() == []
+    assert setup.logs == []
+    setup.now_s += 0.02
+    assert setup.taken() == []
+    assert setup.queue.counts.refused == 1
+    assert f"the link {ODOM} <- {BASE} is known only until" in setup.logs[0]
+    setup.odometry(0.2)
+    assert setup.taken() == []
+
+
+def test_a_scan_from_before_the_first_odometry_is_refused_at_once():
+    setup = QueueSetup()
+    setup.odometry(1.0)
+    setup.scan(0.5)
+    setup.scan(1.0)
+    assert setup.taken() == [1.0]
+    assert "is known only from" in setup.logs[0]
+
+
+def test_what_is_wrong_is_said_once_a_second_with_its_count():
+    setup = QueueSetup()
+    setup.odometry(0.0)
+    setup.odometry(10.0)
+    for k in range(25):
+        setup.scan(0.1 * k, frame="elsewhere")
+        setup.now_s += 0.1
+        setup.taken()
+    setup.now_s += 1.0
+    setup.taken()
+    assert setup.queue.counts.refused == 25
+    said = [text for text in setup.logs if text.startswith("missing transform")]
+    assert len(said) <= 4
+    assert "no link names" in said[0]
+    assert "'elsewhere'" in said[0]
+    assert "more before" in said[1]
+
+
+@pytest.mark.parametrize("odometry", ["optional", "none"])
+def test_odometry_may_be_missing_where_that_is_said(odometry):
+    setup = QueueSetup(odometry=odometry, transform_wait_s=0.3)
+    setup.scan(0.0)
+    setup.now_s += 0.31
+    assert setup.taken() == [0.0]
+    assert ("scan without odometry" in "".join(setup.logs)) == (odometry == "optional")
+
+
+def test_the_newest_scans_win_and_the_others_are_counted():
+    setup = QueueSetup(queue_scans=4, queue_s=100)
+    setup.odometry(0.0)
+    setup.odometry(10.0)
+    for k in range(10):
+        setup.scan(0.1 * k)
+    assert setup.taken() == pytest.approx([0.6, 0.7, 0.8, 0.9])
+    assert setup.queue.counts.dropped == 6
+
+
+def test_what_is_too_old_when_a_newer_one_comes_is_dropped():
+    setup = QueueSetup(queue_s=0.25)
+    setup.odometry(0.0)
+    setup.odometry(10.0)
+    for k in range(10):
+        setup.scan(0.1 * k)
+        setup.now_s += 0.1
+    assert setup.taken() == pytest.approx([0.7, 0.8, 0.9])
+
+
+def test_every_third_scan_is_taken_where_that_is_asked_for():
+    setup = QueueSetup(throttle_scans=3)
+    setup.odometry(0.0)
+    setup.odometry(10.0)
+    for k in range(7):
+        setup.scan(float(k))
+    assert setup.taken() == [0, 3, 6]
+    assert setup.queue.counts.throttled == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"ranges": np.ones(3, np.float32)}, "3 beams are too few"),
+        ({"ranges": np.broadcast_to(np.float32(1), 26_214_400)}, "26214400 beams, more than the maximum of 100000"),
+        ({"stamp_ns": 0}, "expected a stamp of more than 0 s"),
+        ({"stamp_ns": math.nan}, "expected a stamp"),
+        ({"frame": ""}, "expected the name of a frame"),
+        ({"frame": "laser\nfake"}, "expected the name of a frame"),
+        ({"range_min": math.inf}, "range_min is infinite"),
+        ({"angle_min": math.nan}, "expected beams within one turn"),
+        ({"angle_increment": math.inf}, "expected beams within one turn"),
+        ({"angle_increment": 0.0}, "expected beams within one turn"),
+        ({"angle_increment": 1.0}, "expected beams within one turn"),
+    ],
+)
+def test_a_wrong_scan_is_refused_by_name_and_the_next_one_is_taken(change, says):
+    setup = QueueSetup()
+    setup.odometry(0.0)
+    setup.odometry(10.0)
+    setup.scan(1.0, **change)
+    setup.scan(2.0)
+    assert setup.taken() == [2.0]
+    assert says in setup.logs[0]
+    assert setup.queue.counts.refused == 1
+
+
+def test_a_good_scan_is_not_refused():
+    message = ScanMessage(1, LASER, -math.pi, math.tau / 720, 0.0, 0.1, 30.0, np.ones(720, np.float32))
+    assert find_refusal_reason(message, 10, 100_000) == ""
+
+
+@pytest.mark.parametrize("pose", [(math.nan,) * 7, (0.0,) * 7, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3.0)])
+def test_a_transform_that_is_none_is_named_and_the_others_are_taken(pose):
+    setup = QueueSetup()
+    good = StampedTransform(START, ODOM, BASE, (0.0,) * 6 + (1.0,))
+    setup.queue.add_transforms([StampedTransform(START, ODOM, BASE, pose), good])
+    setup.scan(0.0)
+    assert setup.taken() == [0.0]
+    assert f"transform refused: {ODOM} <- {BASE}" in setup.logs[0]
+
+
+def run_of(setup: QueueSetup, start_s: float, x: float, scans: int = 5) -> None:
+    for k in range(scans):
+        setup.odometry(start_s + 0.1 * k, x + 0.05 * k)
+        setup.scan(start_s + 0.1 * k)
+
+
+@pytest.mark.parametrize("back_s", [3.0, 60.0])
+def test_a_log_that_is_played_twice_begins_a_new_session(back_s):
+    setup = QueueSetup()
+    run_of(setup, 100.0, 7.0)
+    assert len(setup.taken()) == 5
+    run_of(setup, 100.0 - back_s, 0.0)
+    with setup.queue._changed:
+        assert setup.queue._next_measurement()[0] is SessionEnd.JUMP
+    assert setup.taken() == pytest.approx([100.1 - back_s + 0.1 * k for k in range(4)])
+    assert "stamp jumped back" in setup.logs[0]
+    assert setup.queue.counts.jumps == 1
+
+
+@pytest.mark.parametrize("patience", [True, False])
+def test_a_log_that_is_played_twice_begins_a_new_session_though_its_transforms_come_late(patience):
+    """The jump is not forgotten with the scan that was refused for want of its transform."""
+    setup = QueueSetup(transform_wait_s=1.0)
+    run_of(setup, 100.0, 7.0)
+    assert len(setup.taken()) == 5
+    for k in range(3):
+        setup.scan(40.0 + 0.1 * k)
+    assert setup.taken() == []
+    if not patience:
+        setup.now_s += 2.0
+        assert setup.taken() == []
+        assert len(setup.queue._scans) == 0
+    run_of(setup, 40.3, 0.0)
+    setup.now_s += 2.0
+    with setup.queue._changed:
+        assert setup.queue._next_measurement()[0] is SessionEnd.JUMP
+    assert setup.taken() == pytest.approx([40.4, 40.5, 40.6, 40.7])
+
+
+def test_a_clock_that_was_set_back_is_no_new_session():
+    setup = QueueSetup()
+    run_of(setup, 100.0, 7.0)
+    setup.taken()
+    run_of(setup, 90.0, 7.25)
+    assert setup.taken() == pytest.approx([90.1, 90.2, 90.3, 90.4])
+
+
+def test_a_single_stamp_that_is_astray_ends_nothing():
+    setup = QueueSetup()
+    run_of(setup, 100.0, 0.0)
+    setup.scan(50.0)
+    run_of(setup, 100.5, 0.25)
+    assert len(setup.taken()) == 10
+    assert setup.queue.counts.jumps == 0
+
+
+def test_take_waits_in_one_thread_for_what_another_brings():
+    setup = QueueSetup()
+    taken: list[object] = []
+    thread = threading.Thread(target=lambda: taken.extend(setup.queue.take() for _ in range(2)))
+    thread.start()
+    setup.odometry(0.0)
+    setup.scan(0.0)
+    setup.queue.end_session(SessionEnd.CLOSED)
+    thread.join(5)
+    assert not thread.is_alive()
+    assert SessionEnd.CLOSED in taken
+    assert setup.queue.take() is SessionEnd.CLOSED
+
+
+def test_levels_are_those_of_diagnostic_messages():
+    assert [level.value for level in (Level.OK, Level.WARN, Level.ERROR)] == [0, 1, 2]
+
+
+def test_odometry_that_jumps_is_named():
+    """The base's driver was started again: the scan is taken, and the filter goes by the scans."""
+    setup = QueueSetup()
+    for at_s, x in ((0.0, 7.0), (0.1, 7.05), (0.2, 0.0), (0.3, 0.05)):
+        setup.odometry(at_s, x)
+        setup.scan(at_s)
+        assert setup.taken() == [at_s]
+    assert setup.logs == ["odometry jumped: by 7.05 m and 0.00 rad in 0.1 s"]
+
+
+def link(at_s: float, parent: str, child: str = BASE) -> StampedTransform:
+    return StampedTransform(START + round(at_s * S), parent, child, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+
+
+def test_two_publishers_of_one_transform_are_named():
+    setup = QueueSetup()
+    for at_s, publisher in ((0.0, "/wheels"), (0.02, "/ekf"), (0.1, "/wheels"), (0.12, "/ekf")):
+        setup.queue.add_transforms([link(at_s, ODOM)], publisher=publisher)
+    assert setup.logs == [
+        "two transforms: base_link is published twice (in odom by /ekf and in odom by /wheels): "
+        "stop one of the two publishers"
+    ]
+
+
+def test_two_parents_of_one_frame_are_named():
+    setup = QueueSetup()
+    setup.queue.add_transforms([link(0.0, "odom_combined")], publisher="/ekf")
+    setup.queue.add_transforms([link(0.01, ODOM)], publisher="/wheels")
+    setup.queue.add_transforms([link(0.0, "base_footprint")], static=True, publisher="/urdf")
+    assert "base_link is published twice (in odom by /wheels and in odom_combined by /ekf)" in setup.logs[0]
+    assert setup.warn.counts["two transforms"] == 3
+
+
+def test_a_publisher_that_took_over_or_says_the_same_forever_is_none_of_two():
+    setup = QueueSetup()
+    setup.queue.add_transforms([link(0.0, ODOM)], publisher="/base_1")
+    setup.queue.add_transforms([link(5.0, ODOM)], publisher="/base_2")
+    for at_s in (0.0, 1.0):  # a fixed joint, latched by one and repeated by another
+        setup.queue.add_transforms([link(at_s, BASE, "imu")], static=True, publisher="/urdf")
+        setup.queue.add_transforms([link(at_s, BASE, "imu")], publisher="/repeater")
+    assert setup.logs == []
+
+
+def test_a_scan_that_comes_twice_is_taken_once():
+    setup = QueueSetup()
+    setup.odometry(0.0)
+    setup.odometry(0.3)
+    for at_s in (0.1, 0.1, 0.2):
+        setup.scan(at_s)
+    setup.queue.add_transforms([mounting()._replace(child="rear")], static=True)
+    setup.scan(0.2, frame="rear")  # two lasers may share a topic
+    assert setup.taken() == [0.1, 0.2, 0.2]
+    assert "scan refused: /scan: duplicate stamp" in setup.logs[0]
+
+
+def test_scans_of_a_slow_clock_are_named():
+    """The transforms of a while ago are known, so that all seems well; but where the robot turns walls are doubled."""
+    setup = QueueSetup()
+    for k in range(50):
+        setup.odometry(0.1 * k)
+        setup.scan(0.1 * k - (0.9 if k == 30 else 0.4))  # late, but only one much
+    assert setup.logs == []
+    for k in range(50, 61):
+        setup.odometry(0.1 * k)
+        setup.scan(0.1 * k - 0.9)
+    assert setup.logs[0].startswith("late scans: /scan is stamped 0.90 s before the latest odometry")
+
+
+def test_a_lidar_that_sees_nothing_is_named():
+    setup = QueueSetup()
+    setup.odometry(0.0)
+    setup.scan(0.0, ranges=np.full(20, np.nan, np.float32))
+    assert setup.taken() == [0.0]
+    assert setup.logs == ["no returns: /scan: none of 20 beams hits anything in range"]
