@@ -70,7 +70,7 @@ def test_five_lines_from_a_log_to_a_map(log, tmp_path):
 
 
 def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
-    """The command keeps no others: the last word draws its own maps."""
+    """The command keeps no others: the final refinement builds its own maps."""
     every, best = gridslam.map_log(log, particles=3), gridslam.map_log(log, particles=3, keep_particles=False)
     assert len(best.state.poses) == 1
     assert best.state.maps.nbytes < best.maps_bytes == every.maps_bytes == every.state.maps.nbytes

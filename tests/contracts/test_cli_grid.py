@@ -183,7 +183,7 @@ def _occupied(grid):
 def test_beams_are_deskewed_by_the_trajectory(log, truth, simulated, monkeypatch):
     """Times of beams reach the deskewing, with the twist that the trajectory has over the scan."""
     twists = []
-    monkeypatch.setattr(Beams, "deskewed", lambda self, twist: (twists.append(twist), self)[1])
+    monkeypatch.setattr(Beams, "deskew", lambda self, twist: (twists.append(twist), self)[1])
     whole = read_tum(truth)
     scans = [
         Measurement(odometry, replace(scan, beam_times_s=np.linspace(-0.1, 0.1, len(scan))))

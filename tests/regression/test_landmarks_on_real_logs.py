@@ -36,7 +36,7 @@ def test_mrclam_by_particles(data_dir):
 def test_misread_barcodes_are_not_believed(data_dir):
     """Robot 3 reads one barcode four times where another stands, 3.3 rad away."""
     result = map_landmarks(data_dir / "landmarks" / "mrclam6_Robot3_Odometry.dat.gz", "ekf")
-    assert result.estimate.strange == 4
+    assert result.estimate.outliers == 4
 
 
 def test_victoria_park(data_dir):
@@ -56,7 +56,7 @@ def test_victoria_park(data_dir):
     landmarks, way = _apart(particles, graph)
     assert landmarks < 5.3
     assert way < 4.1
-    assert ekf.estimate.strange == 4  # trunks that are taken for others, 7 to 10 m away
+    assert ekf.estimate.outliers == 4  # trunks that are taken for others, 7 to 10 m away
 
 
 def _apart(result: LandmarkResult, other: LandmarkResult) -> list[float]:

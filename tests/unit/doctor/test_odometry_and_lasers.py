@@ -198,7 +198,7 @@ def test_the_reader_tells_topics_and_a_log_that_is_cut_off():
     [(13631, 1726, 13.2, 207), (7374, 810, 9.4, 198), (1988, 816, 8.1, 212), (63160, 25000, 190.0, 738)],
 )
 def test_the_expected_cost_is_that_of_logs_that_were_measured(scans, key_scans, cpu_s, memory_mb):
-    """Intel, ACES, CSAIL and a fleet's 10 km (without its last word): within a half, and a quarter for the memory."""
+    """Intel, ACES, CSAIL and a fleet's 10 km (not refined): within a half, and a quarter for the memory."""
     found = estimate_cost(scans, key_scans)
     assert found.severity is Severity.INFO
     assert found.size == pytest.approx(cpu_s, rel=0.5)

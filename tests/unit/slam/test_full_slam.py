@@ -1,4 +1,4 @@
-"""The full answer: the last word's with loop closure, the best particle's past without."""
+"""The full answer: the final refinement's with loop closure, the best particle's past without."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The last word: no worse than the filter's trajectory, and just what was tracked where nothing ties it."""
+"""The final refinement: no worse than the filter's trajectory, and just what was tracked where nothing ties it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ REFINEMENT = GlobalScanRefinement()
 
 @dataclass(frozen=True)
 class Refined:
-    """A run, and the last word on it."""
+    """A run, and its final refinement."""
 
     log: SimulatedLog
     state: GridFastSlamState
@@ -139,7 +139,7 @@ def test_without_a_constraint_the_key_scans_stay_on_the_chain(untied):
 
 
 def test_the_run_may_go_on_as_if_nothing_had_been_said(untied):
-    """The last word was given a snapshot of the memory: of what it did nothing is in the state."""
+    """The final refinement gets a snapshot of the loop closure state: the state keeps nothing of it."""
     before = {name: array.tobytes() for name, array in untied.state.to_arrays().items()}
     closure_state = untied.state.closure_state.snapshot()
     moved = untied.state.ancestry.trajectory(untied.state.best) + np.array([1.0, 2.0, 0.0])

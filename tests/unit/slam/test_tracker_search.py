@@ -166,7 +166,7 @@ def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(state
     for before, beams, pose in states:
         state = before.snapshot()
         state.odometry_errors = replace(
-            state.odometry_errors, stretches=50.0, variances=np.array([errors_m**2, 0.02**2])
+            state.odometry_errors, segments=50.0, variances=np.array([errors_m**2, 0.02**2])
         )
         prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
         found.append((away(SEARCH(state, prediction, beams).pose[None], pose[None]) < FAR).all())
