@@ -71,6 +71,8 @@ class PieceAlignment:
     ----------
     every : int
         Key scans between two searches.
+    most_searches : int
+        Upper limit of the searches in one call; if there were more, they are spread evenly.
     reach_m : float, m
         A key scan is searched for where the drift leaves its position this certain (standard deviation).
     hypotheses : int
@@ -101,6 +103,7 @@ class PieceAlignment:
     """
 
     every: int = Field(default=3, ge=1)
+    most_searches: int = Field(default=400, ge=1)
     reach_m: float = Field(default=24.0, gt=0)
     hypotheses: int = Field(default=8, ge=1)
     follow_sigma: float = Field(default=2.5, gt=0)
@@ -121,24 +124,27 @@ class PieceAlignment:
         self, memory: Memory, mapper: OccupancyGridMapping, places: PlaceParameters, tick: Callable[[], None]
     ) -> list[Tie]:
         """Align all pieces with the older ones; returns the constraints of those that are certain."""
-        labels, found = memory.graph.pieces(), list[Tie]()
+        labels = memory.graph.pieces()
         pieces = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-        for later, keys in enumerate(pieces):
-            own: Pyramid | None = None
-            for old in pieces[:later]:
-                tick()
-                ways = self._ways(memory.graph, keys, old)
-                if not ways:
-                    continue
-                near = self._near(memory.graph, old, ways)
-                maps = drawn(mapper, memory.scans, near, np.array(memory.graph.poses)[near])
-                best = self._best(memory, places, maps, keys, ways)
-                if best is None:
-                    continue
-                own = own or Pyramid.of(drawn(mapper, memory.scans, keys, np.array(memory.graph.poses)[keys]), 0)
-                if not self._looks_alike(memory, places, own, keys):
-                    ties = self._ties(memory, places, maps, keys, near, best)
-                    found += ties if len(ties) >= self.least else []
+        pairs = [
+            (keys, old, ways)
+            for later, keys in enumerate(pieces)
+            for old in pieces[:later]
+            if (ways := self._ways(memory.graph, keys, old))
+        ]
+        stride = -(-sum(len(ways) for _, _, ways in pairs) // self.most_searches)
+        found: list[Tie] = []
+        for keys, old, ways in pairs:
+            tick()
+            near = self._near(memory.graph, old, ways)
+            maps = drawn(mapper, memory.scans, near, np.array(memory.graph.poses)[near])
+            best = self._best(memory, places, maps, keys, dict(list(ways.items())[::stride]))
+            if best is None:
+                continue
+            own = Pyramid.of(drawn(mapper, memory.scans, keys, np.array(memory.graph.poses)[keys]), 0)
+            if not self._looks_alike(memory, places, own, keys):
+                ties = self._ties(memory, places, maps, keys, near, best)
+                found += ties if len(ties) >= self.least else []
         return found
 
     def _ways(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, Nearby]:
