@@ -46,6 +46,8 @@ class ComponentAlignment:
     ----------
     search_interval : int
         Key scans between two searches.
+    max_searches : int
+        Upper limit of the searches in one call; if there were more, they are spread evenly.
     max_sigma_m : float, m
         A key scan is searched for where the drift leaves its position this certain (standard deviation).
     max_hypotheses : int
@@ -76,6 +78,7 @@ class ComponentAlignment:
     """
 
     search_interval: int = Field(default=3, ge=1)
+    max_searches: int = Field(default=400, ge=1)
     max_sigma_m: float = Field(default=24.0, gt=0)
     max_hypotheses: int = Field(default=8, ge=1)
     tracking_gate_sigmas: float = Field(default=2.5, gt=0)
@@ -100,26 +103,28 @@ class ComponentAlignment:
         on_progress: Callable[[], None],
     ) -> list[Constraint]:
         """Align all pieces with the older ones; returns the constraints of those that are certain."""
-        labels, found = closure_state.graph.label_rigid_components(), list[Constraint]()
+        labels = closure_state.graph.label_rigid_components()
         components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-        for later, keys in enumerate(components):
-            own: Pyramid | None = None
-            for old in components[:later]:
-                on_progress()
-                ways = self._nearest_submaps(closure_state.graph, keys, old)
-                if not ways:
-                    continue
-                near = self._select_key_scans(closure_state.graph, old, ways)
-                maps = build_map(mapper, closure_state.scans, near, np.array(closure_state.graph.poses)[near])
-                best = self._select_alignment(closure_state, places, maps, keys, ways)
-                if best is None:
-                    continue
-                own = own or Pyramid.of(
-                    build_map(mapper, closure_state.scans, keys, np.array(closure_state.graph.poses)[keys]), 0
-                )
-                if not self._is_self_similar(closure_state, places, own, keys):
-                    constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
-                    found += constraints if len(constraints) >= self.min_constraints else []
+        pairs = [
+            (keys, old, ways)
+            for later, keys in enumerate(components)
+            for old in components[:later]
+            if (ways := self._nearest_submaps(closure_state.graph, keys, old))
+        ]
+        stride = -(-sum(len(ways) for _, _, ways in pairs) // self.max_searches)
+        poses = np.array(closure_state.graph.poses)
+        found: list[Constraint] = []
+        for keys, old, ways in pairs:
+            on_progress()
+            near = self._select_key_scans(closure_state.graph, old, ways)
+            maps = build_map(mapper, closure_state.scans, near, poses[near])
+            best = self._select_alignment(closure_state, places, maps, keys, dict(list(ways.items())[::stride]))
+            if best is None:
+                continue
+            own = Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
+            if not self._is_self_similar(closure_state, places, own, keys):
+                constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
+                found += constraints if len(constraints) >= self.min_constraints else []
         return found
 
     def _nearest_submaps(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, SubmapDistance]:

@@ -10,6 +10,7 @@ import pytest
 
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
+from gridslam.matching import BranchAndBound
 from gridslam.slam.component_alignment import ComponentAlignment
 from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.drift_model import DriftModel
@@ -112,6 +113,17 @@ def test_too_few_constraints_are_no_alignment(seen):
     closure_state = interrupted(seen, LAP + 5, until=LAP + 45)
     assert len(aligned(closure_state)) >= 3
     assert aligned(closure_state, ComponentAlignment(min_constraints=math.ceil(40 / 3) + 1)) == []
+
+
+def test_the_number_of_searches_is_bounded(seen, monkeypatch):
+    """About ten more tell whether the piece looks alike in itself."""
+    memory, search, calls = interrupted(seen, LAP + 5), BranchAndBound.search, []
+    monkeypatch.setattr(BranchAndBound, "search", lambda self, *given: calls.append(given) or search(self, *given))
+    assert len(aligned(memory, ComponentAlignment(max_searches=10))) >= 10
+    assert 5 <= len(calls) <= 20
+    calls.clear()
+    aligned(memory)
+    assert len(calls) > 30
 
 
 def test_a_scan_without_a_beam_is_passed_over(seen):
