@@ -14,10 +14,18 @@ from gridslam.types import FloatArray
 __all__ = ["AlignmentHypothesis", "SearchHit", "group_hits"]
 
 
+_CONSISTENT_M, _CONSISTENT_M_PER_KEY_SCAN, _CONSISTENT_RAD = 0.3, 0.01, 0.06
+"""Hits are consistent if the tracked motion leads from one to the other this closely."""
+
+
 @final
 @dataclass(frozen=True, slots=True)
 class SearchHit:
-    """Where a search found a key scan in the map of another component."""
+    """Pose (3,) at which a search found a key scan in the map of another component.
+
+    `score` is that of the search, `plausible` whether the drift permits the pose, `distinct` whether no other pose
+    scored nearly as high.
+    """
 
     key: int
     pose: FloatArray
@@ -53,7 +61,8 @@ def group_hits(graph: KeyGraph, hits: list[SearchHit]) -> list[list[SearchHit]]:
             last = group[-1]
             moved = between(graph.tracked[last.key], graph.tracked[hit.key])
             x, y, turn = between(compose(last.pose, moved), hit.pose).tolist()
-            if np.hypot(x, y) < 0.3 + 0.01 * (hit.key - last.key) and abs(turn) < 0.06:
+            reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - last.key)
+            if np.hypot(x, y) < reach_m and abs(turn) < _CONSISTENT_RAD:
                 group.append(hit)
                 break
         else:

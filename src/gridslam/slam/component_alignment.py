@@ -23,11 +23,18 @@ from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition_parameters import PlaceRecognitionParameters
 from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, first_key_scan
 from gridslam.slam.submaps import ROW, build_map
+from gridslam.slam.trajectory_score import TrajectoryScorer
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["ComponentAlignment"]
 
 _LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
+
+_MATCH_VARIANCES = np.square([0.02, 0.01])
+"""Of a match, m^2 and rad^2, beside those of the motion."""
+
+_MIN_OVERLAP = 0.4
+"""Ratio of beams that must end in known cells for a key scan to be matched."""
 
 
 @final
@@ -35,12 +42,12 @@ _LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
 class ComponentAlignment:
     """Aligns a rigid component of the trajectory with the map of another one, using all its key scans.
 
-    Within a piece the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
-    other piece's map, and the two best places of each search are kept. Hits that are consistent with the tracked motion
-    form one hypothesis, which is tracked through the whole component. It is judged by the score by which trajectories
-    are compared (see `TrajectoryScorer`): a single scan is often ambiguous, a whole component rarely. The best
-    hypothesis is accepted if its log likelihood is high enough, no other hypothesis is comparable, it lies within the
-    drift covariance, and the component is not self-similar (a self-similar component may match an aliased place).
+    Within a component the robot was tracked, so that one pose aligns all of it. Every few key scans are searched in the
+    map of the other component, and the two best poses of each search are kept. Hits that are consistent with the
+    tracked motion form one hypothesis, which is tracked through the whole component. It is judged by the score by which
+    trajectories are compared (see `TrajectoryScorer`): a single scan is often ambiguous, a whole component rarely. The
+    best hypothesis is accepted if its log likelihood is high enough, no other hypothesis is comparable, it lies within
+    the drift covariance, and the component is not self-similar (a self-similar component may match an aliased place).
 
     Parameters
     ----------
@@ -49,32 +56,30 @@ class ComponentAlignment:
     max_searches : int
         Upper limit of the searches in one call; if there were more, they are spread evenly.
     max_sigma_m : float, m
-        A key scan is searched for where the drift leaves its position this certain (standard deviation).
+        Maximum standard deviation of the position of a key scan that is searched.
     max_hypotheses : int
         Maximum number of hypotheses, those with most hits first.
     tracking_gate_sigmas : float
-        A match farther from the motion since the last one than this many standard deviations is not followed.
-    neutral, scale_m, tempering
-        As in `TrajectoryScorer`.
+        A match farther than this many standard deviations from the tracked motion is not used.
     min_log_likelihood : float, nats
         Minimum log likelihood of the best hypothesis.
     ambiguity_ratio : float
         Maximum log likelihood of any other hypothesis, as a fraction of the best.
     distinct_ambiguity_ratio : float
-        The same where enough of the searches, by themselves, found nothing else that fits nearly as well.
+        The same if at least `min_constraints` searches of the best hypothesis were unambiguous by themselves.
     merge_m : float, m
-        Hypotheses nearer than this, in the median of the key scans, are one.
+        Hypotheses whose median distance is below this are the same.
     self_similarity_ratio : float
-        The piece looks alike in itself where, in its own map, the next best place of a quarter of its key scans fits
-        this well, as a part of how the right one does.
+        A component is self-similar if, in its own map, the runner-up of a quarter of its key scans reaches this
+        fraction of the best score.
     inlier_ratio : float
         Minimum inlier ratio of a key scan that gives a constraint.
     min_constraints : int
-        Constraints that an alignment must give, and searches that must have found nothing else.
+        Minimum number of constraints of an alignment.
     search : BranchAndBound
         How a key scan is searched for.
     matcher : GaussNewton
-        How a piece is followed.
+        How a component is tracked through the map.
     """
 
     search_interval: int = Field(default=3, ge=1)
@@ -82,9 +87,6 @@ class ComponentAlignment:
     max_sigma_m: float = Field(default=24.0, gt=0)
     max_hypotheses: int = Field(default=8, ge=1)
     tracking_gate_sigmas: float = Field(default=2.5, gt=0)
-    neutral: float = Field(default=0.7, gt=0, lt=1)
-    scale_m: float = Field(default=0.1, gt=0)
-    tempering: float = Field(default=0.03, gt=0, le=1)
     min_log_likelihood: float = Field(default=12.0, gt=0)
     ambiguity_ratio: float = Field(default=0.15, ge=0, lt=1)
     distinct_ambiguity_ratio: float = Field(default=0.5, ge=0, lt=1)
@@ -100,44 +102,66 @@ class ComponentAlignment:
         closure_state: LoopClosureState,
         mapper: OccupancyGridMapping,
         places: PlaceRecognitionParameters,
+        scorer: TrajectoryScorer,
         on_progress: Callable[[], None],
     ) -> list[Constraint]:
-        """Align all pieces with the older ones; returns the constraints of those that are certain."""
-        labels = closure_state.graph.label_rigid_components()
+        """Align each component with the older ones; return the constraints of the accepted alignments.
+
+        Parameters
+        ----------
+        closure_state
+            Key scans, and the graph whose components are aligned.
+        mapper
+            How maps of components are built.
+        places
+            How key scans are matched, and what makes a place ambiguous.
+        scorer
+            How hypotheses are scored.
+        on_progress
+            Called once for each pair of components.
+        """
+        graph = closure_state.graph
+        labels, poses = graph.label_rigid_components(), np.array(graph.poses)
         components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-        pairs = [
-            (keys, old, ways)
-            for later, keys in enumerate(components)
-            for old in components[:later]
-            if (ways := self._nearest_submaps(closure_state.graph, keys, old))
-        ]
-        stride = -(-sum(len(ways) for _, _, ways in pairs) // self.max_searches)
-        poses = np.array(closure_state.graph.poses)
+        searches = [self._nearest_submaps(graph, keys, components[:k]) for k, keys in enumerate(components)]
+        stride = -(-sum(len(ways) for of_older in searches for ways in of_older) // self.max_searches)
         found: list[Constraint] = []
-        for keys, old, ways in pairs:
-            on_progress()
-            near = self._select_key_scans(closure_state.graph, old, ways)
-            maps = build_map(mapper, closure_state.scans, near, poses[near])
-            best = self._select_alignment(closure_state, places, maps, keys, dict(list(ways.items())[::stride]))
-            if best is None:
-                continue
-            own = Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
-            if not self._is_self_similar(closure_state, places, own, keys):
-                constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
-                found += constraints if len(constraints) >= self.min_constraints else []
+        for keys, of_older in zip(components, searches, strict=True):
+            own: Pyramid | None = None
+            for old, ways in zip(components, of_older, strict=False):
+                if not ways:
+                    continue
+                on_progress()
+                near = self._select_key_scans(graph, old, ways)
+                maps = build_map(mapper, closure_state.scans, near, poses[near])
+                searched = dict(list(ways.items())[::stride])
+                best = self._select_alignment(closure_state, places, scorer, maps, keys, searched)
+                if best is None:
+                    continue
+                own = own or Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
+                if not self._is_self_similar(closure_state, places, own, keys):
+                    constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
+                    found += constraints if len(constraints) >= self.min_constraints else []
         return found
 
-    def _nearest_submaps(self, graph: KeyGraph, keys: IntArray, old: IntArray) -> dict[int, SubmapDistance]:
-        """For key scans of a piece the submap of an older one that they would have to be moved least for."""
-        ways, members = dict[int, SubmapDistance](), set((old // KEY_SCANS_PER_SUBMAP).tolist())
+    def _nearest_submaps(
+        self, graph: KeyGraph, keys: IntArray, older: list[IntArray]
+    ) -> list[dict[int, SubmapDistance]]:
+        """For each older component the nearest of its submaps, in standard deviations, by key scan to be searched."""
+        ways: list[dict[int, SubmapDistance]] = [{} for _ in older]
+        if not older:
+            return ways
+        members = [set((old // KEY_SCANS_PER_SUBMAP).tolist()) for old in older]
         for key in keys[self.search_interval - 1 :: self.search_interval].tolist():
-            near = [n for n in graph.find_nearby_submaps(key, self.max_sigma_m, len(graph)) if n.submap in members]
-            if near:
-                ways[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
+            nearby = graph.find_nearby_submaps(key, self.max_sigma_m, len(graph))
+            for of_old, submaps in zip(ways, members, strict=True):
+                near = [n for n in nearby if n.submap in submaps]
+                if near:
+                    of_old[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
         return ways
 
     def _select_key_scans(self, graph: KeyGraph, old: IntArray, ways: dict[int, SubmapDistance]) -> IntArray:
-        """Those key scans of an older piece that may show where the searched ones are."""
+        """Key scans of an older component within reach of the searched ones."""
         guesses = np.array([self._guess(graph, way) for way in ways.values()])
         poses = np.array([graph.poses[key] for key in old.tolist()])
         away = np.hypot(*(poses[:, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
@@ -151,19 +175,21 @@ class ComponentAlignment:
         self,
         closure_state: LoopClosureState,
         places: PlaceRecognitionParameters,
+        scorer: TrajectoryScorer,
         maps: TileMaps,
         keys: IntArray,
         ways: dict[int, SubmapDistance],
     ) -> AlignmentHypothesis | None:
-        """Give the hypothesis that is certain, if one is."""
+        """Return the best hypothesis if it is accepted."""
         groups = group_hits(closure_state.graph, self._search_hits(closure_state, places, Pyramid.of(maps, 0), ways))
         groups.sort(key=lambda group: -sum(hit.score for hit in group))
-        followed = [self._track_component(closure_state, maps, keys, group) for group in groups[: self.max_hypotheses]]
-        followed.sort(key=lambda alignment: -alignment.log_likelihood)
-        if not followed or followed[0].log_likelihood < self.min_log_likelihood or not followed[0].plausible:
+        groups = groups[: self.max_hypotheses]
+        hypotheses = [self._track_component(closure_state, scorer, maps, keys, group) for group in groups]
+        hypotheses.sort(key=lambda hypothesis: -hypothesis.log_likelihood)
+        if not hypotheses or hypotheses[0].log_likelihood < self.min_log_likelihood or not hypotheses[0].plausible:
             return None
-        best = followed[0]
-        others = (other.log_likelihood for other in followed[1:] if best.distance_m(other) >= self.merge_m)
+        best = hypotheses[0]
+        others = (other.log_likelihood for other in hypotheses[1:] if best.distance_m(other) >= self.merge_m)
         ratio = self.distinct_ambiguity_ratio if best.distinct_hits >= self.min_constraints else self.ambiguity_ratio
         return best if max(others, default=0.0) <= ratio * best.log_likelihood else None
 
@@ -203,9 +229,14 @@ class ComponentAlignment:
         )
 
     def _track_component(
-        self, closure_state: LoopClosureState, maps: TileMaps, keys: IntArray, group: list[SearchHit]
+        self,
+        closure_state: LoopClosureState,
+        scorer: TrajectoryScorer,
+        maps: TileMaps,
+        keys: IntArray,
+        group: list[SearchHit],
     ) -> AlignmentHypothesis:
-        """Follow a piece from the best hit to both of its ends: as tracked, put right wherever a scan matches."""
+        """Track a component through a map from the best hit to both of its ends, correcting where a scan matches."""
         begin = max(group, key=lambda hit: hit.score)
         poses, log_likelihood, at = np.empty((len(keys), 3)), 0.0, int(np.searchsorted(keys, begin.key))
         for way in (range(at, len(keys)), range(at - 1, -1, -1)):
@@ -213,29 +244,28 @@ class ComponentAlignment:
             for index in way:
                 key = int(keys[index])
                 guess = compose(pose, between(closure_state.graph.tracked[last], closure_state.graph.tracked[key]))
-                spread = np.array(closure_state.graph.variances[max(key, last)]) + np.square([0.02, 0.01])
-                pose, gained = self._match_key_scan(closure_state, maps, key, guess, spread)
-                poses[index], last, log_likelihood = pose, key, log_likelihood + gained
+                spread = np.array(closure_state.graph.variances[max(key, last)]) + _MATCH_VARIANCES
+                pose = self._match_key_scan(closure_state, maps, key, guess, spread)
+                poses[index] = pose
+                last = key
+                if len(closure_state.scans.key(key)) >= self.matcher.min_beams:
+                    log_likelihood += scorer.score_scan(maps, pose, closure_state.scans.key(key).ends)
         return AlignmentHypothesis(
             poses, log_likelihood, any(hit.plausible for hit in group), sum(hit.distinct for hit in group)
         )
 
     def _match_key_scan(
         self, closure_state: LoopClosureState, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """Match a key scan within the gate of the motion; return its pose and log likelihood (nats)."""
-        beams, pose = closure_state.scans.key(key), guess
-        if len(beams) < self.matcher.min_beams:
-            return pose, 0.0
-        if np.mean(maps.is_known(0, transform_points(guess, beams.ends))) >= 0.4:
-            match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
-            x, y, turn = between(guess, match.poses[0]).tolist()
-            if (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.tracking_gate_sigmas**2:
-                pose = match.poses[0]
-        known = maps.is_known(0, transform_points(pose, beams.ends))
-        away = maps.distances(ROW, pose[None], beams.ends)[0, known].astype(np.float64)
-        agreeing = float(np.sum(1 / (1 + np.square(away / self.scale_m))))
-        return pose, self.tempering * (agreeing - self.neutral * float(known.sum()))
+    ) -> FloatArray:
+        """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
+        beams = closure_state.scans.key(key)
+        overlap = np.mean(maps.is_known(0, transform_points(guess, beams.ends))) if len(beams) else 0.0
+        if len(beams) < self.matcher.min_beams or overlap < _MIN_OVERLAP:
+            return guess
+        match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
+        x, y, turn = between(guess, match.poses[0]).tolist()
+        within = (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.tracking_gate_sigmas**2
+        return match.poses[0] if within else guess
 
     def _is_self_similar(
         self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, own: Pyramid, keys: IntArray
@@ -259,7 +289,7 @@ class ComponentAlignment:
         old: IntArray,
         best: AlignmentHypothesis,
     ) -> list[Constraint]:
-        """Constraints from every few key scans of an aligned piece to the submaps that they lie in."""
+        """Constraints from key scans of an aligned component to the nearest submaps of the other."""
         graph, lenient, found = closure_state.graph, replace(places, inlier_ratio=self.inlier_ratio), list[Constraint]()
         submaps = np.unique(old // KEY_SCANS_PER_SUBMAP)
         submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old)]

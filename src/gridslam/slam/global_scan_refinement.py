@@ -190,7 +190,7 @@ class GlobalScanRefinement:
             closure.recognition, ambiguity_ratio=self.ambiguity_ratio, min_confirmations=self.min_confirmations
         )
         new = recognition.search_whole_log(closure_state, mapper, begin.accepted_constraints, on_progress)
-        new += self.component_alignment(closure_state, mapper, closure.recognition, on_progress)
+        new += self.component_alignment(closure_state, mapper, closure.recognition, self.score, on_progress)
         if not new:
             return None
         known.constraints = [*new, *begin.constraints]

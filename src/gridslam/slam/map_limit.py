@@ -33,10 +33,10 @@ class MapLimit:
     Parameters
     ----------
     tiles_per_particle : int
-        So many tiles, of 3 KB, all maps may take together, times the number of particles; but a third of that beside
-        the best particle's map, however large it is. With 1700 and 30 particles that is 157 MB; 370 to 1430 are needed
-        where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of it open, in
-        cells of 5 cm.
+        Limit of the tiles (3 KB each) of all maps, as a multiple of the number of particles. A third of it is always
+        left to the particles beside the best one's map. With 1700 and 30 particles that is 157 MB; 370 to 1430 are
+        needed where robots drive inside. Take more where a scan alone covers as many: a full turn of 40 m, all of it
+        open, in cells of 5 cm.
     """
 
     tiles_per_particle: int = Field(default=1700, ge=1)

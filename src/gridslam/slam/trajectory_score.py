@@ -107,8 +107,16 @@ class TrajectoryScorer:
         for key in range(inserted, len(poses)):
             maps.update(ROW, poses[key][None], scans.key(key))
         motion = self._motion(tracked, np.array(graph.variances), poses)
-        likelihood = self.tempering * (agreeing - self.neutral * beams) + motion
+        likelihood = self._log_likelihood(agreeing, beams) + motion
         return TrajectoryScore(likelihood, beams, agreeing / beams if beams else float("nan"), motion), maps
+
+    def score_scan(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> float:
+        """Log likelihood (nats) of ends of beams (B, 2) seen from a pose (3,), given the one map of `maps`."""
+        agreeing, beams = self._agreement(maps, pose, ends)
+        return self._log_likelihood(agreeing, beams)
+
+    def _log_likelihood(self, agreeing: float, beams: int) -> float:
+        return self.tempering * (agreeing - self.neutral * beams)
 
     def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
         """Sum of the agreement of those beams that end in what the map knows, and their number."""

@@ -16,6 +16,7 @@ from gridslam.slam.constraints import ConstraintSource
 from gridslam.slam.drift_model import DriftModel
 from gridslam.slam.loop_closure_state import LoopClosureState
 from gridslam.slam.place_recognition import PlaceRecognition
+from gridslam.slam.trajectory_score import TrajectoryScorer
 from support import hall
 
 LAP = 95
@@ -41,7 +42,9 @@ def interrupted(seen, at, *, wrong=BLIND, until=None):
 
 
 def aligned(closure_state, alignment=None):
-    return (alignment or ComponentAlignment())(closure_state, hall.MAPPER, PlaceRecognition(), lambda: None)
+    return (alignment or ComponentAlignment())(
+        closure_state, hall.MAPPER, PlaceRecognition(), TrajectoryScorer(), lambda: None
+    )
 
 
 def test_a_component_is_laid_where_its_key_scans_fit(seen):
