@@ -14,8 +14,8 @@ from gridslam.evaluation import false_closures
 from gridslam.geometry.se2 import between
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.full_slam import full_slam
+from gridslam.slam.full_slam.full_slam import full_slam
+from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.types import FloatArray
 from report import Report, Target, table
 

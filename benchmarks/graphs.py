@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gridslam.io.g2o import read_g2o
-from gridslam.slam.graph_marginals import marginal_covariances
-from gridslam.slam.graph_robust import GraduatedNonConvexity
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.io.graphs.g2o import read_g2o
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.marginals import marginal_covariances
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from report import Report, Target, table
 
 __all__ = ["graphs"]

@@ -17,11 +17,11 @@ from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import RangeBearing
 from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import DiffusionMotion
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_particles import LandmarkParticles
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.types import FloatArray
 from report import Report, Target, table
 

@@ -13,7 +13,7 @@ from typing import Final, final
 import numpy as np
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.messages import ScanMessage, StampedTransform
+from gridslam.ros.node.messages import ScanMessage, StampedTransform
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate_stream
 from gridslam.types import FloatArray
 

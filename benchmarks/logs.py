@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam import CarmenLog, Trajectory
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, join, place
 from gridslam.types import FloatArray

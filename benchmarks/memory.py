@@ -15,7 +15,7 @@ import numpy as np
 
 import closure_worlds
 from closure_worlds import Drive
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World
 from gridslam.sim.floor_plan import box, clearance, furniture, join, pillar
 from gridslam.sim.routes import tour, wander

@@ -21,8 +21,8 @@ import numpy as np
 from gridslam import preset
 from gridslam.pipeline import Stopwatch
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
-from gridslam.slam.state import GridFastSlamState
+from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
 from measure import provenance

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from gridslam.ros.cdr import encode_message
-from gridslam.ros.dds import DdsParticipant
-from gridslam.ros.messages import GridMessage, Level, ScanMessage, StampedTransform
-from gridslam.ros.ros2_outputs import Ros2Outputs
+from gridslam.ros.node.messages import GridMessage, Level, ScanMessage, StampedTransform
+from gridslam.ros.ros2.cdr import encode_message
+from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.ros2.outputs import Ros2Outputs
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
 from measure import GRIDSLAM
 

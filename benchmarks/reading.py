@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from gridslam import LaserScan, Odometry, ScanGeometry
-from gridslam.io.bag import BagLog
-from gridslam.io.bag_writer import write_bag
+from gridslam.io.bags.bag import BagLog
+from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from report import Report, Target, table
 

@@ -16,8 +16,8 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.full_slam import full_slam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.full_slam.full_slam import full_slam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 from recognition_drives import APART_M
 

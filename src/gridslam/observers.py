@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
 
 __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder"]
@@ -23,7 +23,7 @@ __all__ = ["Latency", "RunStatistics", "StatisticsRecorder", "TrajectoryRecorder
 class TrajectoryRecorder:
     """Records what is needed for the online and the full trajectory of all scans.
 
-    Between two key scans all particles move with the tracker (see `gridslam.slam.full_trajectory`).
+    Between two key scans all particles move with the tracker (see `gridslam.slam.full_slam.full_trajectory`).
     Uses 64 bytes of memory per scan.
     """
 

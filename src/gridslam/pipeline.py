@@ -10,8 +10,8 @@ import numpy as np
 
 from gridslam.arguments import describe, require_generator
 from gridslam.errors import ArgumentError
-from gridslam.slam.grid_fastslam import GridFastSlam
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import LaserScan, Odometry, StepReport
 
 __all__ = ["Filter", "FilterReport", "Observer", "Stopwatch", "run"]

@@ -9,7 +9,7 @@ import textwrap
 import numpy as np
 
 import gridslam
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from readme import BLOCK, block, quoted, strangers
 from support.house import ROOT

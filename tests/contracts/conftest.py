@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gridslam.cli.main import main
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.trajectory import write_tum
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.trajectories.trajectory import write_tum
 from gridslam.models.landmark import RelativePosition
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory

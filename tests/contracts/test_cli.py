@@ -21,16 +21,16 @@ from gridslam.cli import progress as progress_module
 from gridslam.cli.main import main
 from gridslam.config import build, dumps, preset
 from gridslam.geometry.se2 import between
-from gridslam.io.carmen import CarmenLog
-from gridslam.io.g2o import read_g2o
+from gridslam.io.carmen.reader import CarmenLog
+from gridslam.io.graphs.g2o import read_g2o
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.map_server import read_map, write_map
-from gridslam.io.record import read_record
-from gridslam.io.text_source import compute_sha256
-from gridslam.io.trajectory import read_trajectory_csv, read_tum, write_tum
+from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.results.record import read_record
+from gridslam.io.text import compute_sha256
+from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum, write_tum
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.loop_closure_state import RejectionReason
+from gridslam.slam.loop_closure.state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED
 
@@ -294,7 +294,7 @@ def test_ranges_that_are_no_ranges_are_ordinary(call, tmp_path):
 
 @pytest.mark.parametrize("cut", [0.5, 0.9])
 def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, cut):
-    from gridslam.io.carmen_writer import write_carmen
+    from gridslam.io.carmen.writer import write_carmen
 
     path = tmp_path / "cut.clf.gz"
     write_carmen(path, simulated.measurements[:120])

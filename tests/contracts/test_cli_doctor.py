@@ -12,7 +12,7 @@ from PIL import Image
 
 from gridslam import __version__
 from gridslam.cli.doctor import check_log
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault

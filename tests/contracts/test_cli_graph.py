@@ -14,9 +14,9 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.cli.main import main
 from gridslam.geometry.se2 import between, compose
-from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
-from gridslam.io.text_source import compute_sha256
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.io.graphs.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.text import compute_sha256
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 FILES = {"graph.g2o", "graph.png", "graph.json"}
 FALSE = [(3, 31), (8, 39), (25, 49)]

@@ -17,10 +17,10 @@ from gridslam.config import Configuration, override
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.map_server import read_map
+from gridslam.io.maps.map_server import read_map
 from gridslam.io.measurement import Measurement
-from gridslam.io.text_source import compute_sha256
-from gridslam.io.trajectory import read_tum, write_tum
+from gridslam.io.text import compute_sha256
+from gridslam.io.trajectories.trajectory import read_tum, write_tum
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
 from support.same_map import assert_same_map

@@ -10,8 +10,8 @@ from gridslam.localization import MonteCarloLocalization
 from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic, sample_gaussian
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.sim.faults import with_fault
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.types import BeamStatus, LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
 
 GEOMETRY = ScanGeometry(np.linspace(-1.0, 1.0, 5))

@@ -15,8 +15,8 @@ from gridslam.api.landmarks import map_landmarks
 from gridslam.cli.landmark_localization import localize_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text_source import compute_sha256
-from gridslam.io.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.text import compute_sha256
+from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
 from gridslam.localization.ekf import KnownLandmarks
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.png", "run.json"}

@@ -14,9 +14,9 @@ from gridslam.api.landmarks import METHODS, map_landmarks
 from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.text_source import compute_sha256
-from gridslam.io.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.landmarks.files import read_landmarks
+from gridslam.io.text import compute_sha256
+from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "run.json"}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.carmen import CarmenLog
+from gridslam.io.carmen.reader import CarmenLog
 
 GOOD = "FLASER 2 1.0 2.0 0 0 0 0 0 0 1.0 host 0.1\n"
 

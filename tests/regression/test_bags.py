@@ -11,7 +11,7 @@ import pytest
 from gridslam.api import map_log
 from gridslam.errors import InputError
 from gridslam.evaluation.trajectory import absolute_errors
-from gridslam.io.bag import BagLog
+from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import LogOptions
 from gridslam.types import Trajectory
 from support import ros_bags

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.io.g2o import read_g2o
-from gridslam.slam.graph_robust import GraduatedNonConvexity
-from gridslam.slam.graph_slam import GraphSlam
+from gridslam.io.graphs.g2o import read_g2o
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from support.random_graphs import with_false_closures
 
 CHI2 = {"intel": 45.004696, "intel_1228": 215.830235, "m3500": 137.912951, "ring": 11.163101}

@@ -13,9 +13,9 @@ from gridslam.evaluation import absolute_errors, closure_errors, false_closures
 from gridslam.evaluation.closures import FALSE_CLOSURE_RAD
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.full_slam import FullSlam, full_slam
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.types import Trajectory
 
 CONFIG = Configuration()

@@ -10,7 +10,7 @@ import pytest
 
 import gridslam
 from doubled_walls import Walls, judge_folder
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from support.far_apart import SPARSE, THINNED, every_half_metre, gmapping_path, off_from
 
 CLEAN: dict[str, np.ndarray] = {}

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.cdr import parse_fields
+from gridslam.ros.ros2.cdr import parse_fields
 from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (

@@ -13,10 +13,10 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, World, simulate
 from gridslam.sim.floor_plan import box, join
-from gridslam.slam.constraints import Constraint, ConstraintSource
-from gridslam.slam.drift_model import DriftModel
-from gridslam.slam.loop_closure_state import LoopClosureState
-from gridslam.slam.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.types import BeamEnds
 
 MAPPER = OccupancyGridMapping()

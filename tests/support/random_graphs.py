@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.graph_marginals import Marginals
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.marginals import Marginals
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.io.measurement import Measurement
 from gridslam.ros import NodeCore
-from gridslam.ros.messages import (
+from gridslam.ros.node.messages import (
     CloudMessage,
     Diagnostics,
     GridMessage,

@@ -12,10 +12,10 @@ from gridslam.errors import ConfigurationError
 from gridslam.models import GMappingEndPoint, GMappingMotion, OdometryMotion
 from gridslam.particles import Residual
 from gridslam.slam import GridFastSlam, OdometryTracker
-from gridslam.slam.graph_robust import GraduatedNonConvexity
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 
 
 @pytest.mark.parametrize("name", PRESETS)

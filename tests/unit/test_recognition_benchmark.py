@@ -12,7 +12,7 @@ import recognition_drives as drives
 import recognition_logs as harder
 import recognition_scores as scores
 from gridslam.geometry.se2 import between
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 SURE = np.diag([400.0, 400.0, 1000.0])
 

@@ -12,14 +12,14 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen_form import to_carmen_form
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.csv_writer import write_csv_log
+from gridslam.io.carmen.form import to_carmen_form
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.csv.writer import write_csv_log
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import write_atomically
-from gridslam.io.trajectory import write_tum
+from gridslam.io.trajectories.trajectory import write_tum
 from gridslam.types import BeamStatus, Odometry, Trajectory
 
 __all__ = ["Conversion", "OutFormat", "convert_log", "infer_format"]
@@ -157,7 +157,7 @@ def _write(
     elif form is OutFormat.TUM:
         _write_odometry(target, log.path, counted(_with_odometry(log, lost)))
     else:
-        from gridslam.io.bag_writer import write_bag  # only bags pay for the import of rosbags
+        from gridslam.io.bags.writer import write_bag  # only bags pay for the import of rosbags
 
         write_bag(target, counted(_single_precision(log, lost)))
 

@@ -16,11 +16,11 @@ from gridslam.config.tables import to_table
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.full_slam import LoopClosureSummary
-from gridslam.slam.loop_closure_state import RejectionReason
-from gridslam.slam.tracker import Tracker, TrackerState
-from gridslam.slam.trajectory_score import TrajectoryScore
+from gridslam.slam.full_slam.full_slam import LoopClosureSummary
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.state import RejectionReason
+from gridslam.slam.tracking.tracker import Tracker, TrackerState
 from gridslam.types import IntArray
 
 if TYPE_CHECKING:

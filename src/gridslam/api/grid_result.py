@@ -15,7 +15,7 @@ from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
 from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.map_server import write_map
+from gridslam.io.maps.map_server import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch

@@ -13,8 +13,8 @@ from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
 from gridslam.io.digest import compute_digest
-from gridslam.io.landmark_files import read_landmarks
-from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks.files import read_landmarks
+from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel

@@ -14,21 +14,21 @@ from gridslam.api.landmark_result import LandmarkEstimate, LandmarkResult
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
 from gridslam.io.digest import compute_digest
-from gridslam.io.landmark_log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.landmark_observations import LandmarkStep
 from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.graph_cauchy import CauchyEstimator
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmark_path import smooth_trajectory
-from gridslam.slam.landmark_report import LandmarkReport
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
+from gridslam.slam.landmarks.path import smooth_trajectory
+from gridslam.slam.landmarks.report import LandmarkReport
+from gridslam.slam.pose_graph.cauchy import CauchyEstimator
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.types import FloatArray, MotionModel
 
 __all__ = ["METHODS", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "LandmarkMethod", "map_landmarks"]

@@ -18,7 +18,7 @@ from gridslam.doctor.repaired_log import RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
-from gridslam.io.map_server import read_map
+from gridslam.io.maps.map_server import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
@@ -72,7 +72,7 @@ def localize(
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
     strict_thresholds : bool
-        Read the thresholds of the map's file literally (see `gridslam.io.map_server.read_map`).
+        Read the thresholds of the map's file literally (see `gridslam.io.maps.map_server.read_map`).
     repair : "needed", "all" or "none"
         As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver

@@ -17,11 +17,11 @@ from gridslam.errors import ArgumentError
 from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.measurement import Measurement
-from gridslam.io.record import RecordWriter
+from gridslam.io.results.record import RecordWriter
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
-from gridslam.slam.full_slam import FullSlam, full_slam
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport, Trajectory
 
 __all__ = ["map_log"]

@@ -17,9 +17,9 @@ from gridslam.cli.rerun import rerun_recording
 from gridslam.config import Configuration
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import compose
-from gridslam.io.carmen import CarmenLog
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.trajectory import write_tum
+from gridslam.io.carmen.reader import CarmenLog
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.trajectories.trajectory import write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.cli import STARTED_S
 from gridslam.cli.output import open_output, print_json
-from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.graphs.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
-from gridslam.io.text_source import compute_sha256
+from gridslam.io.text import compute_sha256
 from gridslam.pipeline import Stopwatch
-from gridslam.slam.graph_descent import squared_mahalanobis
-from gridslam.slam.graph_robust import GraduatedNonConvexity
-from gridslam.slam.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.descent import squared_mahalanobis
+from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.viz import draw_graph
 
 __all__ = ["GRAPH_SCHEMA", "graph_to_folder"]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gridslam.live.page import LivePage
     from gridslam.pipeline import Stopwatch
     from gridslam.ros import NodeCore
-    from gridslam.ros.messages import Diagnostics
+    from gridslam.ros.node.messages import Diagnostics
     from gridslam.types import OccupancyGrid
     from gridslam.viz.rerun_recording import RerunRecording
 

@@ -20,7 +20,7 @@ from gridslam.config import Configuration, apply_laser, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Observer, Stopwatch
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 
 if TYPE_CHECKING:

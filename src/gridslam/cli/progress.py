@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import final
 
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import StepReport
 
 __all__ = ["Progress", "progress", "reading_progress"]

@@ -13,9 +13,9 @@ from gridslam.cli.live import node_page
 from gridslam.cli.rerun import rerun_recording
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
-from gridslam.ros.core import NodeCore
-from gridslam.ros.localization import Localization
-from gridslam.ros.services import ViewerOpener
+from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.localization import Localization
+from gridslam.ros.node.services import ViewerOpener
 
 __all__ = ["collect_parameters", "make_viewer_opener", "ros1", "ros2"]
 
@@ -43,7 +43,7 @@ def ros1(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 1 node until it is stopped."""
-    from gridslam.ros.ros1 import run_ros1
+    from gridslam.ros.ros1.ros1 import run_ros1
 
     given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 1", live, rerun)
     run_ros1(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
@@ -61,13 +61,13 @@ def ros2(
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
     given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
-        from gridslam.ros.ros2_dds import run_dds
+        from gridslam.ros.ros2.ros2_dds import run_dds
 
         run_dds(arguments, given=given, interfaces=interfaces, open_viewers=open_viewers, on_poll=stop_if_interrupted)
         return
     if interfaces:
         raise ConfigurationError("--interface: only without ROS; where there is one, its middleware decides")
-    from gridslam.ros.ros2 import run_ros2
+    from gridslam.ros.ros2.ros2 import run_ros2
 
     run_ros2(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
 

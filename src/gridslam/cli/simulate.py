@@ -11,8 +11,8 @@ import numpy as np
 
 from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.trajectory import write_tum
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.trajectories.trajectory import write_tum
 from gridslam.sim import (
     LidarConfig,
     OdometryNoise,

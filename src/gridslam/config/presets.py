@@ -12,8 +12,8 @@ from gridslam.matching.hill_climbing import HillClimbing
 from gridslam.models.endpoint import GMappingEndPoint
 from gridslam.models.motion import GMappingMotion
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold
-from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import ScanMatchedProposal
+from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
+from gridslam.slam.tracking.odometry_tracker import OdometryTracker
 
 __all__ = ["PRESETS", "preset"]
 

@@ -40,7 +40,7 @@ _LONGEST_S = 1.0  # after a longer gap a constant velocity is no prediction
 
 @final
 class LaserOdometry:
-    """Matches scan after scan; two local maps take turns, as in `gridslam.slam.tracker`. First `begin`, then `step`.
+    """Matches scan after scan; two local maps take turns, as in `gridslam.slam.tracking.tracker`.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ from typing import final
 
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
-from gridslam.io.text_source import compute_sha256
+from gridslam.io.text import compute_sha256
 
 __all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "fetch_dataset", "find_dataset"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from gridslam.io.text_source import compute_sha256
+from gridslam.io.text import compute_sha256
 
 __all__ = ["compute_digest"]
 

@@ -107,17 +107,17 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
 
     form = detect_log_format(path)
     if form is LogFormat.BAG:
-        from gridslam.io.bag import BagLog  # only bags pay for the import of rosbags
+        from gridslam.io.bags.bag import BagLog  # only bags pay for the import of rosbags
 
         part = replace(options, scan_topics=())  # the reader takes care of the topics
         return select(BagLog(path, replace(options, start_s=0.0, duration_s=None, every=1)), part)
     if options.odometry_topic or options.odometry_frame or options.base_frame:
         raise InputError(path, f"topics and frames are chosen in bags alone, and this is a {form.value} log")
     if form is LogFormat.CSV:
-        from gridslam.io.csv_log import CsvLog
+        from gridslam.io.csv.reader import CsvLog
 
         return select(CsvLog(path, keep_truncated=options.keep_truncated), options)
-    from gridslam.io.carmen import CarmenLog
+    from gridslam.io.carmen.reader import CarmenLog
 
     return select(CarmenLog(path, keep_truncated=options.keep_truncated), options)
 

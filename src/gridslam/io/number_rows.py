@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gridslam.errors import InputError
-from gridslam.io.carmen_lines import LineError, parse_stamp_ns
-from gridslam.io.text_source import TextSource
+from gridslam.io.carmen.lines import LineError, parse_stamp_ns
+from gridslam.io.text import TextSource
 
 __all__ = ["NumberRow", "read_numbered_lines", "read_stamped_rows"]
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, final
 
 from gridslam.errors import InputError
+from gridslam.io.bags.odometry_covariance import CovarianceSum
 from gridslam.io.log import Log, LogOptions
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.io.odometry_covariance import CovarianceSum
 
 __all__ = ["SelectedLog", "select"]
 

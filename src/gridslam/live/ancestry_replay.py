@@ -6,7 +6,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.io.record import Record, RecordFlag
+from gridslam.io.results.record import Record, RecordFlag
 from gridslam.particles.ancestry import Ancestry
 
 __all__ = ["AncestryReplay"]

@@ -13,7 +13,7 @@ from gridslam.live.monitor import BEST, CORRECTED, StateView
 from gridslam.live.scene import NO_CLOSURES, AncestryTree, Float32Array, thin_tree
 from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
 from gridslam.particles.ancestry import Ancestry
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, StepReport
 
 __all__ = ["MappingMonitor"]

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol, final
 
 import numpy as np
 
-from gridslam.io.record import Record, RecordFlag
+from gridslam.io.results.record import Record, RecordFlag
 from gridslam.live.ancestry_replay import AncestryReplay
 from gridslam.live.monitor import LOST
 from gridslam.live.run import finite_or_none

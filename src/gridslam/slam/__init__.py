@@ -1,11 +1,17 @@
 """Neither map nor poses known: one file for each algorithm."""
 
-from gridslam.slam.grid_fastslam import GridFastSlam
-from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import ImprovedProposal, MotionModelProposal, Proposal, ProposedPoses, ScanMatchedProposal
-from gridslam.slam.report_builder import ReportBuilder
-from gridslam.slam.state import STATE_SCHEMA, GridFastSlamState
-from gridslam.slam.tracker import TrackedScan, Tracker, TrackerState
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
+from gridslam.slam.grid_fastslam.proposals import (
+    ImprovedProposal,
+    MotionModelProposal,
+    Proposal,
+    ProposedPoses,
+    ScanMatchedProposal,
+)
+from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
+from gridslam.slam.grid_fastslam.state import STATE_SCHEMA, GridFastSlamState
+from gridslam.slam.tracking.odometry_tracker import OdometryTracker
+from gridslam.slam.tracking.tracker import TrackedScan, Tracker, TrackerState
 
 __all__ = [
     "STATE_SCHEMA",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from gridslam.errors import ArgumentError
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 from gridslam.viz.footer import paint_caption, paint_keys, paint_scale, paint_time_key
 from gridslam.viz.layout import KEY_GAP, MARGIN, TEXT_SIZE, TIME_WIDTH, font, footer_size

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gridslam.errors import ConfigurationError, OutputError
 from gridslam.geometry.se2 import compose
 from gridslam.localization import LocalizationReport, MonteCarloState
-from gridslam.slam.state import GridFastSlamState
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
 from gridslam.viz.cloud import select_representatives
 from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH

@@ -11,15 +11,15 @@ import pytest
 from gridslam.api import map_log
 from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.landmark_files import write_landmarks
-from gridslam.io.map_server import write_map
-from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.landmarks.files import write_landmarks
+from gridslam.io.maps.map_server import write_map
+from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import ReplayPage
 from gridslam.sim import OdometryNoise
-from gridslam.slam.landmark_report import LandmarkMap
+from gridslam.slam.landmarks.report import LandmarkMap
 from support.browsing import PATIENCE_S, click, pixels_of, shown, text, told, wait
 from support.landmark_world import ring
 from support.localization_world import drive as flat_drive

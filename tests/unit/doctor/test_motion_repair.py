@@ -12,13 +12,13 @@ from gridslam.doctor.repair import Repair, calibrate_early, find_full_repair, fi
 from gridslam.doctor.repaired_log import RepairedLog
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
-from gridslam.io.csv_writer import write_csv_log
+from gridslam.io.csv.writer import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim.faults import with_fault
-from gridslam.slam.grid_fastslam import GridFastSlam
+from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.laser_drives import log, perfect
 

@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import InputError
 from gridslam.geometry import se3
-from gridslam.io.bag import BagLog
+from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import Log, LogOptions
 from gridslam.types import LaserScan
 from support import ros_bags

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.bag import BagLog
+from gridslam.io.bags.bag import BagLog
 from gridslam.io.log import LogOptions
 from support import ros_bags
 from support.ros_bags import drive, odometry, scan, transform

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gridslam.geometry import se3
-from gridslam.io.bag import BagLog
-from gridslam.io.bag_writer import write_bag
+from gridslam.io.bags.bag import BagLog
+from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import InputError
-from gridslam.io.bag_ros1 import Ros1Bag
-from gridslam.io.bag_ros2 import Ros2Bag
-from gridslam.io.bag_source import merge_chunks
+from gridslam.io.bags.ros1 import Ros1Bag
+from gridslam.io.bags.ros2 import Ros2Bag
+from gridslam.io.bags.source import merge_chunks
 from support import ros_bags
 
 FORMS = [

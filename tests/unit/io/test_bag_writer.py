@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from gridslam.errors import ArgumentError, OutputError
 from gridslam.geometry import se2, se3
-from gridslam.io.bag_writer import write_bag
+from gridslam.io.bags.writer import write_bag
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.io.carmen import CarmenLog
-from gridslam.io.carmen_lines import LineError, parse_stamp_ns
-from gridslam.io.text_source import compute_sha256
+from gridslam.io.carmen.lines import LineError, parse_stamp_ns
+from gridslam.io.carmen.reader import CarmenLog
+from gridslam.io.text import compute_sha256
 from gridslam.types import BeamStatus, LaserScan
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.carmen import CarmenLog
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.reader import CarmenLog
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry
 

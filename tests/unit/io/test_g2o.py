@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.g2o import read_g2o, write_g2o
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.io.graphs.g2o import read_g2o, write_g2o
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 FAR = "2 0 0 3 0 4"  # the end of an information matrix's row of six
 SMALL = """# three vertices

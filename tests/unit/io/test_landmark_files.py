@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.landmark_files import LANDMARKS_HEADER, read_landmarks, write_landmarks
-from gridslam.slam.landmark_report import LandmarkMap
+from gridslam.io.landmarks.files import LANDMARKS_HEADER, read_landmarks, write_landmarks
+from gridslam.slam.landmarks.report import LandmarkMap
 
 
 @pytest.mark.parametrize("count", [0, 1, 7])

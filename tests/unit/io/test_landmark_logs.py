@@ -10,9 +10,9 @@ import pytest
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import compose
-from gridslam.io.landmark_log import LandmarkLog, open_landmark_log
-from gridslam.io.mrclam import MrclamLog
-from gridslam.io.victoria_park import VictoriaParkLog
+from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log
+from gridslam.io.landmarks.mrclam import MrclamLog
+from gridslam.io.landmarks.victoria_park import VictoriaParkLog
 from gridslam.models.landmark_observations import LandmarkObservations, ObservationKind
 
 ODOMETRY = "# Time v omega\n10.0 1.0 0.0\n10.1 1.0 0.0\n10.2 0.0 2.0\n10.3 0.0 0.0\n10.9 0.0 0.0\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.record import RecordFlag, RecordWriter, read_record
+from gridslam.io.results.record import RecordFlag, RecordWriter, read_record
 from gridslam.types import SkipReason, StepReport
 
 

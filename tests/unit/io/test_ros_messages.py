@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.io.ros_messages import (
+from gridslam.io.bags.ros_messages import (
     MessageError,
     decode_odometry,
     decode_scan,

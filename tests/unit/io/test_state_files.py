@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.config import build, override, preset
 from gridslam.errors import ArgumentError, InputError, OutputError
-from gridslam.io.state import SavedRun, read_state, write_state
+from gridslam.io.results.state import SavedRun, read_state, write_state
 from gridslam.pipeline import run
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 

@@ -12,14 +12,14 @@ from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
 from gridslam.api.localization_result import BELIEF_HEADER
 from gridslam.errors import InputError
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.landmark_files import write_landmarks
-from gridslam.io.map_server import read_map, write_map
-from gridslam.io.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.landmarks.files import write_landmarks
+from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
 from gridslam.live.monitor import LOST
 from gridslam.live.replay import Replay
 from gridslam.sim import OdometryNoise
-from gridslam.slam.landmark_report import LandmarkMap
+from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.types import Trajectory
 from support.landmark_world import drive as landmark_drive
 from support.landmark_world import ring

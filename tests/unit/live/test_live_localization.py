@@ -10,7 +10,7 @@ import pytest
 from gridslam.api.localization import localize
 from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError
-from gridslam.io.carmen_writer import write_carmen
+from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.control import Control
 from gridslam.live.localization_monitor import LocalizationMonitor
 from gridslam.live.monitor import LOST

@@ -13,10 +13,10 @@ import pytest
 from gridslam.api import map_log
 from gridslam.config import override
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen_writer import write_carmen
-from gridslam.io.g2o import read_g2o
-from gridslam.io.map_server import read_map
-from gridslam.io.record import read_record
+from gridslam.io.carmen.writer import write_carmen
+from gridslam.io.graphs.g2o import read_g2o
+from gridslam.io.maps.map_server import read_map
+from gridslam.io.results.record import read_record
 from gridslam.live.replay import Replay
 from support.loops import PROVOKED, loop_drive
 from support.page_client import PageClient

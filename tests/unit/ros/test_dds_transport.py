@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
-from gridslam.ros import dds
-from gridslam.ros.cdr import encode_message
-from gridslam.ros.messages import GridMessage
-from gridslam.ros.parameters import node_parameters
-from gridslam.ros.ros2_arguments import RosArguments
-from gridslam.ros.ros2_dds import DdsNode
-from gridslam.ros.ros2_outputs import TOPICS, Ros2Outputs
+from gridslam.ros.node.messages import GridMessage
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.ros2.arguments import RosArguments
+from gridslam.ros.ros2.cdr import encode_message
+from gridslam.ros.ros2.outputs import TOPICS, Ros2Outputs
+from gridslam.ros.ros2 import dds
+from gridslam.ros.ros2.ros2_dds import DdsNode
 from support.dds_peer import free_domain
 from support.ros_node import until
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from gridslam.cli.node_commands import ros2_command
-from gridslam.ros.parameters import node_parameters
-from gridslam.ros.ros2_arguments import parse_ros_arguments
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.ros2.arguments import parse_ros_arguments
 
 FILE = Path(__file__).resolve().parents[3] / "examples" / "ros2" / "gridslam.launch.py"
 

@@ -16,11 +16,11 @@ from gridslam.api import map_log
 from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
-from gridslam.io.map_server import read_map
+from gridslam.io.maps.map_server import read_map
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.messages import Level
-from gridslam.ros.rendering import map_cells
-from gridslam.ros.services import save_results
+from gridslam.ros.node.messages import Level
+from gridslam.ros.node.rendering import map_cells
+from gridslam.ros.node.services import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 
@@ -77,7 +77,7 @@ def test_a_disk_that_is_full_is_named_by_who_saves(drive, tmp_path, monkeypatch)
     def full(result, folder):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("gridslam.ros.session.MapResult.save", full)
+    monkeypatch.setattr("gridslam.ros.node.session.MapResult.save", full)
     outputs = RecordedOutputs()
     core = node(outputs)
     drive_all(core, outputs, drive[:10])
@@ -160,8 +160,8 @@ def test_frames_with_a_slash_are_those_without(drive):
 
 def test_what_it_is_at_is_logged_when_it_changes(drive, monkeypatch):
     """A lidar that falls silent, too: the last thing that its log says would else be that it maps."""
-    monkeypatch.setattr("gridslam.ros.core._DIAGNOSTICS_S", 0.02)
-    monkeypatch.setattr("gridslam.ros.state_publisher._SILENT_S", 0.3)
+    monkeypatch.setattr("gridslam.ros.node.core._DIAGNOSTICS_S", 0.02)
+    monkeypatch.setattr("gridslam.ros.node.state_publisher._SILENT_S", 0.3)
     outputs = RecordedOutputs()
     core = node(outputs)
     assert core.diagnostics().summary == "waiting for a scan"

@@ -7,7 +7,7 @@ import pytest
 from gridslam.config import preset
 from gridslam.config.tables import value_of
 from gridslam.errors import ConfigurationError
-from gridslam.ros.parameters import (
+from gridslam.ros.node.parameters import (
     _DERIVED,
     _FILTER,
     _NODE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridslam.errors import ConfigurationError, InputError
-from gridslam.ros.ros2_arguments import RosArguments, parse_ros_arguments
+from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 
 
 def test_parameters_remappings_and_names():

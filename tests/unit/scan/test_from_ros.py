@@ -9,9 +9,9 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
-from gridslam.io.bag_scans import BagScanBuilder
-from gridslam.io.ros_messages import ScanMessage
-from gridslam.ros import accepted_scan
+from gridslam.io.bags.ros_messages import ScanMessage
+from gridslam.io.bags.scans import BagScanBuilder
+from gridslam.ros.node import accepted_scan
 from gridslam.types import BeamStatus, LaserScan
 
 HIT, NO_RETURN, INVALID = (np.uint8(status) for status in BeamStatus)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.candidate_selection import Candidate, CandidateSelection
-from gridslam.slam.constraints import Constraint, ConstraintSource
-from gridslam.slam.pose_graph import PoseGraph
-from gridslam.slam.trajectory_score import TrajectoryScore
+from gridslam.slam.full_slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 MAPPER = OccupancyGridMapping()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from gridslam.config import build, override
-from gridslam.io.state import SavedRun, read_state, write_state
+from gridslam.io.results.state import SavedRun, read_state, write_state
 from gridslam.pipeline import run
-from gridslam.slam.full_slam import full_slam
+from gridslam.slam.full_slam.full_slam import full_slam
 from support.loops import PROVOKED, loop_drive
 
 CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5", "closure.poses_per_scan=1")

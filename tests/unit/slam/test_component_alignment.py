@@ -11,12 +11,12 @@ import pytest
 from closure_worlds import deceptive
 from gridslam.geometry.se2 import between, compose
 from gridslam.matching import BranchAndBound
-from gridslam.slam.component_alignment import ComponentAlignment
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.drift_model import DriftModel
-from gridslam.slam.loop_closure_state import LoopClosureState
-from gridslam.slam.place_recognition import PlaceRecognition
-from gridslam.slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.full_slam.component_alignment import ComponentAlignment
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.state import LoopClosureState
 from support import hall
 
 LAP = 95

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.constraints import Constraint, ConstraintSource, constraints_from_arrays, constraints_to_arrays
+from gridslam.slam.loop_closure.constraints import (
+    Constraint,
+    ConstraintSource,
+    constraints_from_arrays,
+    constraints_to_arrays,
+)
 from gridslam.types import Match
 
 SIGMA_M = 0.3

@@ -10,8 +10,8 @@ from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, MaximumL
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.landmark_existence import LandmarkExistence
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.existence import LandmarkExistence
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

@@ -16,13 +16,13 @@ from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.particles.policies import AlwaysResample, NeverResample
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_existence import LandmarkExistence
-from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_particles import LandmarkParticles
-from gridslam.slam.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.existence import LandmarkExistence
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.particles import LandmarkParticles
+from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
 from support.landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

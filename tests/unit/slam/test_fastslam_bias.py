@@ -12,11 +12,11 @@ from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObser
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.models.odometry_bias import OdometryBias
 from gridslam.particles.policies import NeverResample
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_local_frame import LocalFrameBelief
-from gridslam.slam.landmark_path import smooth_trajectory
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.local_frame import LocalFrameBelief
+from gridslam.slam.landmarks.path import smooth_trajectory
 from support.landmark_world import INCREMENT, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.01, sigma_bearing_rad=0.002)

@@ -10,10 +10,10 @@ from gridslam.models.landmark import RelativePosition
 from gridslam.models.landmark_observations import LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_existence import LandmarkExistence
-from gridslam.slam.landmark_filters import LandmarkFilters
+from gridslam.slam.landmarks.existence import LandmarkExistence
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
 
 ALL_AROUND = LandmarkExistence(
     detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14

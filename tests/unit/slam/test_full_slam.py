@@ -9,9 +9,9 @@ from gridslam.config import build, override
 from gridslam.evaluation import absolute_errors, false_closures
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.full_slam import full_slam
-from gridslam.slam.loop_closure_state import RejectionReason
+from gridslam.slam.full_slam.full_slam import full_slam
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.state import RejectionReason
 from gridslam.types import Trajectory
 from support.loops import PROVOKED, loop_drive
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.full_trajectory import full_trajectory
 
 
 def walk(rng, scans):

@@ -13,12 +13,12 @@ from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.sim import OdometryNoise, SimulatedLog
 from gridslam.slam import GridFastSlam
-from gridslam.slam.full_trajectory import full_trajectory
-from gridslam.slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
-from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.loop_closure_state import LoopClosureState
-from gridslam.slam.state import GridFastSlamState
-from gridslam.slam.submaps import build_map
+from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submaps import build_map
 from gridslam.types import Trajectory
 from support import hall
 from support.loops import loop_drive

@@ -7,9 +7,9 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
-from gridslam.slam.graph_initial import initial_guess
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.initial import initial_guess
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.random_graphs import random_graph
 
 

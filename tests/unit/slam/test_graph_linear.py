@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.slam.graph_linear import BlockSystem, MatrixBlocks, linearize, require_connected
+from gridslam.slam.pose_graph.linear import BlockSystem, MatrixBlocks, linearize, require_connected
 from support.random_graphs import random_graph
 
 
@@ -91,5 +91,5 @@ def test_parts_are_counted_and_who_is_apart_is_named():
 
 
 def test_importing_the_solver_does_not_import_scipy():
-    code = "import sys, gridslam.slam.graph_slam; assert not {'scipy', 'qdldl'} & set(sys.modules)"
+    code = "import sys, gridslam.slam.pose_graph.graph_slam; assert not {'scipy', 'qdldl'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -7,10 +7,10 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, between_jacobians
-from gridslam.slam.graph_linear import BlockSystem, linearize
-from gridslam.slam.graph_marginals import Marginals, marginal_covariances
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.linear import BlockSystem, linearize
+from gridslam.slam.pose_graph.marginals import Marginals, marginal_covariances
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.random_graphs import random_graph
 
 

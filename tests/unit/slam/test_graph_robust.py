@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between
-from gridslam.slam.graph_robust import GraduatedNonConvexity, scale_information
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity, scale_information
 from support.random_graphs import random_graph
 
 ROBUST = GraphSlam(robust=GraduatedNonConvexity(probability=0.99999))  # of 400 true closures below none is expected out

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.random_graphs import random_graph
 
 

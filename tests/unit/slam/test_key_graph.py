@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.constraints import Constraint, ConstraintSource
-from gridslam.slam.drift_model import DriftModel
-from gridslam.slam.key_graph import KeyGraph
-from gridslam.slam.submap_distance import propagate_covariances
-from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.submap_distance import propagate_covariances
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP
 
 DRIFT = DriftModel()
 

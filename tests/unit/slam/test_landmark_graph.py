@@ -11,11 +11,11 @@ from gridslam.geometry.se2 import compose, transform_points
 from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep
 from gridslam.models.motion import DiffusionMotion
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.graph_cauchy import CauchyEstimator
-from gridslam.slam.graph_slam import GraphSlam
-from gridslam.slam.landmark_graph import LandmarkGraph
-from gridslam.slam.landmark_graph_slam import LandmarkGraphSlam
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.graph import LandmarkGraph
+from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
+from gridslam.slam.pose_graph.cauchy import CauchyEstimator
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from support.landmark_world import MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

@@ -10,12 +10,12 @@ from gridslam.models.landmark import RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
-from gridslam.slam.ekf_slam import EkfSlam
-from gridslam.slam.fastslam1 import FastSlam1
-from gridslam.slam.fastslam2 import FastSlam2
-from gridslam.slam.landmark_filters import LandmarkFilters
-from gridslam.slam.landmark_local_frame import LocalFrameBelief
-from gridslam.slam.landmark_path import smooth_trajectory
+from gridslam.slam.landmarks.ekf_slam import EkfSlam
+from gridslam.slam.landmarks.fastslam1 import FastSlam1
+from gridslam.slam.landmarks.fastslam2 import FastSlam2
+from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.local_frame import LocalFrameBelief
+from gridslam.slam.landmarks.path import smooth_trajectory
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))

@@ -14,11 +14,11 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.slam import GridFastSlam
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.loop_closure import LoopClosure
-from gridslam.slam.odometry_tracker import OdometryTracker
-from gridslam.slam.proposals import MotionModelProposal
-from gridslam.slam.submaps import build_map
+from gridslam.slam.grid_fastslam.proposals import MotionModelProposal
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.submaps import build_map
+from gridslam.slam.tracking.odometry_tracker import OdometryTracker
 from gridslam.types import Odometry, StepReport
 from support import hall
 

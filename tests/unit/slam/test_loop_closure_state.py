@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.slam.loop_closure_state import Correction, LoopClosureState, RejectionReason
-from gridslam.slam.submaps import ROW
+from gridslam.slam.loop_closure.state import Correction, LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.submaps import ROW
 from support import hall
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.particles import NeverResample
 from gridslam.slam import GridFastSlam
-from gridslam.slam.map_limit import MapLimit, _apportion
+from gridslam.slam.grid_fastslam.map_limit import MapLimit, _apportion
 
 FREE = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=10_000))
 TIGHT = GridFastSlam(when_to_resample=NeverResample(), map_limit=MapLimit(tiles_per_particle=20))

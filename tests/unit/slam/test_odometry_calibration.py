@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.odometry_calibration import OdometryCalibration, OdometryErrorModel
+from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, OdometryErrorModel
 
 LEARN = OdometryCalibration()
 PERIOD_M = 0.05

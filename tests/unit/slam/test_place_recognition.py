@@ -9,10 +9,10 @@ import pytest
 
 from closure_worlds import Drive, deceptive, returns
 from gridslam.geometry.se2 import between
-from gridslam.slam.constraints import ConstraintSource
-from gridslam.slam.drift_model import DriftModel
-from gridslam.slam.loop_closure_state import LoopClosureState, RejectionReason
-from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP
 from support import hall
 
 LAP = 95

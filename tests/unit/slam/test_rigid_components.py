@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
-from gridslam.slam.constraints import Constraint, ConstraintSource
-from gridslam.slam.key_graph import BLIND_SIGMA_M, BLIND_SIGMA_RAD, KeyGraph
-from gridslam.slam.loop_closure_state import LoopClosureState
-from gridslam.slam.place_checks import collect_recent_points
-from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
-from gridslam.slam.submaps import key_scans_of
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import BLIND_SIGMA_M, BLIND_SIGMA_RAD, KeyGraph
+from gridslam.slam.loop_closure.place_checks import collect_recent_points
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
+from gridslam.slam.loop_closure.submaps import key_scans_of
 from gridslam.types import StoredScan
 
 SURE = (0.02**2, 0.01**2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.slam.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.types import StoredScan
 
 
@@ -67,7 +67,7 @@ def test_between_key_scans_no_more_beams_are_kept_than_fix_a_pose():
 
 def test_a_robot_that_drives_for_hours_fills_no_memory(monkeypatch):
     """All that is kept between key scans stays below a bound, evenly from the begin on; key scans are all kept."""
-    monkeypatch.setattr("gridslam.slam.scan_archive._MOST_BYTES", 40 * 7 * 4)
+    monkeypatch.setattr("gridslam.slam.loop_closure.scan_archive._MOST_BYTES", 40 * 7 * 4)
     scan, kept = scans()[1], ScanArchive()
     for k in range(1000):
         kept.append(scan, np.array([0.1 * k, 0.0, 0.0]), is_key=k % 10 == 0)

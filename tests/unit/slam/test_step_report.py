@@ -15,8 +15,8 @@ from gridslam.particles import AlwaysResample, EffectiveSampleSizeBelow, normali
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.floor_plan import box, polyline
 from gridslam.slam import GridFastSlam
-from gridslam.slam.proposals import ScanMatchedProposal
-from gridslam.slam.tracker import Tracker
+from gridslam.slam.grid_fastslam.proposals import ScanMatchedProposal
+from gridslam.slam.tracking.tracker import Tracker
 from gridslam.types import LaserScan, SkipReason
 
 PARTICLES = 8

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.loop_closure_state import LoopClosureState
-from gridslam.slam.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
-from gridslam.slam.submaps import ROW, SubmapCache, build_map, key_scans_of
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
+from gridslam.slam.loop_closure.submaps import ROW, SubmapCache, build_map, key_scans_of
 from support import hall
 
 COUNT = 65
@@ -71,7 +71,7 @@ def test_room_is_made_by_dropping_what_was_not_used_for_longest(closure_state):
 def test_large_submaps_are_kept_only_as_far_as_they_fit(closure_state, monkeypatch):
     parts = hall.MAPPER, closure_state.scans, closure_state.graph
     sizes = [SubmapCache()(submap, *parts).nbytes for submap in range(4)]
-    monkeypatch.setattr("gridslam.slam.submaps._MOST_BYTES", sizes[2] + sizes[3])
+    monkeypatch.setattr("gridslam.slam.loop_closure.submaps._MOST_BYTES", sizes[2] + sizes[3])
     submaps = SubmapCache()
     drawn_first = [submaps(submap, *parts) for submap in range(4)]
     assert submaps.nbytes == sizes[2] + sizes[3]

@@ -12,7 +12,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import GridFastSlam, Tracker
-from gridslam.slam.tracker_deskew import TrackerDeskew
+from gridslam.slam.tracking.deskew import TrackerDeskew
 
 BAND_RAD = 0.08
 """Greatest error of the heading. Scans that are taken in an instant leave 0.009 rad; those that take 0.1 s leave 0.06

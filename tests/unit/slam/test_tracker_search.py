@@ -13,8 +13,8 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
-from gridslam.slam.tracker_search import OdometrySearch
-from gridslam.slam.tracker_state import Prediction
+from gridslam.slam.tracking.search import OdometrySearch
+from gridslam.slam.tracking.state import Prediction
 from support import hall
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)

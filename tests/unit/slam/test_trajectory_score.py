@@ -9,11 +9,11 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.slam.drift_model import DriftModel
-from gridslam.slam.key_graph import KeyGraph
-from gridslam.slam.scan_archive import ScanArchive
-from gridslam.slam.submaps import build_map
-from gridslam.slam.trajectory_score import TrajectoryScorer, path_lengths
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer, path_lengths
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submaps import build_map
 from support import hall
 
 SCORE = TrajectoryScorer()

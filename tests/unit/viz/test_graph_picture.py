@@ -7,7 +7,7 @@ import pytest
 from PIL import ImageDraw
 
 from gridslam.errors import ArgumentError
-from gridslam.slam.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.viz import draw_graph
 from gridslam.viz.palette import CLOSURE, FREE, REJECTED, TIME_ENDS, time_colours
 

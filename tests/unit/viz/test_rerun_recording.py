@@ -135,7 +135,7 @@ def test_without_rerun_the_extra_is_named(monkeypatch):
 
 
 def test_the_command_records_and_its_results_stay_the_same(rerun, read, tmp_path, capsys):
-    from gridslam.io.carmen_writer import write_carmen
+    from gridslam.io.carmen.writer import write_carmen
 
     write_carmen(tmp_path / "loop.clf", loop_drive().measurements[:60])
     for name, options in (("without", []), ("with", ["--rerun", str(tmp_path / "run.rrd")])):

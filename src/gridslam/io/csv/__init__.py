@@ -1,0 +1,1 @@
+"""Logs as tables of comma-separated values."""

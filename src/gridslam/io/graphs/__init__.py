@@ -1,0 +1,1 @@
+"""Pose graphs in the format of g2o."""

@@ -1,0 +1,1 @@
+"""Landmark logs: MRCLAM and Victoria Park."""

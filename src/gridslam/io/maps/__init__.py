@@ -1,0 +1,1 @@
+"""Maps in the format of map_server."""

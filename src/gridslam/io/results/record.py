@@ -1,0 +1,130 @@
+"""record.npz: what the particles did at each key scan, for replaying a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.results.archive import read_arrays
+from gridslam.types import FloatArray, IntArray, StepReport
+
+__all__ = ["Record", "RecordFlag", "RecordWriter", "read_record"]
+
+_SCHEMA = "gridslam.record/1"
+
+
+class RecordFlag(IntFlag):
+    """Flags of one key scan."""
+
+    LOST = 1
+    RESAMPLED = 2
+    UNDETERMINED = 4
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Record:
+    """T key scans of N particles, in the order in which they were taken.
+
+    Attributes
+    ----------
+    stamps_ns : (T,) int64, ns
+        Stamps of the scans.
+    poses : (T, N, 3) float32
+        Particles [x m, y m, theta rad] in the map frame, before resampling.
+    log_weights : (T, N) float64
+        Their normalized log weights, before resampling.
+    parents : (T, N) int32
+        For each particle after the step the one it continues.
+    best : (T,) int32
+        The best particle after the step.
+    n_eff : (T,) float64
+        Effective sample size before resampling.
+    flags : (T,) uint8
+        A `RecordFlag` each.
+    latency_s : (T,) float64, s
+        Time the step took.
+    """
+
+    stamps_ns: IntArray
+    poses: NDArray[np.float32]
+    log_weights: FloatArray
+    parents: NDArray[np.int32]
+    best: NDArray[np.int32]
+    n_eff: FloatArray
+    flags: NDArray[np.uint8]
+    latency_s: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of key scans T."""
+        return len(self.stamps_ns)
+
+
+_FORMS: dict[str, tuple[type, int]] = {
+    "stamps_ns": (np.int64, 1),
+    "poses": (np.float32, 3),
+    "log_weights": (np.float64, 2),
+    "parents": (np.int32, 2),
+    "best": (np.int32, 1),
+    "n_eff": (np.float64, 1),
+    "flags": (np.uint8, 1),
+    "latency_s": (np.float64, 1),
+}
+
+
+@final
+class RecordWriter:
+    """Collects the key scans of a run with a fixed number of particles; other scans are passed over."""
+
+    def __init__(self) -> None:
+        """Begin without any key scan."""
+        self._rows: dict[str, list[Any]] = {name: [] for name in _FORMS}
+
+    def add(self, report: StepReport, latency_s: float) -> None:
+        """Keep a step's particles, if it was a key scan.
+
+        Raises ArgumentError where the number of particles is not that of the steps before.
+        """
+        if report.skipped is not None or report.poses is None or report.log_weights is None:
+            return
+        rows = self._rows
+        if rows["poses"] and len(rows["poses"][0]) != len(report.poses):
+            raise ArgumentError("report", f"{len(rows['poses'][0])} particles as before", len(report.poses))
+        flags = RecordFlag.LOST * report.lost | RecordFlag.RESAMPLED * (report.parents is not None)
+        flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
+        parents = np.arange(len(report.poses)) if report.parents is None else report.parents
+        rows["stamps_ns"].append(report.stamp_ns)
+        rows["poses"].append(np.array(report.poses, dtype=np.float32))
+        rows["log_weights"].append(np.array(report.log_weights, dtype=np.float64))
+        rows["parents"].append(np.array(parents, dtype=np.int32))
+        rows["best"].append(report.best)
+        rows["n_eff"].append(report.n_eff)
+        rows["flags"].append(int(flags))
+        rows["latency_s"].append(latency_s)
+
+    def write(self, path: str | Path) -> None:
+        """Write what was collected, compressed; a run without key scan gives arrays of length 0."""
+        shape = (0, 0, 3)  # of the poses, where there are none
+        arrays: dict[str, Any] = {
+            name: np.array(self._rows[name] or np.zeros(shape[:ndim]), dtype) for name, (dtype, ndim) in _FORMS.items()
+        }
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, schema=np.array(_SCHEMA), **arrays)
+
+
+def read_record(path: str | Path) -> Record:
+    """Read a record; raises InputError where the file is none, or its arrays do not belong together."""
+    arrays = read_arrays(path, _SCHEMA, "a record of a run")
+    steps, particles = arrays["poses"].shape[:2] if arrays.get("poses", np.zeros(0)).ndim == 3 else (-1, -1)
+    for name, (dtype, ndim) in _FORMS.items():
+        want = (steps, particles, 3)[:ndim]
+        if name not in arrays or arrays[name].shape != want or arrays[name].dtype != dtype:
+            got = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
+            raise InputError(path, f"expected {name} as {np.dtype(dtype)} {want}, got {got}")
+    return Record(**{name: arrays[name] for name in _FORMS})

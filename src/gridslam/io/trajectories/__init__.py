@@ -1,0 +1,1 @@
+"""Trajectories and relations between poses."""

@@ -1,0 +1,1 @@
+"""The node: what it does, whatever carries its messages."""

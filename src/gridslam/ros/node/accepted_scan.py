@@ -1,0 +1,142 @@
+"""Conversion of scan messages to measurements, exactly as they are read back from the record."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import replace
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.io.bags.ros_messages import ScanMessage
+from gridslam.io.csv.columns import angles_of_rotation, rotation_of_angles
+from gridslam.io.measurement import Measurement
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+
+__all__ = ["AcceptedScan", "LaserDescription", "MeasurementBuilder", "find_refusal_reason"]
+
+_MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
+_TURN_RAD = 6.3
+_NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothing
+_MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
+
+
+class LaserDescription(NamedTuple):
+    """Laser properties in a record, number by number.
+
+    Attributes
+    ----------
+    sensor, frame : str
+        Topic and frame.
+    mounting : tuple of 6 float
+        x, y, z in m, roll, pitch and yaw in rad, of the laser in the base frame.
+    angle_min, angle_increment : float, rad
+        Of the beams.
+    time_increment_s : float or None
+        Between beams, if known.
+    range_min_m, range_max_m : float, m
+        Limits of the sensor.
+    beams : int
+        Number of beams.
+    """
+
+    sensor: str
+    frame: str
+    mounting: tuple[float, ...]
+    angle_min: float
+    angle_increment: float
+    time_increment_s: float | None
+    range_min_m: float
+    range_max_m: float
+    beams: int
+
+
+class AcceptedScan(NamedTuple):
+    """A measurement for the filter, its laser, and the arrival time of its message (s, `time.perf_counter`)."""
+
+    measurement: Measurement
+    laser: LaserDescription
+    arrived_s: float
+
+
+def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) -> str:
+    """Reason why a message is not a scan to map; empty for a scan of `min_beams` to `max_beams` beams."""
+    beams = len(message.ranges)
+    if beams > max_beams:
+        return f"{beams} beams, more than the maximum of {max_beams}"
+    if beams < min_beams:
+        return f"{beams} beams are too few to localize; at least {min_beams} are required"
+    if not message.frame or not message.frame.isprintable() or message.frame != message.frame.strip():
+        return f"expected the name of a frame, got {message.frame!r:.60}"
+    if not isinstance(message.stamp_ns, int) or not 0 < message.stamp_ns < 1 << 63:
+        return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
+    if message.range_min == math.inf:
+        return "range_min is infinite, so no range is valid"
+    start, step = message.angle_min, message.angle_increment
+    span = abs(step) * (beams - 1)
+    if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
+        return f"expected beams within one turn, got {beams} from {start:g} rad in steps of {step:g} rad"
+    return ""
+
+
+@final
+class MeasurementBuilder:
+    """Builds measurements of one laser; scans of the same angles and mounting share their geometry.
+
+    The mounting is rounded through its six numbers, and beams without a hit become `inf` or `nan`, as in the record.
+    """
+
+    def __init__(self) -> None:
+        self._geometries: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
+        self._matrix: FloatArray = np.full((4, 4), np.nan)
+        self._mounting: tuple[float, ...] = ()
+
+    def build(
+        self,
+        message: ScanMessage,
+        sensor: str,
+        base_from_laser: FloatArray,
+        odometry: Odometry | None,
+        arrived_s: float,
+    ) -> AcceptedScan:
+        """Build the measurement of a message that `find_refusal_reason` accepts."""
+        mounting, beams = self._stabilize_mounting(base_from_laser), len(message.ranges)
+        start, step, time_increment = (
+            float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
+        )
+        scan = LaserScan.from_ros(
+            message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
+            range_max=message.range_max, time_increment=time_increment, sensor=sensor, frame=message.frame,
+            geometry=self._share_geometry(mounting, start, step, beams),
+        )  # fmt: skip
+        laser = LaserDescription(
+            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else time_increment,
+            scan.range_min_m, scan.range_max_m, beams,
+        )  # fmt: skip
+        return AcceptedScan(Measurement(odometry, replace(scan, ranges=_normalize_ranges(scan))), laser, arrived_s)
+
+    def _stabilize_mounting(self, matrix: FloatArray) -> tuple[float, ...]:
+        if not np.abs(matrix - self._matrix).max() <= _MOUNTING_NOISE_M:
+            self._matrix = matrix
+            values = *matrix[:3, 3].tolist(), *angles_of_rotation(matrix[:3, :3])
+            self._mounting = tuple(value + 0.0 for value in values)  # no -0.0
+        return self._mounting
+
+    def _share_geometry(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
+        key = *mounting, start, step, beams
+        known = self._geometries.get(key)
+        if known is None:
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*mounting[3:]), mounting[:3]
+            known = self._geometries[key] = ScanGeometry(start + step * np.arange(beams), matrix)
+            if len(self._geometries) > _MAX_GEOMETRIES:
+                self._geometries.popitem(last=False)
+        return known
+
+
+def _normalize_ranges(scan: LaserScan) -> FloatArray:
+    """Return ranges (B,) in which only hits keep their value."""
+    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
+    ranges.flags.writeable = False
+    return ranges

@@ -1,0 +1,301 @@
+"""The node without a transport: it passes incoming messages through `gridslam.pipeline` and publishes the results."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from gridslam.config import Configuration
+from gridslam.errors import ArgumentError, ConfigurationError, OutputError
+from gridslam.io.measurement import Measurement
+from gridslam.particles import sample_gaussian
+from gridslam.pipeline import Observer
+from gridslam.ros.node.accepted_scan import AcceptedScan
+from gridslam.ros.node.localization import InitialPose, KnownMapPublisher, Localization, LocalizationSession
+from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
+from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
+from gridslam.ros.node.rendering import MapRenderer
+from gridslam.ros.node.session import Session, SessionCopy
+from gridslam.ros.node.settings import NodeSettings
+from gridslam.ros.node.state_publisher import StatePublisher
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.slam.tracking.odometry_tracker import OdometryTracker
+
+__all__ = ["NodeCore", "SourceWrapper"]
+
+SourceWrapper: TypeAlias = Callable[[Iterator[Measurement]], Iterator[Measurement]]
+DiagnosticsCallback: TypeAlias = Callable[[Diagnostics], None]
+
+_DIAGNOSTICS_S = 1.0
+
+
+@final
+class NodeCore:
+    """Maps a live lidar stream.
+
+    Callbacks never wait for the filter. A session begins with its first scan. A reset ends it, as does time that jumps
+    back to where the robot is elsewhere (a bag played again); the next session begins with a new map.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Frames, rates and bounds.
+    configuration : Configuration or Localization
+        Configuration of the filter; `Localization` if the map is known.
+    outputs : Outputs
+        The transport that publishes the node's messages.
+    record : str or Path, optional
+        CSV of the accepted scans, which `gridslam map` maps with identical results; later sessions get `-2`, `-3`, ...
+        before its suffix.
+    observers : sequence of Observer
+        Called after each scan in the filter's thread.
+
+    Attributes
+    ----------
+    failure : BaseException or None
+        The exception that ended the filter's thread; None after `close`.
+    ended : threading.Event
+        Set when the filter's thread has ended.
+
+    Raises
+    ------
+    ConfigurationError
+        The filter needs odometry, and the settings allow it to be missing.
+    OutputError
+        The record cannot be created.
+    """
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        configuration: Configuration | Localization,
+        outputs: Outputs,
+        *,
+        record: str | Path | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> None:
+        by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
+        if settings.odometry != "needed" and by_odometry:
+            expected = "expected needed, as this filter requires it"
+            raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
+        self.settings, self.configuration = settings, configuration
+        self.failure: BaseException | None = None
+        self.ended = threading.Event()
+        self._outputs, self._observers = outputs, list(observers)
+        self._wrappers: list[SourceWrapper] = []
+        self._diagnostics_callbacks: list[DiagnosticsCallback] = []
+        self._record = None if record is None else Path(record)
+        self._warn = ThrottledWarnings(outputs.log)
+        self._queue = MeasurementQueue(settings, self._warn)
+        self._renderer = _renderer(configuration, settings, outputs)
+        self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
+        self._session = self._new_session()
+        self._session_ends: list[SessionEnd] = []
+        timers = [("transform", settings.transform_publish_period_s, self._publisher.publish_transform)]
+        timers += [("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics)]
+        timers += [("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map))]
+        self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
+        self._threads += [
+            threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
+            for name, period_s, callback in timers
+            if period_s
+        ]
+
+    def add_observer(
+        self, observer: Observer, wrap_source: SourceWrapper = iter, on_diagnostics: DiagnosticsCallback | None = None
+    ) -> None:
+        """Add an observer before `start`; all callbacks run in the filter's thread.
+
+        `observer` is called after each scan, `wrap_source` gets the measurements of each session and yields them, and
+        `on_diagnostics` gets the diagnostics once per second; all in the filter's thread.
+        """
+        self._observers.append(observer)
+        self._wrappers.append(wrap_source)
+        self._diagnostics_callbacks += [] if on_diagnostics is None else [on_diagnostics]
+
+    def start(self) -> None:
+        """Start the node's threads and accept messages."""
+        self._renderer.start(self._outputs.now_ns())
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> SessionCopy | None:
+        """Stop the node and return a copy of the session to save; None if no scan was mapped."""
+        self._queue.end_session(SessionEnd.CLOSED)
+        for thread in self._threads:
+            if thread.ident is not None:
+                thread.join()
+        self._renderer.close()
+        session = self._session
+        copied = session.copy() if isinstance(session, Session) and session.state is not None else None
+        session.close()
+        return copied
+
+    def on_scan(self, message: ScanMessage, sensor: str = "scan") -> None:
+        """Queue a scan of the topic `sensor`; never blocks."""
+        self._queue.add_scan(message, sensor)
+
+    def on_transforms(
+        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
+    ) -> None:
+        """Add transforms, with the name of their publisher if known; never blocks."""
+        foreign = self._publisher.drop_own_transforms(transforms, publisher)
+        self._queue.add_transforms(foreign, static=static, publisher=publisher)
+
+    def refuse_message(self, what: str, problem: str) -> None:
+        """Report a message that the transport could not even decode."""
+        self._warn(f"{what} refused", problem)
+
+    def dynamic_map(self) -> GridMessage | None:
+        """Return the last published map; None before the first one."""
+        return self._renderer.latest
+
+    def diagnostics(self) -> Diagnostics:
+        """Return the diagnostics, which are also published once per second."""
+        return self._publisher.diagnostics()
+
+    def reset(self) -> None:
+        """Reset the state, and restart with the next scan: with an empty map, or anywhere in the known one."""
+        if self.localizes:
+            self.set_pose(None)
+        else:
+            self._queue.end_session(SessionEnd.RESET)
+
+    def set_pose(self, pose: InitialPose) -> None:
+        """Set the pose (3,) of the robot in the known map and its covariance (3, 3); None: the pose is unknown.
+
+        Raises ArgumentError if the node maps, the pose is not in the map, or the covariance is invalid.
+        """
+        if not isinstance(self.configuration, Localization):
+            raise ArgumentError("pose", "a node that localizes", "one that maps")
+        if pose is not None:  # validates it
+            sample_gaussian(1, *pose, np.random.default_rng(0))
+            self.configuration.known.require(pose[0])
+
+        def apply() -> None:
+            assert isinstance(self._session, LocalizationSession)
+            self._session.set_pose(pose)
+
+        self._queue.post(apply)
+
+    def pause(self, paused: bool) -> None:
+        """Drop incoming scans, or accept them again."""
+        self._queue.is_paused = paused
+
+    @property
+    def localizes(self) -> bool:
+        """Whether the map is known."""
+        return isinstance(self.configuration, Localization)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether incoming scans are dropped."""
+        return self._queue.is_paused
+
+    def save(self, folder: str | Path, timeout_s: float = 60.0) -> dict[str, Any]:
+        """Write the output files of `gridslam map`; the filter waits only while its state is copied.
+
+        Returns the content of run.json. Raises ArgumentError if nothing is mapped yet, OutputError if the folder
+        cannot be written or the filter does not answer.
+        """
+        answer: list[SessionCopy | ArgumentError | OutputError | None] = []
+        done = threading.Event()
+
+        def copy_session() -> None:
+            try:
+                answer.append(self._session.copy())
+            except (ArgumentError, OutputError) as error:
+                answer.append(error)
+            done.set()
+
+        self._queue.post(copy_session)
+        if self.ended.is_set() or not done.wait(timeout_s):
+            raise OutputError(f"{folder}: the filter did not respond within {timeout_s:g} s")
+        (copied,) = answer
+        if not isinstance(copied, SessionCopy):
+            raise copied or OutputError(f"{folder}: nothing to save")
+        return copied.save(folder)
+
+    def _run_filter(self) -> None:
+        """Run the sessions one after the other."""
+        try:
+            while self._run_session():
+                if self._session.state is not None:
+                    self._session.close()
+                    self._renderer.reset()
+                    self._session = self._new_session()
+        except BaseException as error:  # report any error of the thread
+            self.failure = error
+            self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
+        finally:
+            self.ended.set()
+
+    def _run_session(self) -> bool:
+        """Map until the session ends; return whether another one follows."""
+        session, ends = self._session, self._session_ends
+        ends.clear()
+        source = self._measurements(session)
+        for wrap in self._wrappers:
+            source = wrap(source)
+        first = next(source, None)
+        if first is not None:
+            session.run(chain([first], source), [self._publisher, *self._observers])
+        if ends[-1] is not SessionEnd.CLOSED:
+            self._outputs.log(Level.WARN, f"{session.restart_message}: {ends[-1].value}")
+        return ends[-1] is not SessionEnd.CLOSED
+
+    def _measurements(self, session: Session | LocalizationSession) -> Iterator[Measurement]:
+        """Yield measurements as they arrive, and run posted calls between two of them."""
+        while True:
+            item = self._queue.take()
+            if isinstance(item, AcceptedScan):
+                try:
+                    session.add(item)
+                except OutputError as error:
+                    self._warn("record", str(error))
+                self._publisher.set_measurement(item)
+                yield item.measurement
+            elif isinstance(item, SessionEnd):
+                self._session_ends.append(item)
+                return
+            else:
+                item()
+
+    def _publish_map(self) -> None:
+        if self._session.state is not None:
+            self._publisher.publish_map(self._session.state)
+
+    def _publish_diagnostics(self) -> None:
+        diagnostics = self._publisher.diagnostics()
+        self._outputs.diagnostics(diagnostics)
+        self._publisher.log_state()
+        for on_diagnostics in self._diagnostics_callbacks:
+            self._queue.post(partial(on_diagnostics, diagnostics))
+
+    def _new_session(self) -> Session | LocalizationSession:
+        self._publisher.start_session()
+        number, record = self._publisher.sessions, self._record
+        if record is not None and number > 1:
+            record = record.with_name(f"{record.stem}-{number}{record.suffix}")
+        config, settings = self.configuration, self.settings
+        if isinstance(config, Localization):
+            return LocalizationSession(config, settings.seed, record)
+        return Session(config, settings.seed, settings.threads, record)
+
+    def _run_timer(self, period_s: float, callback: Callable[[], None]) -> None:
+        while not self.ended.wait(period_s):
+            callback()
+
+
+def _renderer(
+    configuration: Configuration | Localization, settings: NodeSettings, outputs: Outputs
+) -> MapRenderer | KnownMapPublisher:
+    if isinstance(configuration, Localization):
+        return KnownMapPublisher(configuration, settings.map_values, settings.map_frame, outputs.map)
+    return MapRenderer(configuration.mapper, settings.map_values, settings.map_frame, outputs.map)

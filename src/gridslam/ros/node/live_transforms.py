@@ -1,0 +1,97 @@
+"""The transform buffer of a running robot, tolerant to a clock that is set back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import final
+
+from gridslam.errors import ArgumentError
+from gridslam.io.bags.ros_messages import StampedTransform
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.transforms import TransformBuffer
+
+__all__ = ["LiveTransforms"]
+
+_KEEP_S = 10.0
+_SIMULTANEOUS_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
+
+
+@final
+class LiveTransforms:
+    """Feeds a `TransformBuffer`; where the stamps of a link jump back and stay there, all dynamic links restart.
+
+    Parameters
+    ----------
+    jump_s : float, s
+        Two readings in a row that are this much older than the latest of their link are a jump.
+    warn : ThrottledWarnings
+        Called with readings that are not valid transforms.
+
+    Attributes
+    ----------
+    buffer : TransformBuffer
+        The current buffer.
+    """
+
+    def __init__(self, jump_s: float, warn: ThrottledWarnings) -> None:
+        self.buffer = TransformBuffer(_KEEP_S)
+        self._jump_ns = round(jump_s * 1e9)
+        self._warn = warn
+        self._static: dict[tuple[str, str], StampedTransform] = {}
+        self._latest_ns: dict[tuple[str, str], int] = {}
+        self._strays: dict[tuple[str, str], int] = {}
+        self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
+
+    def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
+        """Add readings; those that are invalid, or that contradict another publisher, are reported."""
+        for transform in transforms:
+            try:
+                if static:
+                    self._static[transform.parent, transform.child] = transform
+                elif self._detect_jump(transform):
+                    self._restart()
+                self._add(transform, static)
+                self._check_publishers(transform, static, publisher)
+            except (ArgumentError, OverflowError) as error:
+                self._static.pop((transform.parent, transform.child), None)
+                self._warn("transform refused", f"{transform.parent} <- {transform.child}: {error}")
+
+    def newest_ns(self, parent: str) -> int | None:
+        """Return the stamp of the latest dynamic reading with this parent; None if there is none."""
+        return max((stamp_ns for (above, _), stamp_ns in self._latest_ns.items() if above == parent), default=None)
+
+    def _add(self, transform: StampedTransform, static: bool) -> None:
+        stamp_ns, parent, child, pose = transform
+        self.buffer.add_quaternion(parent, child, stamp_ns, pose[:3], pose[3:], static)
+
+    def _check_publishers(self, transform: StampedTransform, static: bool, publisher: str) -> None:
+        """Warn if a frame has two parents, or if two publishers publish its transform."""
+        stamp_ns, parent, child, _ = transform
+        sources = self._sources.setdefault(child, {})
+        sources[parent, "" if static else publisher] = None if static else stamp_ns
+        for (other, of), at_ns in sources.items() if len(sources) > 1 else ():
+            differs = other != parent or (of != publisher and not static and at_ns is not None)
+            if differs and (static or at_ns is None or abs(stamp_ns - at_ns) < _SIMULTANEOUS_NS):
+                where = [f"in {one}" + (f" by {by}" if by else "") for one, by in ((parent, publisher), (other, of))]
+                twice = f"{child} is published twice ({' and '.join(where)}): stop one of the two publishers"
+                self._warn("two transforms", twice)
+
+    def _detect_jump(self, transform: StampedTransform) -> bool:
+        """Whether this is the second reading in a row from long before the latest."""
+        link, stamp_ns = (transform.parent, transform.child), transform.stamp_ns
+        latest_ns = self._latest_ns.get(link, stamp_ns)
+        if stamp_ns >= latest_ns - self._jump_ns:
+            self._latest_ns[link] = max(stamp_ns, latest_ns)
+            self._strays.pop(link, None)
+            return False
+        stray_ns = self._strays.get(link)
+        self._strays[link] = stamp_ns
+        return stray_ns is not None and 0 < stamp_ns - stray_ns <= self._jump_ns
+
+    def _restart(self) -> None:
+        self.buffer = TransformBuffer(_KEEP_S)
+        self._latest_ns.clear()
+        self._strays.clear()
+        self._sources.clear()
+        for transform in self._static.values():
+            self._add(transform, static=True)

@@ -1,0 +1,299 @@
+"""The bounded queue between callbacks and filter, in which scans wait for their transforms."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import NamedTuple, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import between
+from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
+from gridslam.ros.node.live_transforms import LiveTransforms
+from gridslam.ros.node.settings import NodeSettings
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.transforms import Coverage, MissingTransform
+from gridslam.types import BeamStatus, FloatArray, Odometry
+
+__all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
+
+_CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
+_LATE_S, _IGNORED_S, _MIN_LATE_SCANS = 0.5, 10.0, 10  # in a row: a single scan may be delayed
+_MAX_STEP, _MAX_SPEED = 1.0, 10.0  # m and rad; m/s and rad/s: faster than any robot
+_MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
+
+
+class SessionEnd(Enum):
+    """Why a session ends."""
+
+    RESET = "reset"
+    JUMP = "time jumped back, and the robot is elsewhere"
+    CLOSED = "closed"
+
+
+class _Waiting(NamedTuple):
+    message: ScanMessage
+    sensor: str
+    arrived_s: float
+    after_jump: bool
+
+
+@final
+class Counts:
+    """Counts of scans.
+
+    Attributes
+    ----------
+    received, throttled, paused, refused, dropped, accepted, jumps : int
+        All of them; those left out on request, and while the node paused; refused, see `ThrottledWarnings`; dropped
+        because the filter was behind; given to the filter; times that the stamps jumped back.
+    """
+
+    __slots__ = ("accepted", "dropped", "jumps", "paused", "received", "refused", "throttled")
+
+    def __init__(self) -> None:
+        self.received = self.throttled = self.paused = self.refused = self.dropped = self.accepted = self.jumps = 0
+
+
+@final
+class MeasurementQueue:
+    """Accepts messages from any thread and passes measurements to the filter's thread.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Bounds and frames.
+    warn : ThrottledWarnings
+        Called with refused data, by kind.
+    clock : callable
+        Monotonic time, s.
+
+    Attributes
+    ----------
+    counts : Counts
+        Counts of scans.
+    is_paused : bool
+        Whether incoming scans are dropped.
+    """
+
+    def __init__(
+        self, settings: NodeSettings, warn: ThrottledWarnings, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self.counts = Counts()
+        self.is_paused = False
+        self._settings, self._warn, self._clock = settings, warn, clock
+        self._changed = threading.Condition()
+        self._scans: deque[_Waiting] = deque()
+        self._calls: deque[Callable[[], None]] = deque()
+        self._session_end: SessionEnd | None = None
+        self._transforms = LiveTransforms(settings.jump_s, warn)
+        self._builders: dict[str, MeasurementBuilder] = {}
+        self._mountings: dict[str, FloatArray] = {}
+        self._latest_ns: dict[str, int] = {}
+        self._strays: dict[str, int] = {}
+        self._received_ns: dict[tuple[str, str], int] = {}
+        self._late: dict[str, int] = {}
+        self._odometry: Odometry | None = None
+        self._pending_jump = False
+
+    def add_scan(self, message: ScanMessage, sensor: str) -> None:
+        """Queue a scan, or refuse it; never blocks."""
+        arrived_s, settings, counts = self._clock(), self._settings, self.counts
+        with self._changed:
+            counts.received += 1
+            if self.is_paused:
+                counts.paused += 1
+                return
+            if (counts.received - 1) % settings.throttle_scans:
+                counts.throttled += 1
+                return
+            if problem := find_refusal_reason(message, settings.min_beams, settings.max_beams):
+                self._refuse("scan refused", f"{sensor}: {problem}")
+                return
+            source = sensor, message.frame
+            if self._received_ns.get(source) == message.stamp_ns:
+                self._refuse("scan refused", f"{sensor}: duplicate stamp; are there two publishers?")
+                return
+            self._received_ns[source] = message.stamp_ns
+            jumped = self._detect_jump(message.stamp_ns, sensor)
+            if jumped is None:
+                self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the previous one")
+                return
+            if jumped:
+                counts.jumps += 1
+                counts.dropped += len(self._scans)
+                self._scans.clear()
+            else:
+                self._compare_clocks(message.stamp_ns, sensor)
+            self._scans.append(_Waiting(message, sensor, arrived_s, jumped or self._pending_jump))
+            self._pending_jump = False
+            self._drop_old(arrived_s)
+            self._changed.notify()
+
+    def add_transforms(
+        self, transforms: Sequence[StampedTransform], *, static: bool = False, publisher: str = ""
+    ) -> None:
+        """Add transforms; never blocks."""
+        with self._changed:
+            self._transforms.add(transforms, static=static, publisher=publisher)
+            if self._scans:
+                self._changed.notify()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Run a call in the filter's thread between two scans."""
+        with self._changed:
+            self._calls.append(call)
+            self._changed.notify()
+
+    def end_session(self, why: SessionEnd) -> None:
+        """End the session and drop all queued scans; a closed queue returns no more measurements."""
+        with self._changed:
+            if self._session_end is not SessionEnd.CLOSED:
+                self._session_end = why
+            self._scans.clear()
+            self._changed.notify()
+
+    def take(self) -> AcceptedScan | Callable[[], None] | SessionEnd:
+        """Wait for the next posted call, measurement, or end of the session."""
+        with self._changed:
+            while True:
+                if self._calls:
+                    return self._calls.popleft()
+                if self._session_end is not None:
+                    return self._take_session_end()
+                accepted, wait_s = self._next_measurement()
+                if accepted is not None:
+                    return accepted
+                self._changed.wait(wait_s)
+
+    def _take_session_end(self) -> SessionEnd:
+        why = self._session_end
+        assert why is not None
+        if why is not SessionEnd.CLOSED:
+            self._session_end = None
+        self._odometry, self._pending_jump = None, False
+        self._latest_ns.clear()
+        return why
+
+    def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
+        """Return the first scan if its transforms are known, else the time to wait, s."""
+        scans, counts = self._scans, self.counts
+        while scans:
+            waiting = scans[0]
+            late_s = self._clock() - waiting.arrived_s - self._settings.transform_wait_s
+            try:
+                accepted = self._make_measurement(waiting, last=late_s >= 0)
+            except MissingTransform as missing:
+                if late_s < 0 and (
+                    missing.coverage in _MAY_ARRIVE or waiting.after_jump
+                ):  # its transforms may jump later
+                    return None, -late_s
+                self._discard()
+                self._refuse("missing transform", str(missing))
+                continue
+            except ArgumentError as error:
+                self._discard()
+                self._refuse("scan refused", f"{waiting.sensor}: {error}")
+                continue
+            if waiting.after_jump and not self._continues(accepted.measurement.odometry):
+                scans[0] = waiting._replace(after_jump=False)
+                self._odometry = None
+                self._latest_ns.clear()
+                return SessionEnd.JUMP, None
+            scans.popleft()
+            counts.accepted += 1
+            self._check_measurement(accepted)
+            return accepted, None
+        return None, None
+
+    def _make_measurement(self, waiting: _Waiting, *, last: bool) -> AcceptedScan:
+        """Build the measurement of a scan; raises MissingTransform if a transform is not known (yet)."""
+        message, sensor, settings = waiting.message, waiting.sensor, self._settings
+        odometry: Odometry | None = None
+        if settings.odometry != "none":
+            try:
+                pose = self._transforms.buffer.planar(settings.odom_frame, settings.base_frame, message.stamp_ns)
+                pose.flags.writeable = False
+                odometry = Odometry(message.stamp_ns, pose)
+            except MissingTransform as missing:
+                if settings.odometry == "needed" or (missing.coverage in _MAY_ARRIVE and not last):
+                    raise
+                self._warn("scan without odometry", str(missing))
+        try:
+            mounting = self._transforms.buffer.lookup(settings.base_frame, message.frame, message.stamp_ns)
+            self._mountings[message.frame] = mounting
+        except MissingTransform:
+            if message.frame not in self._mountings:
+                raise
+            mounting = self._mountings[message.frame]
+        builder = self._builders.setdefault(sensor, MeasurementBuilder())
+        return builder.build(message, sensor, mounting, odometry, waiting.arrived_s)
+
+    def _check_measurement(self, accepted: AcceptedScan) -> None:
+        odometry, scan = accepted.measurement
+        self._latest_ns[scan.sensor] = scan.stamp_ns
+        if not (scan.status == BeamStatus.HIT).any():
+            self._warn("no returns", f"{scan.sensor}: none of {len(scan.status)} beams hits anything in range")
+        if odometry is None:
+            return
+        if self._odometry is not None:
+            seconds = abs(odometry.stamp_ns - self._odometry.stamp_ns) * 1e-9
+            dx, dy, turn = between(self._odometry.pose, odometry.pose).tolist()
+            moved = math.hypot(dx, dy)
+            if max(moved, abs(turn)) > _MAX_STEP + _MAX_SPEED * seconds:
+                self._warn("odometry jumped", f"by {moved:.2f} m and {abs(turn):.2f} rad in {seconds:.3g} s")
+        self._odometry = odometry
+
+    def _continues(self, odometry: Odometry | None) -> bool:
+        """Whether the odometry continues: then only a clock was set back."""
+        if odometry is None or self._odometry is None:
+            return False
+        return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _CONTINUES_M)
+
+    def _detect_jump(self, stamp_ns: int, sensor: str) -> bool | None:
+        """Whether time has jumped back; None for the first such scan, whose stamp may be wrong."""
+        jump_ns = round(self._settings.jump_s * 1e9)
+        latest_ns = self._latest_ns.get(sensor, stamp_ns)
+        stray_ns = self._strays.pop(sensor, None)
+        if stamp_ns >= latest_ns - jump_ns:
+            return False
+        if stray_ns is not None and 0 < stamp_ns - stray_ns <= jump_ns:
+            self._latest_ns[sensor] = stamp_ns
+            return True
+        self._strays[sensor] = stamp_ns
+        return None
+
+    def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
+        """Report scans that are always older than the odometry which came before: each would get an old pose."""
+        newest_ns = self._transforms.newest_ns(self._settings.odom_frame)
+        late_s = 0.0 if newest_ns is None else (newest_ns - stamp_ns) * 1e-9
+        self._late[sensor] = self._late.get(sensor, 0) + 1 if _LATE_S < late_s < _IGNORED_S else 0
+        if self._late[sensor] >= _MIN_LATE_SCANS:
+            problem = f"{sensor} is stamped {late_s:.2f} s before the latest odometry: it is late, or the clocks differ"
+            self._warn("late scans", problem)
+
+    def _drop_old(self, now_s: float) -> None:
+        """Drop the oldest scans beyond the limits of the queue."""
+        scans, settings = self._scans, self._settings
+        while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > settings.queue_s:
+            self._discard()
+            self.counts.dropped += 1
+
+    def _discard(self) -> None:
+        """Drop the first scan; a jump of time before it now belongs to the next scan."""
+        if self._scans.popleft().after_jump:
+            if self._scans:
+                self._scans[0] = self._scans[0]._replace(after_jump=True)
+            else:
+                self._pending_jump = True
+
+    def _refuse(self, kind: str, problem: str) -> None:
+        self.counts.refused += 1
+        self._warn(kind, problem)

@@ -1,0 +1,105 @@
+"""Messages published by the node, independent of the transport; its inputs are in `gridslam.io.bags.ros_messages`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
+from gridslam.types import FloatArray
+
+__all__ = [
+    "CloudMessage", "Diagnostics", "GridMessage", "Level", "Outputs", "PoseMessage", "ScanMessage", "StampedTransform",
+]  # fmt: skip
+
+
+class Level(IntEnum):
+    """Severity, with the values of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+class GridMessage(NamedTuple):
+    """nav_msgs/OccupancyGrid: cells (H, W) int8, -1 unknown, else 0 to 100; `origin` is the corner of [0, 0], m."""
+
+    stamp_ns: int
+    frame: str
+    resolution_m: float
+    origin: tuple[float, float]
+    cells: NDArray[np.int8]
+
+
+class PoseMessage(NamedTuple):
+    """Pose (3,) of the base in `frame`, and its covariance (3, 3) by x, y in m and theta in rad."""
+
+    stamp_ns: int
+    frame: str
+    pose: FloatArray
+    covariance: FloatArray
+
+    def fill(self, sent: Any) -> None:  # noqa: ANN401
+        """Fill a geometry_msgs/PoseWithCovariance of any message library."""
+        x, y, theta = self.pose.tolist()
+        position, turn = sent.pose.position, sent.pose.orientation
+        position.x, position.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
+        full = np.zeros((6, 6))
+        full[np.ix_((0, 1, 5), (0, 1, 5))] = self.covariance
+        sent.covariance = full.ravel().tolist()
+
+
+class CloudMessage(NamedTuple):
+    """Poses (N, 3) of the particles in `frame`."""
+
+    stamp_ns: int
+    frame: str
+    poses: FloatArray
+
+    def data(self) -> bytes:
+        """Return the bytes of the poses as geometry_msgs/Pose, little-endian: x, y, z in m, quaternion x, y, z, w."""
+        rows = np.zeros((len(self.poses), 7), "<f8")
+        rows[:, :2], half = self.poses[:, :2], 0.5 * self.poses[:, 2]
+        rows[:, 5], rows[:, 6] = np.sin(half), np.cos(half)
+        return rows.tobytes()
+
+
+class Diagnostics(NamedTuple):
+    """State of the node: level, summary, and values by name."""
+
+    level: Level
+    summary: str
+    values: Mapping[str, str]
+
+
+class Outputs(Protocol):
+    """Interface of a transport; called from several threads, but each method from one at a time."""
+
+    def now_ns(self) -> int:
+        """Return the transport's time, which may be simulated, ns."""
+
+    def map(self, message: GridMessage) -> None:
+        """Publish the map, latched."""
+
+    def transform(self, message: StampedTransform) -> None:
+        """Publish the transform from map to odometry."""
+
+    def pose(self, message: PoseMessage) -> None:
+        """Publish the pose of the robot."""
+
+    def entropy(self, nats: float) -> None:
+        """Publish the entropy of the particles' weights."""
+
+    def particles(self, message: CloudMessage) -> None:
+        """Publish the poses of the particles."""
+
+    def diagnostics(self, message: Diagnostics) -> None:
+        """Publish the diagnostics."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Report to the user."""

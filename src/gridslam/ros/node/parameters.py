@@ -1,0 +1,276 @@
+"""Parameters of the node: those of slam_gmapping with their names and defaults, and its own.
+
+Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from pydantic import ValidationError
+
+from gridslam.api.amcl import AMCL_NAMES
+from gridslam.config import Configuration, load, override, preset
+from gridslam.config.tables import names, replace_parameters, suggest_names
+from gridslam.errors import ConfigurationError
+from gridslam.ros.node.localization import Localization
+from gridslam.ros.node.localization_parameters import NODE_NAMES, read_localization
+from gridslam.ros.node.settings import NodeSettings
+
+__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "node_parameters"]
+
+GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
+    "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
+    "map_update_interval": 5.0, "maxUrange": 80.0, "sigma": 0.05, "kernelSize": 1, "lstep": 0.05, "astep": 0.05,
+    "iterations": 5, "lsigma": 0.075, "ogain": 3.0, "lskip": 0, "minimumScore": 0.0, "srr": 0.1, "srt": 0.2,
+    "str": 0.1, "stt": 0.2, "linearUpdate": 1.0, "angularUpdate": 0.5, "temporalUpdate": -1.0,
+    "resampleThreshold": 0.5, "particles": 30, "xmin": -100.0, "ymin": -100.0, "xmax": 100.0, "ymax": 100.0,
+    "delta": 0.05, "llsamplerange": 0.01, "llsamplestep": 0.01, "lasamplerange": 0.005, "lasamplestep": 0.005,
+    "transform_publish_period": 0.05, "tf_delay": 0.05, "occ_thresh": 0.25, "maxRange": 80.0,
+}  # fmt: skip
+"""slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
+
+NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
+    "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
+    "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "", "mode": "mapping", "map_file": "",
+}  # fmt: skip
+"""The node's own parameters and defaults: see docs/ros.md."""
+
+_FILTER: Final[Mapping[str, str]] = {
+    "particles": "particles",
+    "linearUpdate": "when_to_update.translation_m",
+    "angularUpdate": "when_to_update.rotation_rad",
+    "resampleThreshold": "when_to_resample.fraction",
+    "srr": "motion.srr",
+    "srt": "motion.srt",
+    "str": "motion.str",
+    "stt": "motion.stt",
+    "lstep": "proposal.matcher.step_m",
+    "astep": "proposal.matcher.step_rad",
+    "iterations": "proposal.matcher.halvings",
+    "sigma": "proposal.matcher.scale_m2",
+    "minimumScore": "proposal.matcher.minimum_score",
+    "lsigma": "sensor.scale_m2",
+    "lskip": "sensor.skip",
+    "delta": "mapper.resolution_m",
+}
+"""The filter's parameter for each parameter of slam_gmapping."""
+
+_DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
+    "kernelSize": ("proposal.matcher.kernel_m", "sensor.kernel_m"),
+    "ogain": ("sensor.likelihood_gain",),
+    "maxUrange": ("range_max_m",),
+    "maxRange": ("range_max_m",),
+}
+"""The filter's parameters that are derived from one or several parameters of slam_gmapping."""
+
+_ALMOST_ZERO = 1e-9
+
+_NODE: Final[Mapping[str, str]] = {
+    "throttle_scans": "throttle_scans", "base_frame": "base_frame", "map_frame": "map_frame",
+    "odom_frame": "odom_frame", "map_update_interval": "map_update_interval_s",
+    "transform_publish_period": "transform_publish_period_s", "tf_delay": "tf_delay_s", "seed": "seed",
+    "threads": "threads", "odometry": "odometry", "map_values": "map_values", "transform_wait": "transform_wait_s",
+    "queue": "queue_s",
+}  # fmt: skip
+
+_UNSUPPORTED: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
+    **dict.fromkeys(
+        ("llsamplerange", "llsamplestep", "lasamplerange", "lasamplestep"),
+        "the likelihood around a match is not sampled",
+    ),
+    "temporalUpdate": "a robot at rest adds nothing to the map",
+    "occ_thresh": "cells are occupied above probability 0.65 and free below 0.196",
+    "inverted_laser": "the mounting is taken from the transforms",
+}
+"""Parameters without an equivalent, with the reason."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class NodeParameters:
+    """Settings and configuration from ROS parameters.
+
+    Attributes
+    ----------
+    settings : NodeSettings
+        Settings of the node.
+    configuration : Configuration or Localization
+        Configuration of the filter; `Localization` if the map is known.
+    warning : str
+        The ignored parameters with the reasons; empty if there are none.
+    record, out : Path or None
+        File for the accepted scans, and output folder.
+    """
+
+    settings: NodeSettings
+    configuration: Configuration | Localization
+    warning: str
+    record: Path | None
+    out: Path | None
+
+
+def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> NodeParameters:
+    """Convert ROS parameters to the node's settings and the filter's configuration.
+
+    With the preset "gmapping" all of `GMAPPING_DEFAULTS` hold unless they are given. Another preset is changed only by
+    what is given, and parameters that it has no part for are ignored.
+
+    Parameters
+    ----------
+    given : mapping
+        Parameters set by the user: of `GMAPPING_DEFAULTS`, `NODE_DEFAULTS`; others are ignored.
+    preset_name : str
+        The preset if `given` has none.
+
+    Raises
+    ------
+    ConfigurationError
+        A value has a wrong type or is out of range, or the preset does not exist.
+    """
+    node_values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
+    if node_values["mode"] not in ("mapping", "localization"):
+        raise ConfigurationError(f"mode: expected mapping or localization, got {node_values['mode']!r}")
+    if node_values["mode"] == "localization":
+        return _parse_localization(given, node_values)
+    if node_values["map_file"]:
+        raise ConfigurationError("map_file: requires the mode localization")
+    name = str(node_values["preset"]) or preset_name
+    base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
+    current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
+    try:
+        config = replace_parameters(base, _nest(_direct_values(base, current)))
+        config = replace_parameters(config, _nest(_derived_values(base, given, current)))
+    except ConfigurationError as error:
+        raise _with_ros_name(error) from None
+    if node_values["config"]:
+        config = load(str(node_values["config"]), config)
+    config = override(config, *(part for part in str(node_values["set"]).split(";") if part.strip()))
+    return NodeParameters(
+        settings=_read_settings(given),
+        configuration=config,
+        warning=_describe_ignored(base, name, given),
+        record=_path_or_none(node_values["record"]),
+        out=_path_or_none(node_values["out"]),
+    )
+
+
+def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
+    """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
+    localization, ignored = read_localization(given)
+    by_node_name = {NODE_NAMES.get(name, name): value for name, value in given.items()}
+    elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
+    reasons = dict.fromkeys(ignored, "it has no equivalent")
+    for name in given:
+        if name in elsewhere:
+            reasons[name] = "the node localizes and builds no map"
+        elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
+    return NodeParameters(
+        _read_settings(by_node_name),
+        localization,
+        _group_by_reason(reasons),
+        _path_or_none(node_values["record"]),
+        None,
+    )
+
+
+def _path_or_none(text: object) -> Path | None:
+    return Path(str(text)) if text else None
+
+
+def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
+    """Convert a value as slam_gmapping does: 30.0 is a number of particles, and a threshold may be 0."""
+    if isinstance(GMAPPING_DEFAULTS.get(name), int) and isinstance(value, float) and value.is_integer():
+        return int(value)
+    if name in ("linearUpdate", "angularUpdate", "resampleThreshold") and value == 0:
+        return _ALMOST_ZERO
+    return value
+
+
+def _with_ros_name(error: ConfigurationError) -> ConfigurationError:
+    """Replace the filter's name of a parameter by its ROS name."""
+    path, _, problem = str(error).partition(": ")
+    ros_names = [name for name in GMAPPING_DEFAULTS if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
+    return ConfigurationError(f"{' and '.join(ros_names) or path}: {problem}")
+
+
+def _direct_values(base: Configuration, current: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of parameters with a direct equivalent, by dotted names."""
+    there = set(names(base))
+    return {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
+
+
+def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of derived parameters, by dotted names."""
+    values: dict[str, Any] = {}
+    there = set(names(base))
+
+    def number(name: str, otherwise: float) -> float:
+        value = current.get(name, otherwise)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigurationError(f"{name}: expected a number, got {value!r}")
+        return float(value)
+
+    if "sensor.kernel_m" in there:  # a circle as wide as the square of cells
+        kernel_m = round((number("kernelSize", 1) + 0.5) * number("delta", base.mapper.resolution_m), 9)
+        values |= dict.fromkeys(_DERIVED["kernelSize"], kernel_m)
+    if "sensor.likelihood_gain" in there:
+        values["sensor.likelihood_gain"] = number("ogain", 3.0) * number("particles", base.particles)
+    if "maxUrange" in current or "maxRange" in current:
+        bounds = [number(name, 80.0) for name in ("maxUrange", "maxRange") if name in given]
+        values["range_max_m"] = min(bounds, default=80.0)
+    return {path: value for path, value in values.items() if path in there}
+
+
+def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert values by dotted names to nested tables."""
+    tree: dict[str, Any] = {}
+    for path, value in values.items():
+        *above, last = path.split(".")
+        table = tree
+        for key in above:
+            table = table.setdefault(key, {})
+        table[last] = value
+    return tree
+
+
+def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
+    values = {field: given[name] for name, field in _NODE.items() if name in given}
+    if "tf_delay" not in given and "transform_publish_period" in given:
+        values["tf_delay_s"] = given["transform_publish_period"]
+    try:
+        return NodeSettings(**values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        field = str(problem["loc"][0])
+        name = next((name for name, known in _NODE.items() if known == field), field)
+        raise ConfigurationError(f"{name}: {problem['msg']}, got {problem['input']!r}") from None
+
+
+def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
+    """Return a message about all given parameters without effect."""
+    there, reasons = set(names(base)), {}
+    for name in given:
+        if name in _UNSUPPORTED:
+            reasons[name] = _UNSUPPORTED[name]
+        elif name in _FILTER or name in _DERIVED:
+            paths = _DERIVED.get(name) or (_FILTER[name],)
+            if not there.intersection(paths):
+                reasons[name] = f"the preset {preset_name} has no such part"
+        elif name not in _NODE and name not in NODE_DEFAULTS:
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
+    return _group_by_reason(reasons)
+
+
+def _group_by_reason(reasons: Mapping[str, str]) -> str:
+    """Return a message with the ignored parameters, grouped by reason."""
+    by_reason: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        by_reason.setdefault(reason, []).append(name)
+    ignored_text = "; ".join(f"{', '.join(ignored)} ({reason})" for reason, ignored in by_reason.items())
+    return f"ignored parameters: {ignored_text}" if ignored_text else ""

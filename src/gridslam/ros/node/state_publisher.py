@@ -1,0 +1,199 @@
+"""Publishing after each scan and by timers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, TypeAlias, final
+
+import numpy as np
+
+from gridslam.geometry.se2 import compose, inverse
+from gridslam.localization import LocalizationReport, MonteCarloState
+from gridslam.observers import Latency
+from gridslam.ros.node.accepted_scan import AcceptedScan
+from gridslam.ros.node.localization import KnownMapPublisher
+from gridslam.ros.node.measurement_queue import Counts, MeasurementQueue
+from gridslam.ros.node.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
+from gridslam.ros.node.rendering import MapRenderer
+from gridslam.ros.node.settings import NodeSettings
+from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import FloatArray, StepReport
+
+__all__ = ["StatePublisher"]
+
+Report: TypeAlias = StepReport | LocalizationReport
+
+_MAX_CLOCK_OFFSET_NS = 5_000_000_000
+_MAX_LATENCIES = 2000  # the last ones, reported by the diagnostics
+_RECENT_S = 2.0
+_REPEAT_PERIOD_S = 1.0
+_SILENT_S = 5.0
+_WAITING = Level.WARN, "waiting for a scan"
+_MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them on /tf
+
+
+@final
+class StatePublisher:
+    """Observer that publishes pose and transform at each scan, entropy and particles at key scans, and the first map.
+
+    Parameters
+    ----------
+    settings : NodeSettings
+        Frames and rates.
+    outputs : Outputs
+        The transport.
+    renderer : MapRenderer or KnownMapPublisher
+        Renders the map.
+    queue : MeasurementQueue
+        Provides the counts for the diagnostics.
+    warn : ThrottledWarnings
+        Called with scans whose clock is not the node's.
+    """
+
+    def __init__(
+        self,
+        settings: NodeSettings,
+        outputs: Outputs,
+        renderer: MapRenderer | KnownMapPublisher,
+        queue: MeasurementQueue,
+        warn: ThrottledWarnings,
+    ) -> None:
+        self._settings, self._outputs, self._renderer = settings, outputs, renderer
+        self._queue, self._warn = queue, warn
+        self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
+        self._measurement: AcceptedScan | None = None
+        self._report: Report | None = None
+        self._key: Report | None = None
+        self._mapped_report: Report | None = None
+        self._map_from_odom: FloatArray = np.zeros(3)
+        self._child = settings.base_frame if settings.odometry == "none" else settings.odom_frame
+        self._published: tuple[int, Report | None] = -1, None
+        self._own_transforms: dict[StampedTransform, None] = {}  # in order
+        self._repeat_after_s = 0.0
+        self._memory_bytes = 0
+        self._latencies: deque[float] = deque(maxlen=_MAX_LATENCIES)
+        self._logged_state = _WAITING  # the transports log it when they start
+        self.sessions = 0
+
+    def start_session(self) -> None:
+        """Start a new session."""
+        self.sessions += 1
+        self._report = self._key = self._mapped_report = None
+
+    def set_measurement(self, accepted: AcceptedScan) -> None:
+        """Set the measurement of the next report."""
+        self._measurement = accepted
+        behind_s = (self._outputs.now_ns() - accepted.measurement.scan.stamp_ns) * 1e-9
+        if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
+            side = "before" if behind_s > 0 else "after"
+            self._warn(
+                "clock differs", f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
+                " clocks, or set use_sim_time when a log is played",
+            )  # fmt: skip
+
+    def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
+        """Publish the report of one scan."""
+        accepted, outputs, frame = self._measurement, self._outputs, self._settings.map_frame
+        assert accepted is not None
+        odometry = accepted.measurement.odometry
+        with self._lock:
+            self._report = report
+            if odometry is not None:
+                self._map_from_odom = compose(report.pose, inverse(odometry.pose))
+            elif self._settings.odometry == "none":
+                self._map_from_odom = report.pose
+        if self._settings.transform_publish_period_s:
+            self.publish_transform()
+        outputs.pose(PoseMessage(report.stamp_ns, frame, report.pose, report.covariance))
+        if report.log_weights is not None:
+            self._key = report
+            weights = np.exp(report.log_weights)
+            outputs.entropy(float(-(weights * report.log_weights)[weights > 0].sum()))
+            outputs.particles(CloudMessage(report.stamp_ns, frame, state.poses))
+        self._latencies.append(time.perf_counter() - accepted.arrived_s)
+        if self._mapped_report is None or not self._settings.map_update_interval_s:
+            self.publish_map(state)
+
+    def publish_map(self, state: Any) -> None:  # noqa: ANN401
+        """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
+        if self._report is not None and self._report is not self._mapped_report and self._renderer.is_idle:
+            self._mapped_report = self._report
+            self._memory_bytes = self._renderer.render(state, self._report.stamp_ns)
+
+    def publish_transform(self) -> None:
+        """Publish the transform from map to odometry, stamped `tf_delay_s` ahead; nothing before the first scan."""
+        settings = self._settings
+        with self._lock:
+            if self._report is None:
+                return
+            stamp_ns = self._outputs.now_ns() + round(settings.tf_delay_s * 1e9)
+            now_s = time.monotonic()
+            current = stamp_ns, self._report
+            if current == self._published and now_s < self._repeat_after_s:  # a clock at rest: tf warns of repetitions
+                return
+            self._published, self._repeat_after_s = current, now_s + _REPEAT_PERIOD_S
+            x, y, theta = self._map_from_odom.tolist()
+            half = 0.5 * theta
+            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+            transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
+            self._own_transforms[transform] = None  # before publishing: it may return at once on /tf
+            if len(self._own_transforms) > _MAX_OWN_TRANSFORMS:
+                del self._own_transforms[next(iter(self._own_transforms))]
+            self._outputs.transform(transform)
+
+    def drop_own_transforms(
+        self, transforms: Sequence[StampedTransform], publisher: str = ""
+    ) -> Sequence[StampedTransform]:
+        """Remove the transforms of this node; warn of one from elsewhere with the same child."""
+        child = self._child
+        if not self._settings.transform_publish_period_s or all(one.child != child for one in transforms):
+            return transforms
+        for transform in transforms:
+            if transform.child == child and transform not in self._own_transforms:
+                told = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
+                end = "end one of them (a localization, or the bag itself)"
+                self._warn("transform of another node", f"{told} {self._settings.map_frame}: {end}")
+        return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
+
+    def diagnostics(self) -> Diagnostics:
+        """Return counts, latency and the current problem or state."""
+        counts, report = self._queue.counts, self._report
+        latency = Latency.of(np.array(tuple(self._latencies)))
+        values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
+        values |= {f"{kind}, times": str(times) for kind, times in sorted(self._warn.counts.items())}
+        values |= {
+            "session": str(self.sessions),
+            "latency median, ms": f"{1e3 * latency.median_s:.2f}",
+            "latency 99 of 100, ms": f"{1e3 * latency.p99_s:.2f}",
+            "latency longest, ms": f"{1e3 * latency.max_s:.2f}",
+            "effective particles": "" if self._key is None else f"{self._key.n_eff:.1f}",
+            "lost": str(report is not None and report.lost).lower(),
+            "maps, MB": f"{self._memory_bytes / 1e6:.1f}",
+        }
+        problem = self._warn.latest(_RECENT_S)
+        return Diagnostics(Level.WARN, problem, values) if problem else Diagnostics(*self._state(), values)
+
+    def log_state(self) -> None:
+        """Log the state of the node if it has changed."""
+        state = self._state()
+        if state != self._logged_state:
+            self._logged_state = state
+            self._outputs.log(*state)
+
+    def _state(self) -> tuple[Level, str]:
+        report, accepted = self._report, self._measurement
+        if self._queue.is_paused:
+            return Level.OK, "paused"
+        if report is None or accepted is None:
+            return _WAITING
+        if time.perf_counter() - accepted.arrived_s > _SILENT_S:
+            return Level.WARN, f"no scan accepted for {_SILENT_S:g} s"
+        maps = isinstance(report, StepReport)
+        if report.lost:
+            why = "the scan does not match the map" if maps else "the pose or the map may be wrong"
+            return Level.WARN, f"lost: {why}"
+        return Level.OK, "mapping" if maps else "localizing"

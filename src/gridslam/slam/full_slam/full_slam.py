@@ -1,0 +1,198 @@
+"""Full SLAM result: pose and covariance of every scan, pose graph and map."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from gridslam.geometry.se2 import between
+from gridslam.grid.tiled_grid import TiledGrid
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
+from gridslam.slam.full_slam.pose_covariances import drift_covariances, scan_covariances
+from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import scale_information
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
+
+__all__ = ["FullSlam", "LoopClosureSummary", "full_slam"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopClosureSummary:
+    """Summary of loop closure.
+
+    Attributes
+    ----------
+    closures : (K, 2) int64
+        Pairs of key scans (older, later) of recognized closures accepted by the final refinement.
+    tracked_revisits : (R, 2) int64
+        Key scans that were matched to an older place without search, the way to it being certain; older one first.
+    removed : int
+        Number of recognized closures that it rejected.
+    rejected : Counter of RejectionReason
+        Rejected candidates by reason.
+    constraints : Counter of ConstraintSource
+        Key scans matched to submaps of another time while the robot drove, by how their place was known.
+    refinement_constraints : int
+        Constraints that the final refinement added, besides the recognized ones.
+    chi2 : float
+        Of the graph after the final refinement.
+    max_correction_m : float
+        Largest correction of a key scan by the final refinement.
+    candidates : dict of str to TrajectoryScore
+        Candidate trajectories of the final refinement, by name (see `Candidate`).
+    selected : str
+        Name of the one that is the answer.
+    """
+
+    closures: IntArray
+    tracked_revisits: IntArray
+    removed: int
+    rejected: Counter[RejectionReason]
+    constraints: Counter[ConstraintSource]
+    refinement_constraints: int
+    chi2: float
+    max_correction_m: float
+    candidates: dict[str, TrajectoryScore]
+    selected: str
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        closures, revisits = len(self.closures), len(self.tracked_revisits)
+        return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.selected})"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FullSlam:
+    """The full-SLAM answer of N scans, T of them key scans.
+
+    Attributes
+    ----------
+    poses, covariances : (N, 3), (N, 3, 3) float64
+        Of every scan, map frame; covariances by x, y in m and theta in rad, given that the first pose is exact.
+    graph : PoseGraph
+        The T key scans and what was measured between them, the information as it was weighed in the end.
+    tiled_map : TiledGrid
+        The map, drawn from the key scans at these poses.
+    loop_summary : LoopClosureSummary or None
+        Summary of loop closure; None without loop closure.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    graph: PoseGraph
+    tiled_map: TiledGrid
+    loop_summary: LoopClosureSummary | None
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The map as one array, built at each access."""
+        return self.tiled_map.whole()
+
+
+def full_slam(
+    state: GridFastSlamState,
+    keys: IntArray,
+    key_from_base: FloatArray,
+    mapper: OccupancyGridMapping,
+    closure: LoopClosure,
+    final_refinement: GlobalScanRefinement,
+    on_progress: Callable[[], None] = lambda: None,
+) -> FullSlam:
+    """Compute the full SLAM result of the scans so far; `state` is not modified.
+
+    With loop closure it is the result of the final refinement; without it, the trajectory of the best particle.
+
+    Parameters
+    ----------
+    state
+        The filter after the last scan.
+    keys, key_from_base : (N,) int64, (N, 3) float64
+        For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
+    mapper, closure, final_refinement
+        Components of the run; without loop closure only the drift model of `closure` is used, for covariances.
+    on_progress
+        Called periodically during the final refinement.
+    """
+    trajectory = state.ancestry.trajectory(state.best)
+    if state.closure_state is None:
+        graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)
+        poses, key_covariances = full_trajectory(trajectory, keys, key_from_base), drift_covariances(graph)
+        maps: TileMaps = state.maps
+        row, loops = state.best, None
+    else:
+        closure_state = state.closure_state.snapshot()  # the final refinement modifies it
+        refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
+        graph = scale_information(refined.best.graph, refined.best.weights)
+        poses, maps, row = refined.poses, refined.maps, 0
+        key_covariances = _marginals(graph)
+        loops = _summarize(state.closure_state, closure_state, refined, trajectory)
+    covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
+    return FullSlam(poses, covariances, graph, maps.tiled(row), loops)
+
+
+def _marginals(graph: PoseGraph) -> FloatArray:
+    """Covariances (T, 3, 3); without loop-closure constraints they are accumulated directly."""
+    if len(graph.edges) < len(graph.poses):
+        return drift_covariances(graph)
+    from gridslam.slam.pose_graph.marginals import marginal_covariances
+
+    return marginal_covariances(graph)
+
+
+def _build_odometry_graph(
+    trajectory: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
+) -> PoseGraph:
+    """Give the graph of the key scans (T, 3) that only the motion between them joins, as uncertain as tracked."""
+    tracked = key_from_base[np.flatnonzero(np.diff(keys) > 0) + 1]
+    spread = [drift.variances(math.hypot(x, y), abs(turn)) for x, y, turn in tracked.tolist()]
+    information = np.zeros((len(tracked), 3, 3))
+    information[:, [0, 1, 2], [0, 1, 2]] = 1 / np.array(spread).reshape(-1, 2)[:, [0, 0, 1]]
+    edges = np.stack([np.arange(len(tracked)), np.arange(1, len(trajectory))], axis=1)
+    return PoseGraph.of(trajectory, edges, between(trajectory[:-1], trajectory[1:]), information)
+
+
+def _summarize(
+    driven: LoopClosureState, closure_state: LoopClosureState, refined: RefinementResult, trajectory: FloatArray
+) -> LoopClosureSummary:
+    """Summarize online loop closure and the final refinement."""
+    closures = [
+        constraint
+        for constraint in refined.best.accepted_constraints
+        if constraint.source is ConstraintSource.RECOGNIZED
+    ]
+    recognized = len(refined.best.recognized_constraints)
+    return LoopClosureSummary(
+        closures=_key_scan_pairs(closures),
+        tracked_revisits=_key_scan_pairs(
+            [constraint for constraint in driven.graph.constraints if constraint.source is ConstraintSource.TRACKED]
+        ),
+        removed=recognized - len(closures),
+        rejected=closure_state.rejected,
+        constraints=Counter(constraint.source for constraint in driven.graph.constraints),
+        refinement_constraints=len(refined.best.constraints) - recognized,
+        chi2=scale_information(refined.best.graph, refined.best.weights).chi2(),
+        max_correction_m=float(np.hypot(*(refined.best.graph.poses - trajectory)[:, :2].T).max()),
+        candidates=refined.scores,
+        selected=refined.best.name,
+    )
+
+
+def _key_scan_pairs(constraints: list[Constraint]) -> IntArray:
+    """Pairs of key scans (K, 2) connected by constraints."""
+    return np.array([(constraint.from_, constraint.to) for constraint in constraints], np.int64).reshape(-1, 2)

@@ -1,0 +1,114 @@
+"""Matching key scans to the submaps of other times that lie about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information
+from gridslam.slam.loop_closure.state import LoopClosureState
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
+from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
+from gridslam.types import FloatArray
+
+__all__ = ["KeyScanMatching"]
+
+_RECENT_SUBMAPS = 3
+"""Submaps so near in time show what the tracker has matched already."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class KeyScanMatching:
+    """Matches key scans to overlapping submaps that are rebuilt from a trajectory.
+
+    Only submaps of the same rigid component (see `KeyGraph.label_rigid_components`): across a gap in the laser data,
+    nearby poses are no evidence of a revisit.
+
+    Parameters
+    ----------
+    max_distance_m : float, m
+        A key scan is matched to submaps with a key scan this near.
+    max_submaps : int
+        The nearest of them.
+    inlier_ratio : float
+        Minimum inlier ratio.
+    min_information : float
+        Least eigenvalue of the position's information, per agreeing beam.
+    max_correction_m : float, m
+        Maximum correction of a match.
+    beam_sigma_m : float, m
+        Standard deviation of one beam, inflated for correlated beams and cell size.
+    matcher : GaussNewton
+        How a key scan is matched.
+    """
+
+    max_distance_m: float = Field(default=3.0, gt=0)
+    max_submaps: int = Field(default=3, ge=1)
+    inlier_ratio: float = Field(default=0.7, gt=0, le=1)
+    min_information: float = Field(default=0.1, ge=0)
+    max_correction_m: float = Field(default=0.4, gt=0)
+    beam_sigma_m: float = Field(default=0.3, gt=0)
+    matcher: GaussNewton = GaussNewton()
+
+    def __call__(
+        self,
+        closure_state: LoopClosureState,
+        poses: FloatArray,
+        mapper: OccupancyGridMapping,
+        on_progress: Callable[[], None],
+    ) -> Iterator[Constraint]:
+        """Match key scans to the submaps about them."""
+        wanted = self._nearby_key_scans(closure_state, poses)
+        loose = np.full((1, 3, 3), 1e-6) * np.eye(3)
+        for submap, members in enumerate(wanted):
+            if not members:
+                continue
+            on_progress()
+            anchor = anchor_of(submap)
+            keys = key_scans_of(submap, closure_state.graph)
+            maps = build_map(mapper, closure_state.scans, keys, between(poses[anchor], poses[keys]))
+            for key in members:
+                beams = closure_state.scans.key(key)
+                if len(beams) < self.matcher.min_beams:
+                    continue
+                guess = between(poses[anchor], poses[key])
+                match = recompute_information(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
+                moved = between(guess, match.poses[0])
+                score = float(match.score[0])
+                too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m
+                if score < max(self.inlier_ratio * len(beams), 1.0) or too_far:
+                    continue
+                yield Constraint.from_match(
+                    anchor, key, guess, match, self.beam_sigma_m, self.min_information, ConstraintSource.PROXIMITY
+                )
+
+    def _nearby_key_scans(self, closure_state: LoopClosureState, poses: FloatArray) -> list[list[int]]:
+        """For each submap the key scans to match to it."""
+        from scipy.spatial import cKDTree  # imported lazily: only needed for loop closure
+
+        submaps, components = closure_state.graph.complete_submaps, closure_state.graph.label_rigid_components()
+        wanted: list[list[int]] = [[] for _ in range(submaps)]
+        tree, complete = cKDTree(poses[:, :2]), submaps * KEY_SCANS_PER_SUBMAP
+        for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.max_distance_m)):
+            submap = submap_of(key)
+            others = np.array(
+                [k for k in near if k < complete and abs(submap_of(k) - submap) > _RECENT_SUBMAPS],
+                np.int64,
+            )
+            others = others[components[others] == components[key]]
+            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
+                wrap(poses[others, 2] - poses[key, 2])
+            )
+            nearest = dict.fromkeys((others[np.lexsort((others, away))] // KEY_SCANS_PER_SUBMAP).tolist())
+            for submap in list(nearest)[: self.max_submaps]:
+                wanted[submap].append(key)
+        return wanted

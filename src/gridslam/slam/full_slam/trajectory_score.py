@@ -1,0 +1,142 @@
+"""Score of a trajectory: log likelihood of all scans given the map of other visits, and of the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.types import FloatArray
+
+__all__ = ["TrajectoryScore", "TrajectoryScorer", "path_lengths"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class TrajectoryScore:
+    """How probable a trajectory is, up to a constant that is the same for all trajectories of one log.
+
+    Attributes
+    ----------
+    log_likelihood : float, nats
+        Of the scans given the map of the earlier ones, and of the motion.
+    beams : int
+        Beams that end in what was mapped long before.
+    agreement : float, [0, 1]
+        How well these agree with it; NaN where there is none.
+    motion : float, nats
+        The motion's part of the log likelihood.
+    """
+
+    log_likelihood: float
+    beams: int
+    agreement: float
+    motion: float
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class TrajectoryScorer:
+    """Scores trajectories: log p(z_1:t | x_1:t) + log p(x_1:t | u_1:t), tempered, up to a constant.
+
+    The map is drawn scan by scan, and each scan is compared with what was mapped of the places around it long before,
+    on another visit: its own time agrees with it in any trajectory. A beam that ends in what was mapped then agrees by
+    1 / (1 + (d / scale_m)^2), d its distance to the nearest obstacle; ends in what others saw free, or behind their
+    walls, agree with nothing. Beams that end in unknown cells are ignored. Doubled walls and misplaced visits
+    reduce the score.
+
+    Parameters
+    ----------
+    same_visit_distance : float, m + rad
+        Path length (plus rotation) within which mapped scans count as the same visit.
+    scale_m : float, m
+        Distance at which a beam agrees by half, that of the measurement model `CauchyEndPoint`.
+    tempering : float, (0, 1]
+        Share of a beam's evidence that is new, as in `CauchyEndPoint`.
+    neutral : float, [0, 1]
+        Agreement that speaks neither for nor against a place: scans matched to a wrong place that looks alike reach
+        0.6, right ones 0.75 (furniture and people have moved) to 0.97.
+    motion_sigma : float
+        An increment is this many standard deviations off before its log likelihood grows slowly (Cauchy): where the
+        wheels slipped, or a filter closed a loop at once, one increment bears it all.
+    motion_tempering : float, [0, 1]
+        Share of an increment's evidence that is new: errors of neighbouring increments are correlated.
+
+    Source: the weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
+    """
+
+    same_visit_distance: float = Field(default=15.0, gt=0)
+    scale_m: float = Field(default=0.1, gt=0)
+    tempering: float = Field(default=0.03, gt=0, le=1)
+    neutral: float = Field(default=0.7, gt=0, lt=1)
+    motion_sigma: float = Field(default=1.0, gt=0)
+    motion_tempering: float = Field(default=0.25, ge=0, le=1)
+
+    def __call__(
+        self,
+        graph: KeyGraph,
+        scans: ScanArchive,
+        poses: FloatArray,
+        mapper: OccupancyGridMapping,
+        on_progress: Callable[[], None] = lambda: None,
+    ) -> tuple[TrajectoryScore, TileMaps]:
+        """Score poses (T, 3) of the key scans; returns the map of all of them, too."""
+        tracked = np.array(graph.tracked)
+        way, maps, inserted = path_lengths(tracked), mapper.empty(1), 0
+        agreeing, beams = 0.0, 0
+        for key, (pose, passed) in enumerate(zip(poses, way.tolist(), strict=True)):
+            while way[inserted] < passed - self.same_visit_distance:
+                maps.update(ROW, poses[inserted][None], scans.key(inserted))
+                inserted += 1
+            if inserted:
+                share, count = self._agreement(maps, pose, scans.key(key).ends)
+                agreeing, beams = agreeing + share, beams + count
+            if key % 256 == 0:
+                on_progress()
+        for key in range(inserted, len(poses)):
+            maps.update(ROW, poses[key][None], scans.key(key))
+        motion = self._motion(tracked, np.array(graph.variances), poses)
+        likelihood = self._log_likelihood(agreeing, beams) + motion
+        return TrajectoryScore(likelihood, beams, agreeing / beams if beams else float("nan"), motion), maps
+
+    def score_scan(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> float:
+        """Log likelihood (nats) of ends of beams (B, 2) seen from a pose (3,), given the one map of `maps`."""
+        agreeing, beams = self._agreement(maps, pose, ends)
+        return self._log_likelihood(agreeing, beams)
+
+    def _log_likelihood(self, agreeing: float, beams: int) -> float:
+        return self.tempering * (agreeing - self.neutral * beams)
+
+    def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
+        """Sum of the agreement of those beams that end in what the map knows, and their number."""
+        known = maps.is_known(0, transform_points(pose, ends))
+        count = int(known.sum())
+        if not count:
+            return 0.0, 0
+        away = maps.distances(ROW, pose[None], ends)[0, known]
+        return float(np.sum(1 / (1 + np.square(away / self.scale_m)), dtype=np.float64)), count
+
+    def _motion(self, tracked: FloatArray, variances: FloatArray, poses: FloatArray) -> float:
+        """Tempered log likelihood of the tracked increments, by a Cauchy density, up to a constant."""
+        missed = between(between(tracked[:-1], tracked[1:]), between(poses[:-1], poses[1:]))
+        position, heading = np.square(missed[:, :2]).sum(axis=1), np.square(missed[:, 2])
+        squared = position / variances[1:, 0] + heading / variances[1:, 1]
+        return -self.motion_tempering * float(np.log1p(squared / self.motion_sigma**2).sum())
+
+
+def path_lengths(poses: FloatArray) -> FloatArray:
+    """Metres and radians driven up to each of poses (T, 3), (T,)."""
+    steps = np.diff(poses, axis=0)
+    moved = np.hypot(steps[:, 0], steps[:, 1]) + np.abs(wrap(steps[:, 2]))
+    return np.concatenate([[0.0], np.cumsum(moved)])

@@ -1,0 +1,1 @@
+"""Grid-based FastSLAM (GMapping): the filter, its state and its parts."""

@@ -1,0 +1,249 @@
+"""Grid-based FastSLAM (GMapping): a particle filter over trajectories, each particle with its own occupancy grid.
+
+p(x_1:t, m | z_1:t, u_1:t) = p(x_1:t | z_1:t, u_1:t) p(m | x_1:t, z_1:t): the particles carry the first factor, and
+given its trajectory each particle's map is mapping with known poses.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.arguments import describe
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.models.endpoint import CauchyEndPoint
+from gridslam.models.motion import DiffusionMotion
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.initial import repeat_pose
+from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
+from gridslam.particles.resampling import Systematic
+from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
+from gridslam.scan.thinning import Thinning
+from gridslam.slam.grid_fastslam.map_limit import MapLimit
+from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
+from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
+from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.loop_closure import LoopClosure
+from gridslam.slam.tracking.odometry_tracker import OdometryTracker
+from gridslam.slam.tracking.tracker import TrackedScan, Tracker
+from gridslam.slam.tracking.velocity import widen_motion
+from gridslam.types import (
+    Beams,
+    FloatArray,
+    IntArray,
+    LaserScan,
+    MotionModel,
+    MotionSampler,
+    Odometry,
+    Resampler,
+    SensorModel,
+    SkipReason,
+    StepReport,
+    require_measurement,
+    require_step,
+)
+
+__all__ = ["GridFastSlam"]
+
+
+@final
+@dataclass(frozen=True)
+class GridFastSlam:
+    """The filter; it holds only its parts, and what it knows is in the state that goes in and comes out of `step`.
+
+    Attributes
+    ----------
+    tracker : Tracker
+        Refines the odometry at every scan, or does without; its increments are the particles' control.
+    motion : MotionModel
+        p(x_t | u_t, x_{t-1}), conditioned on the control.
+    sensor : SensorModel
+        p(z_t | x_t, m), conditioned on the scan.
+    proposal : Proposal
+        Draws the new poses and weighs them.
+    mapper : OccupancyGridMapping
+        Inserts the scan into each particle's map.
+    resampler : Resampler
+        Which particles survive.
+    when_to_update : UpdatePolicy
+        Which scans are key scans, at which the particles are stepped: by what moved since the last one of its laser.
+    when_to_resample : ResamplingPolicy
+        When resampling is worth its loss of diversity.
+    map_limit : MapLimit
+        How much the particles' maps may take.
+    reports : ReportBuilder
+        Builds the step reports: covariances and the lost flag.
+    loop_closure : LoopClosure or None
+        Detects loop closures and corrects the trajectory; None to disable it.
+    range_min_m, range_max_m : float
+        Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
+        what it hits.
+    thinning : Thinning
+        How many beams of a dense scan are used.
+    particles : int, >= 1
+        Default number of particles of `init`.
+    threads : int
+        Threads of the kernels; never changes a result.
+
+    Source: Probabilistic Robotics, Table 13.4; Grisetti, Stachniss and Burgard 2007; Haehnel et al. 2003.
+    """
+
+    tracker: Tracker | OdometryTracker = Tracker()
+    motion: MotionModel = DiffusionMotion()
+    sensor: SensorModel = CauchyEndPoint()
+    proposal: Proposal = ScanMatchedProposal()
+    mapper: OccupancyGridMapping = OccupancyGridMapping()
+    resampler: Resampler = Systematic()
+    when_to_update: UpdatePolicy = MotionThreshold()
+    when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
+    map_limit: MapLimit = MapLimit()
+    reports: ReportBuilder = ReportBuilder()
+    loop_closure: LoopClosure | None = None
+    range_min_m: float = 0.05
+    range_max_m: float = 30.0
+    thinning: Thinning = Thinning()
+    particles: int = 30
+    threads: int = 1
+
+    def init(
+        self,
+        odometry: Odometry | None,
+        scan: LaserScan,
+        particles: int | FloatArray | None = None,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> tuple[GridFastSlamState, StepReport]:
+        """Begin with a first scan.
+
+        Parameters
+        ----------
+        odometry : Odometry or None
+            None where there is none: here, at any later scan, or at all of them.
+        scan : LaserScan
+            One without a usable beam is fine.
+        particles : int or (N, 3) float64, optional
+            How many particles start at `pose` (3,), or where each starts (see `gridslam.particles.sample_gaussian`); as
+            many as the filter's own `particles` if not given.
+        pose : (3,) float64
+            Where they start, map frame [x m, y m, theta rad].
+
+        Raises
+        ------
+        ArgumentError
+            An argument is of another kind, or the tracker needs odometry and there is none.
+        """
+        require_measurement(odometry, scan)
+        particles = self.particles if particles is None else particles
+        is_count = isinstance(particles, int | np.integer)
+        poses = repeat_pose(int(particles), pose) if is_count else _check_particles(particles)
+        poses[:, 2] = wrap(poses[:, 2])
+        beams = self._select(scan)
+        tracker = self.tracker.init(odometry, scan.stamp_ns, beams, self.mapper)
+        maps = self.mapper.empty(len(poses), self.threads)
+        self.mapper(maps, poses, beams)
+        equal = np.full(len(poses), -np.log(len(poses)))
+        state = GridFastSlamState(
+            tracker, tracker.pose, {scan.sensor: tracker.pose}, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)),
+            maps, Ancestry.start(poses),
+        )  # fmt: skip
+        state.covariance = self.reports.spread(state)
+        if self.loop_closure is not None:
+            self.loop_closure.init(state, beams)
+        return state, self.reports.first_scan(state, scan, effective_sample_size(state.log_weights))
+
+    def step(
+        self, state: GridFastSlamState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[GridFastSlamState, StepReport]:
+        """Take one measurement; consumes `state` (keep one for later with `state.snapshot()`).
+
+        Every scan is tracked; at a key scan the particles are predicted, matched, weighed, mapped and resampled.
+        All lasers are matched, as one alone may see a single wall; only this scan weighs: the others have, each at its
+        own key scan, and evidence counts once.
+        """
+        require_step(GridFastSlamState, state, odometry, scan, rng)
+        state = state.take()
+        tracked, noise = self._track(state, odometry, self._select(scan))
+        beams = tracked.beams
+        moved = between(state.key_pose, tracked.pose)
+        if reason := self._skip(state, tracked.pose, beams):
+            return self._close_loops(state, self.reports.between_key_scans(state, scan, moved, reason), beams)
+        motion = self._predict(state, tracked, noise)  # predict
+        likelihood = self.sensor(beams)
+        proposed = self.proposal(state.maps, state.poses, motion, likelihood, tracked.merged_beams, rng)  # match
+        state.move(proposed.poses, tracked.pose, scan.sensor)
+        state.log_weights = normalize(state.log_weights + proposed.log_weights)  # weigh
+        state.log_ancestry = relative_to_greatest(state.log_ancestry + proposed.log_weights)
+        self.mapper(state.maps, state.poses, beams)  # map
+        estimate = self.reports.estimate(state, proposed.match, tracked.merged_beams)
+        state.covariance = estimate.covariance
+        state.lost = estimate.lost
+        n_eff = effective_sample_size(state.log_weights)  # N_eff
+        parents = None
+        if self.when_to_resample(n_eff, len(state.poses)):  # resample
+            parents = self.resampler(np.exp(state.log_weights), len(state.poses), rng)
+            state.resample(parents)
+        parents = self._bound(state, parents)
+        report = self.reports.key_scan(state, scan, moved, estimate, n_eff, parents)  # report
+        return self._close_loops(state, report, beams)
+
+    def _select(self, scan: LaserScan) -> Beams:
+        """Select the beams that are used."""
+        return scan.beams(self.range_min_m, self.range_max_m, self.thinning)
+
+    def _bound(self, state: GridFastSlamState, parents: IntArray | None) -> IntArray | None:
+        """Keep the particles' maps within their limit; gives the parents of the particles that are left."""
+        kept = self.map_limit(state)
+        if kept is None:
+            return parents
+        state.resample(kept)
+        return kept if parents is None else parents[kept]
+
+    def _track(
+        self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
+    ) -> tuple[TrackedScan, OdometryNoise | None]:
+        """Track a scan with the odometry, unless its reported noise makes it useless; also return that noise."""
+        tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
+        if odometry is not None and isinstance(tracker, Tracker):
+            seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
+            odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
+        noise = OdometryNoise.from_reading(state, odometry, matched=isinstance(tracker, Tracker))
+        state.odometry_covariance = None if noise is None else noise.covariance
+        return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
+
+    def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
+        """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""
+        motion = widen_motion(self.motion(between(state.key_pose, tracked.predicted)), tracked.prediction_variances)
+        return motion if noise is None else noise.add_to(motion, state.key_pose, tracked.predicted)
+
+    def _close_loops(
+        self, state: GridFastSlamState, report: StepReport, beams: Beams
+    ) -> tuple[GridFastSlamState, StepReport]:
+        if self.loop_closure is None or state.closure_state is None:
+            return state, report
+        return state, self.loop_closure(state, state.closure_state, report, beams, self.mapper, self.threads)
+
+    def _skip(self, state: GridFastSlamState, pose: FloatArray, beams: Beams) -> SkipReason | None:
+        last = state.sensor_key_poses.get(beams.scan.sensor)
+        if last is not None:
+            dx, dy, turn = between(last, pose).tolist()
+            if not self.when_to_update(math.hypot(dx, dy), abs(turn)):
+                return SkipReason.BETWEEN_KEY_SCANS
+        return None if len(beams) else SkipReason.NO_VALID_BEAM
+
+
+def _check_particles(particles: object) -> FloatArray:
+    """Poses (N, 3) that were given as particles, copied."""
+    try:
+        poses = np.array(particles, np.float64)
+    except (TypeError, ValueError):
+        poses = np.empty(0)
+    if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
+        raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", describe(particles))
+    return poses

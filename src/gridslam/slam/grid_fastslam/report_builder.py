@@ -1,0 +1,111 @@
+"""Builds the step reports: covariances, degenerate directions and the lost flag."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import compose
+from gridslam.matching.gauss_newton import degenerate_direction
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import BeamEnds, FloatArray, IntArray, LaserScan, Match, SkipReason, StepReport
+
+__all__ = ["Estimate", "ReportBuilder"]
+
+
+_MIN_INFORMATION = 1e-2 * np.eye(3)
+"""Information (1/m^2, 1/rad^2) assumed at least: nothing is less certain than 10 m and 10 rad."""
+
+
+@final
+class Estimate(NamedTuple):
+    """Estimate of the weighted particles at a key scan, before resampling, which only loses information."""
+
+    pose: FloatArray  # (3,), of the best particle
+    covariance: FloatArray  # (3, 3), of that pose
+    degenerate_direction: FloatArray | None  # direction that the match leaves open
+    lost: bool
+    poses: FloatArray  # (N, 3)
+    log_weights: FloatArray  # (N,)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class ReportBuilder:
+    """Estimates how reliable the filter's pose is, and builds its reports; reads the state and never writes to it.
+
+    The covariance of a pose is the spread of the particles about the best one plus what its match leaves open; between
+    key scans a random walk is added.
+
+    Parameters
+    ----------
+    sigma_m : float, m
+        Standard deviation of one beam, inflated for correlated beams.
+    lost_below : float
+        Inlier ratio with the map of the best particle below which the robot is lost. Entering a room for the first time
+        leaves about a third.
+    drift_sigma_m, drift_sigma_rad : float
+        Standard deviation of the tracker's error after one metre or radian.
+    """
+
+    sigma_m: float = Field(default=0.05, gt=0)
+    lost_below: float = Field(default=0.15, ge=0, le=1)
+    drift_sigma_m: float = Field(default=0.02, ge=0)
+    drift_sigma_rad: float = Field(default=0.01, ge=0)
+
+    @staticmethod
+    def first_scan(state: GridFastSlamState, scan: LaserScan, n_eff: float) -> StepReport:
+        """Report of the scan that the filter begins with: a key scan that weighs nothing."""
+        return StepReport(
+            scan.stamp_ns, state.poses[state.best], state.covariance, np.zeros(3), best=state.best, n_eff=n_eff,
+            poses=state.poses, log_weights=state.log_weights,
+        )  # fmt: skip
+
+    def between_key_scans(
+        self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, reason: SkipReason
+    ) -> StepReport:
+        """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
+        dx, dy, turn = key_from_base.tolist()
+        covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
+        covariance[0, 0] += moved * self.drift_sigma_m**2
+        covariance[1, 1] += moved * self.drift_sigma_m**2
+        covariance[2, 2] += moved * self.drift_sigma_rad**2
+        return StepReport(
+            scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
+            skipped=reason, best=best,
+        )  # fmt: skip
+
+    @staticmethod
+    def key_scan(
+        state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, estimate: Estimate, n_eff: float,
+        parents: IntArray | None,
+    ) -> StepReport:  # fmt: skip
+        """Report of a key scan: the estimate from before resampling, and the best particle after it."""
+        return StepReport(
+            scan.stamp_ns, estimate.pose, estimate.covariance, key_from_base,
+            degenerate_direction=estimate.degenerate_direction, lost=estimate.lost, best=state.best, n_eff=n_eff,
+            poses=estimate.poses, log_weights=estimate.log_weights, parents=parents,
+        )  # fmt: skip
+
+    def estimate(self, state: GridFastSlamState, match: Match, beams: BeamEnds) -> Estimate:
+        """Estimate the pose from the weighed particles and the `match` of `beams` at them."""
+        best = state.best
+        information, score = match.information[best], float(match.score[best])
+        covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
+        # the second key scan is not judged: a first scan that saw nothing leaves an empty map
+        lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2
+        direction = degenerate_direction(information, score)
+        return Estimate(state.poses[best], covariance, direction, lost, state.poses, state.log_weights)
+
+    @staticmethod
+    def spread(state: GridFastSlamState) -> FloatArray:
+        """Weighted covariance (3, 3) of the particles about the best one."""
+        away = state.poses - state.poses[state.best]
+        away[:, 2] = wrap(away[:, 2])
+        spread: FloatArray = (np.exp(state.log_weights) * away.T) @ away
+        return spread

@@ -1,0 +1,259 @@
+"""What FastSLAM 1.0 and 2.0 share: the correspondences and the landmarks of each particle, all particles at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence, MaximumLikelihood, signatures
+from gridslam.models.landmark import LandmarkModel, RangeBearing
+from gridslam.models.landmark_observations import LandmarkObservations
+from gridslam.slam.landmarks.existence import LandmarkExistence
+from gridslam.slam.landmarks.local_frame import LocalFrameBelief
+from gridslam.slam.landmarks.particles import LandmarkParticles
+from gridslam.slam.landmarks.small_gaussians import (
+    inverse_2x2,
+    log_density,
+    mahalanobis,
+    matvec,
+    transform_covariances,
+    transpose,
+)
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["Innovation", "LandmarkFilters"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """One observation, as predicted by some of the particles.
+
+    Attributes
+    ----------
+    rows, columns : (R,) int64
+        Which landmark of which particle.
+    residuals, covariances : (R, 2), (R, 2, 2) float64
+        Measured minus predicted, and what it is expected to vary by.
+    by_pose, by_landmark : (R, 2, 3), (R, 2, 2) float64
+        Jacobians of the prediction.
+    """
+
+    rows: IntArray
+    columns: IntArray
+    residuals: FloatArray
+    covariances: FloatArray
+    by_pose: FloatArray
+    by_landmark: FloatArray
+
+    def select(self, chosen: NDArray[np.bool_]) -> Innovation:
+        """Return those that are chosen (R,)."""
+        if chosen.all():
+            return self
+        return Innovation(
+            self.rows[chosen], self.columns[chosen], self.residuals[chosen], self.covariances[chosen],
+            self.by_pose[chosen], self.by_landmark[chosen],
+        )  # fmt: skip
+
+
+@final
+@dataclass(frozen=True)
+class LandmarkFilters:
+    """Given its path, each particle's landmarks are independent: an extended Kalman filter for each of them.
+
+    Attributes
+    ----------
+    sensor : LandmarkModel
+        p(z | x, m) of one landmark.
+    association : Association
+        `KnownCorrespondence` if the observations contain the correspondences, `MaximumLikelihood` otherwise: then each
+        particle estimates its own.
+    existence : LandmarkExistence
+        Which landmarks are real, where correspondences are unknown.
+    """
+
+    sensor: LandmarkModel = field(default_factory=RangeBearing)
+    association: Association = field(default_factory=KnownCorrespondence)
+    existence: LandmarkExistence = field(default_factory=LandmarkExistence)
+
+    def order(self, state: LandmarkParticles, observations: LandmarkObservations, poses: FloatArray) -> IntArray:
+        """Order (K,) of association: most certain first, by the best particle.
+
+        So one of two landmarks side by side is not taken for the other if that is seen, too.
+        """
+        if self.association.uses_signatures or len(observations) < 2:
+            return np.arange(len(observations))
+        best = state.best
+        known = state.exists[best]
+        predicted, _, H_m = self.sensor.linearize(poses[best], state.positions[best, known])
+        L = transform_covariances(H_m, state.covariances[best, known]) + self.sensor.noise(observations)[:, None]
+        squared, log_dets = mahalanobis(self.sensor.residual(observations.values[:, None], predicted), L)
+        return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
+
+    def correspond(
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: LocalFrameBelief | None, taken: IntArray, rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        """Associate observation k with a landmark in each particle.
+
+        Parameters
+        ----------
+        poses : (N, 3) float64
+            Poses of the observation.
+        belief : LocalFrameBelief or None
+            Belief of these poses; None if they are given.
+        taken : (N, K) int64
+            Columns of the observations before, below 0 where there is none: a landmark is observed once per step.
+        rng : numpy.random.Generator
+            Unknown correspondences are sampled.
+
+        Returns
+        -------
+        columns : (N,) int64
+            Of the landmark, or `NEW`, or `AMBIGUOUS`.
+        log_likelihoods : (N,) float64, nats
+            log p(z); for particles that know no landmark for it, that of the threshold.
+        seen : Innovation
+            What the particles predict that know a landmark.
+        """
+        if isinstance(self.association, MaximumLikelihood):
+            return self._draw_correspondences(state, observations, k, poses, belief, taken, self.association, rng)
+        column = state.column(int(signatures(observations)[k]))
+        rows = np.arange(len(state) if column != NEW else 0)
+        seen = self._predict(state, rows, np.full(len(rows), column), poses, belief, observations, k)
+        squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
+        believed = squared <= self.association.gate
+        columns = np.full(len(state), NEW)
+        likelihood = np.full(len(state), self._count_outliers(observations, k))
+        columns[rows] = np.where(believed, column, AMBIGUOUS)
+        likelihood[rows] = log_density(np.minimum(squared, self.association.gate), log_dets)
+        return columns, likelihood, seen.select(believed)
+
+    def innovation(
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
+        spread: FloatArray | None, observations: LandmarkObservations, k: int,
+    ) -> Innovation:  # fmt: skip
+        """Predict observation k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
+        predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
+        L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
+        if spread is not None:
+            L += transform_covariances(H_x, spread)
+        return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
+
+    def is_less_certain(
+        self, poses: FloatArray, spread: FloatArray, observations: LandmarkObservations
+    ) -> NDArray[np.bool_]:
+        """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than the observations."""
+        _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, observations.values[0]))
+        of_pose = transform_covariances(H_x, np.ascontiguousarray(spread[:, :3, :3]))
+        ratio = np.linalg.inv(self.sensor.noise(observations)[0]) @ of_pose
+        return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
+
+    def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
+        """Correct the observed landmarks, given the poses.
+
+        Source: Probabilistic Robotics, Tables 13.1 and 13.2 (mean and covariance of the features).
+        """
+        of = seen.rows, seen.columns
+        covariances = state.covariances[of]
+        shared = covariances @ transpose(seen.by_landmark)
+        gain = shared @ inverse_2x2(seen.covariances)
+        state.positions[of] += matvec(gain, seen.residuals)
+        state.covariances[of] = covariances - gain @ transpose(shared)
+        if state.pose_by_bias.size:
+            by_pose = seen.by_pose @ state.pose_by_bias[seen.rows]
+            state.positions_by_bias[of] -= gain @ (by_pose + seen.by_landmark @ state.positions_by_bias[of])
+
+    def add(
+        self, state: LandmarkParticles, columns: IntArray, poses: FloatArray, observations: LandmarkObservations, k: int
+    ) -> None:
+        """Add a landmark at observation k to particles whose columns (N,) are `NEW`, and write its column there.
+
+        Source: Probabilistic Robotics, Tables 13.1 and 13.2: mean h^-1(z, x), covariance H^-1 Q H^-1'.
+        """
+        rows = np.flatnonzero(columns == NEW)
+        if not len(rows):
+            return
+        name = int(signatures(observations)[k]) if self.association.uses_signatures else None
+        columns[rows] = state.new_columns(rows, name)
+        of = rows, columns[rows]
+        state.positions[of] = self.sensor.locate(poses[rows], observations.values[k])
+        _, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[of])
+        root = inverse_2x2(H_m)
+        state.positions_by_bias[of] = -root @ H_x @ state.pose_by_bias[rows]
+        state.covariances[of] = transform_covariances(
+            root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
+        )
+        state.evidence[of], state.observations[of] = 0.0, 0
+        state.landmark_in_local_frame[of] = state.in_local_frame[rows]
+
+    def count(self, state: LandmarkParticles, columns: IntArray) -> None:
+        """Count the observations of landmarks `columns` (N, K), update the evidence of all, and drop refuted ones.
+
+        Source: Probabilistic Robotics, Table 13.2 (the counters i), as log odds.
+        """
+        rows, k = np.nonzero(columns >= 0)
+        of = rows, columns[rows, k]
+        state.observations[of] += 1
+        if self.association.uses_signatures:
+            state.evidence[of], state.confirmed[of] = math.inf, True
+        elif columns.shape[1]:  # a sensor that sees nothing may not have looked
+            seen = np.zeros(state.evidence.shape, np.bool_)
+            seen[of] = True
+            evidence = self.existence(state.evidence, seen, state.poses[:, None], state.positions)
+            state.evidence = np.where(evidence < 0, -math.inf, evidence)
+            state.confirmed = (state.confirmed | (evidence >= self.existence.log_odds_confirmed)) & (evidence >= 0)
+
+    def _predict(
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
+        belief: LocalFrameBelief | None, observations: LandmarkObservations, k: int,
+    ) -> Innovation:  # fmt: skip
+        spread = None if belief is None else belief.covariance_seen_from(rows, columns)
+        return self.innovation(state, rows, columns, poses, spread, observations, k)
+
+    def _count_outliers(self, observations: LandmarkObservations, k: int) -> float:
+        """Log density at the threshold beyond which an observation is of no known landmark."""
+        return float(
+            log_density(self.association.outlier_distance, np.log(np.linalg.det(self.sensor.noise(observations)[k])))
+        )
+
+    def _draw_correspondences(
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: LocalFrameBelief | None, taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        """Sample c ~ p(c | z), so that particles hold different correspondences; the weight is the sum of p(z | c)."""
+        rows, columns = np.nonzero(self._may_match(state, observations, k, poses, belief, within.new_gate))
+        seen = self._predict(state, rows, columns, poses, belief, observations, k)
+        squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
+        free = (taken[rows] != columns[:, None]).all(axis=1)
+        near = np.zeros(len(state), np.bool_)
+        near[rows[free & (squared <= within.new_gate)]] = True
+        log_p = np.full((len(state), 1 + len(state.names)), -math.inf)
+        log_p[:, 0] = self._count_outliers(observations, k)
+        log_p[rows[free], 1 + columns[free]] = log_density(squared[free], log_dets[free])
+        likelihood, possible = np.logaddexp.reduce(log_p, axis=1), log_p > -math.inf
+        log_p[possible] += rng.gumbel(size=int(possible.sum()))  # the greatest is then a draw
+        drawn = log_p.argmax(axis=1) - 1  # NEW is -1
+        drawn[(drawn == NEW) & near] = AMBIGUOUS
+        chosen = drawn[rows] == columns
+        drawn[rows[chosen & (squared > within.match_gate)]] = AMBIGUOUS
+        return drawn, likelihood, seen.select(chosen & (squared <= within.match_gate))
+
+    def _may_match(
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
+        belief: LocalFrameBelief | None, distance: float,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
+        at = self.sensor.locate(poses, observations.values[k])
+        _, H_x, H_m = self.sensor.linearize(poses, at)
+        L = self.sensor.noise(observations)[k]
+        if belief is not None:
+            L = L + transform_covariances(H_x, belief.bound_covariance())
+        reach = np.trace(transform_covariances(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
+        reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
+        x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))
+        return np.asarray(state.exists & (x * x + y * y <= distance * reach))

@@ -1,0 +1,289 @@
+"""The state of FastSLAM on landmarks: particles, each with a pose, a past and a Gaussian for each of its landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridslam.errors import ConsumedStateError
+from gridslam.geometry.se2 import weighted_covariance
+from gridslam.models.association import NEW
+from gridslam.particles.ancestry import Ancestry
+from gridslam.particles.initial import repeat_pose
+from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.slam.landmarks.local_frame import lever_arm_jacobian
+from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
+from gridslam.slam.landmarks.small_gaussians import transform_covariances
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["LandmarkParticles"]
+
+_NO_BIAS = np.empty((0, 0))
+_MORE = 8  # columns that are added where none is free
+
+
+@final
+@dataclass(slots=True, eq=False)
+class LandmarkParticles:
+    """State of the filter between two steps; owned and modified by the filter.
+
+    The landmarks lie in dense arrays, a row for each particle and a column for each landmark. Copying a particle costs
+    66 bytes for each column, and 16 more for each error of the odometry that is learned; only those that replace a dead
+    one are copied (see `resample`): with 1000 particles, 100 landmarks and a third of the particles dead that is 2 MB,
+    less than a millisecond. A tree whose parts are shared (Montemerlo et al. 2002) would copy less and could not be
+    computed on as one array.
+
+    Attributes
+    ----------
+    state_means : (N, 3 + B) float64
+        The pose, map frame, and the B errors of the odometry that are learned.
+    state_covariances : (N, 3 + B, 3 + B) float64
+        Their covariance given what was drawn: of the pose what these errors explain, and all as long as drawing waits.
+    pose_by_bias, positions_by_bias : (N, 3, B), (N, M, 2, B) float64
+        Derivatives of the pose and of the landmarks by these errors: what was drawn of the path is the rest.
+    bias_before : (N, B, 1 + B) float64
+        [c, G] of what these errors were before the last step, c + G b, by what they are, b.
+    log_weights, log_ancestry : (N,) float64, nats
+        Normalized; and accumulated along each particle's ancestry, relative to the greatest.
+    names : (M,) int64
+        Signature of the landmark in each column, if correspondences are known; otherwise -1, and each particle assigns
+        its own columns.
+    positions, covariances : (N, M, 2), (N, M, 2, 2) float64
+        Of the landmarks, given what was drawn and the errors of the odometry.
+    evidence : (N, M) float64, nats
+        Log odds that each exists: -inf where the column is free, +inf where its signature is known.
+    confirmed : (N, M) bool
+        Confirmed landmarks.
+    observations : (N, M) int64
+        Number of observations of each.
+    local_frames, local_frame_covariances : (N, 3), (N, 3, 3) float64
+        Pose of each particle's local frame in the map frame, and its covariance: see
+        `gridslam.slam.landmarks.local_frame`.
+    in_local_frame, local_frame_step : (N,) bool, (N,) int64
+        Whether the robot is in it, and the step at which it was opened, 0 if there is none.
+    landmark_in_local_frame : (N, M) bool
+        Landmarks kept in the local frame.
+    ancestry : Ancestry
+        Ancestry of all particles, step by step, including the first pose: `landmark_path.smooth_trajectory` computes
+        trajectories from it.
+    """
+
+    state_means: FloatArray
+    state_covariances: FloatArray
+    pose_by_bias: FloatArray
+    bias_before: FloatArray
+    log_weights: FloatArray
+    log_ancestry: FloatArray
+    names: IntArray
+    positions: FloatArray
+    covariances: FloatArray
+    positions_by_bias: FloatArray
+    evidence: FloatArray
+    confirmed: NDArray[np.bool_]
+    observations: IntArray
+    local_frames: FloatArray
+    local_frame_covariances: FloatArray
+    in_local_frame: NDArray[np.bool_]
+    local_frame_step: IntArray
+    landmark_in_local_frame: NDArray[np.bool_]
+    ancestry: Ancestry
+    consumed: bool = False
+
+    @classmethod
+    def at(cls, particles: int, pose: ArrayLike, bias: FloatArray = _NO_BIAS) -> LandmarkParticles:
+        """Begin with N particles at one pose (3,), with errors of the odometry of covariance (B, B).
+
+        Raises ArgumentError where there is no particle, or no such pose.
+        """
+        poses, errors = repeat_pose(particles, pose), len(bias)
+        known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
+        known[:, :3], spread[:, 3:, 3:] = poses, bias
+        return cls(
+            known, spread, np.zeros((particles, 3, errors)), np.zeros((particles, errors, 1 + errors)),
+            np.full(particles, -np.log(particles)), np.zeros(particles), np.empty(0, np.int64),
+            np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0, 2, errors)),
+            np.empty((particles, 0)),
+            np.zeros((particles, 0), np.bool_), np.empty((particles, 0), np.int64),
+            np.zeros((particles, 3)), np.zeros((particles, 3, 3)), np.zeros(particles, np.bool_),
+            np.zeros(particles, np.int64), np.zeros((particles, 0), np.bool_),
+            Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + (5 + errors) * errors)))),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        """Return the number N of particles."""
+        return len(self.state_means)
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (N, 3), map frame."""
+        return self.state_means[:, :3]
+
+    @property
+    def exists(self) -> NDArray[np.bool_]:
+        """Whether there is a landmark (N, M)."""
+        return np.asarray(self.evidence > -np.inf)
+
+    @property
+    def best(self) -> int:
+        """Index of the particle of greatest log weight accumulated along its ancestry."""
+        return int(self.log_ancestry.argmax())
+
+    def landmark_map(self) -> LandmarkMap:
+        """Return the confirmed landmarks.
+
+        With known correspondences, these are mean and covariance of each landmark over all particles. Otherwise they
+        are those of the best particle, and the covariances hold given its path.
+        """
+        spread = self._landmark_covariances()
+        if (self.names < 0).all():
+            best, kept = self.best, np.flatnonzero(self.confirmed[self.best])
+            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
+        kept = np.flatnonzero(self.names >= 0)
+        weights, positions = np.exp(self.log_weights), self.positions[:, kept]
+        means = np.einsum("n,nmi->mi", weights, positions)
+        apart = positions - means
+        covariances = np.einsum("n,nmij->mij", weights, spread[:, kept])
+        covariances += np.einsum("n,nmi,nmj->mij", weights, apart, apart)
+        return LandmarkMap(self.names[kept], means, covariances, self.observations[self.best, kept])
+
+    def column(self, name: int) -> int:
+        """Return the column of the landmark with a signature, `NEW` where it has none."""
+        found = np.flatnonzero(self.names == name)
+        return int(found[0]) if len(found) else NEW
+
+    def new_columns(self, particles: IntArray, name: int | None) -> IntArray:
+        """Return a free column for each of some particles (K,): one of its own, or all one and the same for a name."""
+        full = (self.names >= 0).all() if name is not None else self.exists[particles].all(axis=1).any()
+        if full:
+            self._grow()
+        if name is None:
+            return np.asarray(self.exists[particles].argmin(axis=1))
+        column = int(self.names.argmin())
+        self.names[column] = name
+        return np.full(len(particles), column)
+
+    def advance(
+        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, local_frames: FloatArray | None = None
+    ) -> None:
+        """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
+
+        `local_frames` (N, 5) is stored in the ancestry instead of `current_local_frames()` where local frames are
+        replaced.
+        """
+        self._extend_ancestry(known, spread, True, local_frames)
+        self.log_weights = normalize(self.log_weights + log_weights)
+        accumulated = self.log_ancestry + log_weights
+        self.log_ancestry = accumulated - accumulated.max()
+
+    def predict_without_drawing(self, known: FloatArray, spread: FloatArray) -> None:
+        """Predict poses and errors (N, 3 + B) with covariance (N, 3 + B, 3 + B), without observations."""
+        self._extend_ancestry(known, spread, False, None)
+
+    def current_local_frames(self) -> FloatArray:
+        """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
+        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
+
+    def _extend_ancestry(
+        self, known: FloatArray, spread: FloatArray, drawn: bool, local_frames: FloatArray | None
+    ) -> None:
+        self.state_means, self.state_covariances = known, spread
+        frames = self.current_local_frames() if local_frames is None else local_frames
+        past = [self.poses, frames, np.full(len(self), drawn)]
+        if self.pose_by_bias.size:
+            self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
+            past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
+        self.ancestry.extend(np.column_stack(past))
+
+    def resample(self, drawn: IntArray) -> IntArray:
+        """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
+
+        A particle that goes on stays where it is, and its further copies replace those that do not.
+        """
+        count = len(self)
+        copies = np.bincount(drawn, minlength=count)
+        parents = np.arange(count)
+        dead = np.flatnonzero(copies == 0)
+        parents[dead] = np.repeat(parents, np.maximum(copies - 1, 0))
+        for name in _OF_PARTICLES:
+            array = getattr(self, name)
+            array[dead] = array[parents[dead]]
+        self.ancestry.resample(parents)
+        self.log_weights = np.full(count, -np.log(count))
+        return parents
+
+    def report(self, places: IntArray) -> LandmarkReport:
+        """Report of the last step; places (N, K) are the columns of the observed landmarks."""
+        best = self.best
+        weights = np.exp(self.log_weights)
+        covariance = weighted_covariance(self.poses, weights)
+        covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
+        told = [self._name(place) for place in places[best].tolist()]
+        n_eff = effective_sample_size(self.log_weights)
+        return LandmarkReport(self.poses[best].copy(), covariance, np.array(told, np.int64), n_eff)
+
+    def take(self) -> LandmarkParticles:
+        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
+        self._check()
+        self.consumed = True
+        return replace(self, consumed=False)
+
+    def snapshot(self) -> LandmarkParticles:
+        """Return an independent copy for later."""
+        self._check()
+        arrays = {name: getattr(self, name).copy() for name in _ARRAYS}
+        return LandmarkParticles(**arrays, ancestry=self.ancestry.snapshot())
+
+    def _pose_covariances(self) -> FloatArray:
+        """Covariance of each particle's pose (N, 3, 3), including that of its local frame where the robot is in it."""
+        if not self.in_local_frame.any():
+            return self.state_covariances[:, :3, :3]
+        levers = lever_arm_jacobian(self.local_frames, self.poses)
+        of_frame = transform_covariances(levers, self.local_frame_covariances)
+        return self.state_covariances[:, :3, :3] + self.in_local_frame[:, None, None] * of_frame
+
+    def _landmark_covariances(self) -> FloatArray:
+        """Covariances of landmarks (N, M, 2, 2), including those of the odometry errors and of the local frame."""
+        levers = lever_arm_jacobian(self.local_frames[:, None], self.positions)
+        moved = transform_covariances(levers, self.local_frame_covariances[:, None])[..., :2, :2]
+        turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
+        return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
+
+    def _name(self, column: int) -> int:
+        """Name of the landmark in a column; what is no column stays what it is."""
+        return int(self.names[column]) if column >= 0 and self.names[column] >= 0 else column
+
+    def _grow(self) -> None:
+        """Add free columns."""
+        count = len(self)
+        self.names = np.concatenate([self.names, np.full(_MORE, -1)])
+        for name, empty in _OF_LANDMARKS.items():
+            array = getattr(self, name)
+            more = np.full((count, _MORE, *array.shape[2:]), empty, array.dtype)
+            setattr(self, name, np.concatenate([array, more], axis=1))
+
+    def _check(self) -> None:
+        if self.consumed:
+            raise ConsumedStateError
+
+
+# What there is of each landmark of each particle, and what stands there where there is none.
+_OF_LANDMARKS = {
+    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "confirmed": False,
+    "observations": 0, "landmark_in_local_frame": False,
+}  # fmt: skip
+_OF_POSES = (
+    "state_means",
+    "state_covariances",
+    "pose_by_bias",
+    "bias_before",
+    "log_ancestry",
+    "local_frames",
+    "local_frame_covariances",
+    "in_local_frame",
+    "local_frame_step",
+)
+_OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
+_ARRAYS = *_OF_PARTICLES, "log_weights", "names"

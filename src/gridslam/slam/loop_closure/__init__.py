@@ -1,0 +1,1 @@
+"""Loop closure: places recognized while the robot drives, and the constraints that follow."""

@@ -1,0 +1,296 @@
+"""The pose graph of a run: key scans, odometry constraints and loop-closure constraints."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Mapping
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.se2 import between, compose, inverse
+from gridslam.slam.loop_closure.constraints import (
+    Constraint,
+    ConstraintSource,
+    constraints_from_arrays,
+    constraints_to_arrays,
+)
+from gridslam.slam.loop_closure.submap_distance import Moments, SubmapDistance, compute_moments, propagate_covariances
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, first_key_scan, submap_of
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["KeyGraph", "SubmapDistance"]
+
+_Crossing = tuple[int, FloatArray] | None
+"""Submap at which a constraint starts, and pose of its first key scan relative to that of the target submap."""
+
+
+BLIND_SIGMA_M, BLIND_SIGMA_RAD = 0.5, 0.1
+"""Standard deviations above which an increment is regarded as a gap."""
+
+
+@final
+class KeyGraph:
+    """Key scans 0 .. T - 1, the constraints between them, and the uncertainty of relative poses.
+
+    Uncertainty between two key scans is that of the best known way through the graph (the least uncertain path), an
+    upper bound of what all ways together would leave. Heading errors are kept with where they happened, so that the
+    bound has the shape of a drift: long across the way, short along it.
+
+    Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
+    """
+
+    __slots__ = ("_gap_counts", "_links", "_steps", "_sums", "constraints", "poses", "tracked", "variances")
+
+    def __init__(self) -> None:
+        """Begin without any key scan."""
+        self.tracked: list[FloatArray] = []  # (3,) each, in the tracker's frame
+        self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
+        self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
+        self.constraints: list[Constraint] = []
+        self._gap_counts: list[int] = []  # number of gaps in the laser data up to each key scan
+        self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
+        self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
+        # block -> block -> relative pose (3,) and moments (7,) of the most certain constraint
+        self._links: dict[int, dict[int, tuple[FloatArray, Moments]]] = {}
+
+    def __len__(self) -> int:
+        """Return the number of key scans."""
+        return len(self.poses)
+
+    @property
+    def complete_submaps(self) -> int:
+        """Number of submaps that are complete."""
+        return len(self) // KEY_SCANS_PER_SUBMAP
+
+    def extend(self, tracked: FloatArray, pose: FloatArray, variances: tuple[float, float]) -> None:
+        """Add a key scan: the tracker's pose (3,), the pose (3,) in the map, the variances of the increment."""
+        self.tracked.append(tracked)
+        self.poses.append(pose)
+        self.variances.append(variances)
+        self._count_gaps()
+        moments = compute_moments(np.array([pose]), np.array([variances]))[0]
+        self._sums.append(moments + self._sums[-1] if self._sums else moments)
+        self._add_steps()
+
+    def add(self, constraint: Constraint) -> None:
+        """Add a measurement between two key scans."""
+        self.constraints.append(constraint)
+        self._add_link(constraint)
+
+    def correct(self, poses: FloatArray) -> None:
+        """Set all poses (T, 3)."""
+        self.poses = list(poses)
+        self._sums = list(np.cumsum(compute_moments(poses, np.array(self.variances)), axis=0))
+        self._links, self._steps = {}, []
+        self._add_steps()
+        for constraint in self.constraints:
+            self._add_link(constraint)
+
+    def extend_with_tracked(self, poses: FloatArray) -> FloatArray:
+        """Poses (T, 3) of all key scans: the first ones as given, (K, 3), the rest as tracked from there."""
+        last = len(poses) - 1
+        return np.concatenate(
+            [poses, compose(poses[-1], self.tracked_poses_from(last, np.arange(last + 1, len(self))))]
+        )
+
+    def tracked_poses_in_map(self, anchor: int, keys: IntArray) -> FloatArray:
+        """Poses (K, 3) of key scans near `anchor` as tracked, about the anchor's pose in the map."""
+        return compose(self.poses[anchor], self.tracked_poses_from(anchor, keys))
+
+    def tracked_poses_from(self, anchor: int, keys: IntArray) -> FloatArray:
+        """Poses (K, 3) of key scans seen from `anchor`, as tracked."""
+        return between(self.tracked[anchor], np.array([self.tracked[k] for k in keys.tolist()]).reshape(-1, 3))
+
+    def relative_pose(self, anchor: int, key: int) -> FloatArray:
+        """Pose (3,) of a key scan seen from another: as tracked where they are near in time, else as the map has it."""
+        frame = self.tracked if abs(anchor - key) <= 3 * KEY_SCANS_PER_SUBMAP else self.poses
+        return between(frame[anchor], frame[key])
+
+    def find_nearby_submaps(self, key: int, limit_m: float, most: int) -> list[SubmapDistance]:
+        """Submaps in the order of their uncertainty as seen from a key scan, nearest first.
+
+        The search ends at a standard deviation of the position of `limit_m`, or after `most` submaps.
+        """
+        return self._distances_to(key, self._search_shortest_paths(key, limit_m, most))
+
+    def find_distance_to(self, submap: int, key: int, limit_m: float, most: int) -> SubmapDistance | None:
+        """Give the one of `find_nearby_submaps` that is a submap; None if it is not among them."""
+        found = self._search_shortest_paths(key, limit_m, most, last=submap)
+        return self._distances_to(key, {submap: found[submap]})[0] if submap in found else None
+
+    def _search_shortest_paths(
+        self, key: int, limit_m: float, most: int, last: int = -1
+    ) -> dict[int, tuple[Moments, FloatArray]]:
+        """Moments of the most certain ways to submaps, and the key scan as the tracker had it if they were certain.
+
+        In the order of `find_nearby_submaps`; the search ends at submap `last`, too.
+        """
+        here, tracked = submap_of(key), self.tracked
+        x, y, _ = self.poses[key].tolist()
+        away, limit = x * x + y * y, limit_m**2
+        start: Moments = tuple((self._sums[key] - self._sums[first_key_scan(here)]).tolist())
+        queue = list[tuple[float, int, int, Moments, FloatArray, _Crossing]]()
+        queue.append((0.0, 0, here, start, tracked[key], None))
+        pushed = 0  # keeps the order of equals
+        done = dict[int, tuple[Moments, FloatArray]]()
+        least = dict[int, float]()
+        while queue and len(done) < most and last not in done:
+            cost, _, submap, moments, end, crossing = heapq.heappop(queue)
+            if submap in done:
+                continue
+            if crossing is not None:
+                before, step = crossing
+                end = compose(
+                    tracked[first_key_scan(submap)],
+                    compose(step, between(tracked[first_key_scan(before)], end)),
+                )
+            done[submap] = moments, end
+            position, s, sx, sy, sxx, sxy, syy = moments
+            for other, there, (p, t, tx, ty, txx, txy, tyy) in self._neighbours(submap):
+                if other in done:
+                    continue
+                across = (s + t) * away - 2 * ((sx + tx) * x + (sy + ty) * y) + (sxx + txx) + (syy + tyy)
+                spread = max(cost, 2 * (position + p) + max(across, 0.0))  # of the position, the covariance's trace
+                if spread < least.get(other, limit):
+                    least[other] = spread
+                    pushed += 1
+                    total = position + p, s + t, sx + tx, sy + ty, sxx + txx, sxy + txy, syy + tyy
+                    way = None if there is None else (submap, there)
+                    heapq.heappush(queue, (spread, pushed, other, total, end, way))
+        return done
+
+    def _distances_to(self, key: int, ways: Mapping[int, tuple[Moments, FloatArray]]) -> list[SubmapDistance]:
+        """Where a key scan is as seen from submaps, by the ways there."""
+        firsts = np.array([self.tracked[first_key_scan(submap)] for submap in ways])
+        poses = between(firsts, np.array([end for _, end in ways.values()]))
+        spreads = propagate_covariances(self.poses[key], np.array([moments for moments, _ in ways.values()]))
+        return [SubmapDistance(*found) for found in zip(ways, poses, spreads, strict=True)]
+
+    def label_rigid_components(self) -> IntArray:
+        """Label (T,) of the rigid component of each key scan.
+
+        Components are separated by gaps in the laser data and not joined by tracked or recognized constraints.
+        """
+        labels = np.array(self._gap_counts)
+        if not labels[-1]:
+            return labels
+        roots = np.arange(labels[-1] + 1)
+        for constraint in self.constraints:
+            if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
+                a, b = roots[labels[constraint.from_]], roots[labels[constraint.to]]
+                if a != b:
+                    roots[roots == max(a, b)] = min(a, b)
+        components: IntArray = roots[labels]
+        return components
+
+    def select_without_gap(self, keys: IntArray, anchor: int) -> IntArray:
+        """Select those of consecutive key scans (K,) that no gap separates from `anchor`."""
+        side = np.array(self._gap_counts[keys[0] : keys[-1] + 1])
+        here: IntArray = keys[side == side[anchor - keys[0]]]
+        return here
+
+    def graph(
+        self, increments: FloatArray | None = None, keys: int | None = None, constraints: int | None = None
+    ) -> PoseGraph:
+        """Everything as a pose graph: increments (T - 1, 3), which are trusted, then the loop-closure constraints.
+
+        The increments are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
+        """
+        poses, tracked = np.array(self.poses[:keys]), np.array(self.tracked[:keys])
+        count, known = len(poses), self.constraints[:constraints]
+        steps = np.zeros((count - 1, 3, 3))
+        spread = np.array(self.variances[1:count]).reshape(-1, 2)
+        steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
+        steps[:, 2, 2] = 1 / spread[:, 1]
+        chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
+        measurements = np.array([t.measurement for t in known]).reshape(-1, 3)
+        return PoseGraph(
+            poses,
+            np.concatenate([chain, np.array([(t.from_, t.to) for t in known], np.int64).reshape(-1, 2)]),
+            np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
+            np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
+            np.arange(count - 1 + len(known)) < count - 1,
+        )
+
+    def snapshot(self) -> KeyGraph:
+        """Keep a copy for later; what never changes is shared."""
+        twin = KeyGraph()
+        for name in ("tracked", "poses", "variances", "constraints", "_gap_counts", "_sums", "_steps"):
+            setattr(twin, name, getattr(self, name).copy())
+        twin._links = {submap: links.copy() for submap, links in self._links.items()}
+        return twin
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` goes on as this one would."""
+        constraints = self.constraints
+        return {
+            "tracked": np.array(self.tracked, np.float64).reshape(-1, 3),
+            "poses": np.array(self.poses, np.float64).reshape(-1, 3),
+            "variances": np.array(self.variances, np.float64).reshape(-1, 2),
+            "sums": np.array(self._sums, np.float64).reshape(-1, 7),
+            **{f"constraints.{name}": array for name, array in constraints_to_arrays(constraints).items()},
+            "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
+            "links": np.array([[*p, *m] for ls in self._links.values() for p, m in ls.values()]).reshape(-1, 10),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> KeyGraph:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        self = cls()
+        self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
+        self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
+        self._count_gaps()
+        self._add_steps()
+        self.constraints = constraints_from_arrays(
+            {n.removeprefix("constraints."): a for n, a in arrays.items() if n.startswith("constraints.")}
+        )
+        for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
+            self._links.setdefault(a, {})[b] = moments[:3], tuple(moments[3:].tolist())
+        return self
+
+    def _neighbours(self, submap: int) -> list[tuple[int, FloatArray | None, Moments]]:
+        """Submaps one step away: this one's first key scan seen from theirs, None if as tracked, and the moments."""
+        found: list[tuple[int, FloatArray | None, Moments]] = []
+        if submap in self._links:
+            found += [(other, there, more) for other, (there, more) in self._links[submap].items()]
+        if submap:
+            found.append((submap - 1, None, self._steps[submap - 1]))
+        if submap < len(self._steps):
+            found.append((submap + 1, None, self._steps[submap]))
+        return found
+
+    def _count_gaps(self) -> None:
+        """Count the gaps in the laser data up to the new key scans."""
+        for position, heading in self.variances[len(self._gap_counts) :]:
+            before = self._gap_counts[-1] if self._gap_counts else 0
+            self._gap_counts.append(before + (position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2))
+
+    def _add_steps(self) -> None:
+        """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""
+        sums = self._sums
+        for first in range(
+            len(self._steps) * KEY_SCANS_PER_SUBMAP, len(sums) - KEY_SCANS_PER_SUBMAP, KEY_SCANS_PER_SUBMAP
+        ):
+            self._steps.append(tuple((sums[first + KEY_SCANS_PER_SUBMAP] - sums[first]).tolist()))
+
+    def _add_link(self, constraint: Constraint) -> None:
+        """Add the link of a constraint between two submaps if it is the most certain so far."""
+        if not constraint.determined:
+            return
+        a, b = submap_of(constraint.from_), submap_of(constraint.to)
+        within = sum(
+            self._sums[k] - self._sums[first_key_scan(submap_of(k))] for k in (constraint.from_, constraint.to)
+        )
+        xx, yy, heading = np.linalg.inv(constraint.information).diagonal().tolist()
+        own = compute_moments(self.poses[constraint.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
+        moments: Moments = tuple((within + own).tolist())
+        known = self._links.get(a, {}).get(b)
+        if known is None or moments[0] + moments[1] < known[1][0] + known[1][1]:
+            to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])
+            from_key = between(self.tracked[constraint.to], self.tracked[first_key_scan(b)])
+            there = compose(to_anchor, compose(constraint.measurement, from_key))
+            self._links.setdefault(a, {})[b] = inverse(there), moments
+            self._links.setdefault(b, {})[a] = there, moments

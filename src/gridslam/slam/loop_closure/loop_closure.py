@@ -1,0 +1,190 @@
+"""Loop closure: corrects the trajectory when a place is recognized, and rebuilds the map of the filter."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from threading import Thread
+from typing import final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
+from gridslam.slam.loop_closure.state import Correction, LoopClosureState, PendingConstraints, RejectionReason
+from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP
+from gridslam.slam.loop_closure.submaps import insert_key_scans
+from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.incremental import advance
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
+from gridslam.types import BeamEnds, StepReport
+
+__all__ = ["LoopClosure"]
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class LoopClosure:
+    """Store, recognize, optimize, rebuild the map, merge.
+
+    When the graph, solved with a place just recognized, puts the robot elsewhere than the filter does, the filter's
+    past is replaced: all particles are reseeded on the graph's most likely trajectory, with equal weights and the one
+    map drawn from it. This is Laplace's approximation of p(x_1:t | z_1:t, u_1:t) with the closure among the
+    measurements, collapsed to its mode: given a map drawn from the corrected past, the newest pose is certain within a
+    matcher's basin (the closure was matched), and the motion model spreads the particles again. Particles that differ
+    only in how they would have closed this loop have nothing left to be weighed by, hence equal weights.
+
+    The graph is solved incrementally, some linear systems at each new scan, and then the corrected map is built,
+    `scans_per_step` key scans at each new one, so that no scan waits for either: the map is merged a number of scans
+    after the closure was found that depends on counts alone, never on time.
+
+    Parameters
+    ----------
+    recognition : PlaceRecognition
+        Which places are recognized.
+    solver : GraphSlam
+        How the graph is solved.
+    drift : DriftModel
+        How uncertain tracked motion is.
+    disagree_m, disagree_rad : float
+        The filter is not corrected if its trajectory satisfies the new constraints within this.
+    scans_per_step : int
+        Key scans inserted into the corrected map per new key scan, 0.3 ms each.
+    poses_per_scan : int
+        Poses solved for at each new scan, 1 us each; never less than one linear system of them all.
+    """
+
+    recognition: PlaceRecognition = PlaceRecognition()
+    solver: GraphSlam = GraphSlam(first_guess="given", robust=GraduatedNonConvexity())
+    drift: DriftModel = DriftModel()
+    disagree_m: float = Field(default=0.3, gt=0)
+    disagree_rad: float = Field(default=0.05, gt=0)
+    scans_per_step: int = Field(default=60, ge=2)
+    poses_per_scan: int = Field(default=8000, ge=1)
+
+    def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
+        """Begin with the filter's first scan."""
+        state.closure_state = closure_state = LoopClosureState()
+        closure_state.scans.append(beams, state.tracker.pose, is_key=True)
+        closure_state.online_poses.append(state.poses[state.best])
+        closure_state.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
+
+    def __call__(
+        self,
+        state: GridFastSlamState,
+        closure_state: LoopClosureState,
+        report: StepReport,
+        beams: BeamEnds,
+        mapper: OccupancyGridMapping,
+        threads: int,
+    ) -> StepReport:
+        """Process a scan after the filter; may correct `state`, which the report indicates."""
+        closure_state.scans.append(beams, state.tracker.pose, is_key=report.skipped is None)
+        pending = closure_state.pending_constraints
+        constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
+        if report.skipped is not None:
+            return replace(report, closures=_key_scan_pairs(constraints)) if constraints else report
+        self._add_key_scan(closure_state, state)
+        if len(closure_state.graph) == KEY_SCANS_PER_SUBMAP:  # long before the first search
+            Thread(target=self.solver.import_solver).start()
+        found = self.recognition(closure_state, mapper)
+        is_busy = closure_state.pending_constraints is not None or closure_state.correction is not None
+        if found and not is_busy and self._contradicts_filter(closure_state, found, state):
+            closure_state.pending_constraints = PendingConstraints(
+                len(closure_state.graph), len(closure_state.graph.constraints), len(found)
+            )
+        else:
+            constraints = constraints + found
+        correction = closure_state.correction
+        corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
+        return replace(report, pose=state.poses[state.best], closures=_key_scan_pairs(constraints), corrected=corrected)
+
+    def _add_key_scan(self, closure_state: LoopClosureState, state: GridFastSlamState) -> None:
+        """Add the newest key scan, where it was tracked to."""
+        graph = closure_state.graph
+        moved = between(graph.tracked[-1], state.key_pose)
+        position, heading = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
+        rejected = state.tracker.rejected_match_m2, state.tracker.rejected_match_rad2
+        before = closure_state.rejected_match_variances
+        closure_state.rejected_match_variances = rejected
+        times = self.drift.rejected_match_sigmas**2
+        spread = position + times * (rejected[0] - before[0]), heading + times * (rejected[1] - before[1])
+        graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
+        closure_state.online_poses.append(state.poses[state.best])
+
+    def _contradicts_filter(
+        self, closure_state: LoopClosureState, constraints: list[Constraint], state: GridFastSlamState
+    ) -> bool:
+        """Whether the best particle violates the new constraints."""
+        trajectory = state.ancestry.trajectory(state.best)
+        ends = np.array([(constraint.from_, constraint.to) for constraint in constraints])
+        has = between(trajectory[ends[:, 0]], trajectory[ends[:, 1]])
+        missed = between(has, np.array([constraint.measurement for constraint in constraints]))
+        far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
+        return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
+
+    def _solve_pending(
+        self,
+        closure_state: LoopClosureState,
+        pending: PendingConstraints,
+        mapper: OccupancyGridMapping,
+        threads: int,
+    ) -> list[Constraint]:
+        """Advance the graph solver; when it has finished, start the correction and return the accepted constraints.
+
+        Returns none before the solver has finished, and none if it rejects them.
+        """
+        graph = closure_state.graph
+        if pending.computation is None:
+            pending.computation = self.solver.solve_in_steps(
+                graph.graph(keys=pending.keys, constraints=pending.constraints)
+            )
+            advance(pending.computation, pending.steps)
+        steps = max(1, min(8, self.poses_per_scan // pending.keys))
+        pending.steps += steps
+        solution = advance(pending.computation, steps)
+        if solution is None:
+            return []
+        closure_state.pending_constraints = None
+        poses = graph.extend_with_tracked(solution.poses)
+        new = slice(pending.constraints - pending.new, pending.constraints)
+        true = solution.weights[-pending.new :] >= 0.5
+        constraints = [
+            constraint for constraint, is_true in zip(graph.constraints[new], true.tolist(), strict=True) if is_true
+        ]
+        closure_state.rejected[RejectionReason.IMPLAUSIBLE] += pending.new - len(constraints)
+        if 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
+            constraints = []
+        graph.constraints[new] = constraints
+        if constraints:
+            closure_state.correction = Correction(poses, mapper.empty(1, threads))
+        closure_state.correct(poses)
+        return constraints
+
+    def _build_corrected_map(
+        self, closure_state: LoopClosureState, correction: Correction, state: GridFastSlamState
+    ) -> bool:
+        """Continue to rebuild the map and merge it when complete; return whether it was merged."""
+        correction.poses = poses = closure_state.graph.extend_with_tracked(correction.poses)
+        last = min(correction.inserted + self.scans_per_step, len(poses))
+        insert_key_scans(
+            correction.maps, closure_state.scans, range(correction.inserted, last), poses[correction.inserted : last]
+        )
+        correction.inserted = last
+        if last < len(poses):
+            return False
+        closure_state.correct(poses)
+        closure_state.online_poses = list(poses)
+        state.replace_trajectory(poses, correction.maps)
+        closure_state.correction = None
+        return True
+
+
+def _key_scan_pairs(constraints: list[Constraint]) -> tuple[tuple[int, int], ...]:
+    return tuple((constraint.from_, constraint.to) for constraint in constraints)

@@ -1,0 +1,115 @@
+"""Submaps: local maps of consecutive key scans, built on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import final
+
+import numpy as np
+
+from gridslam.grid.arena import Int32Array
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import Pyramid
+from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.scan_archive import ScanArchive
+from gridslam.slam.loop_closure.submap_index import anchor_of, first_key_scan
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["ROW", "SubmapCache", "build_joint_map", "build_map", "insert_key_scans", "key_scans_of"]
+
+ROW: Int32Array = np.array([0], np.int32)
+"""The one row of a submap."""
+
+_MOST_BYTES = 32_000_000
+"""Of submaps that are kept: 32 of them inside, and few where a laser sees 80 m of open ground."""
+
+_FEW = 12
+"""Up to this many submaps every second key scan is inserted into the joint map, above it every fourth."""
+
+
+def key_scans_of(submap: int, graph: KeyGraph) -> IntArray:
+    """Key scans of a submap that no gap in the laser data separates from its anchor."""
+    return graph.select_without_gap(np.arange(first_key_scan(submap), first_key_scan(submap + 1)), anchor_of(submap))
+
+
+def insert_key_scans(maps: TileMaps, scans: ScanArchive, keys: Iterable[int], poses: Iterable[FloatArray]) -> None:
+    """Draw key scans into the one map of `maps`, each at its pose (3,)."""
+    for key, pose in zip(keys, poses, strict=True):
+        maps.update(ROW, pose[None], scans.key(key))
+
+
+def build_map(mapper: OccupancyGridMapping, scans: ScanArchive, keys: IntArray, poses: FloatArray) -> TileMaps:
+    """Build a map of key scans `keys` (K,) at poses (K, 3)."""
+    maps = mapper.empty(1)
+    insert_key_scans(maps, scans, keys.tolist(), poses)
+    return maps
+
+
+def build_joint_map(
+    submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+) -> TileMaps:
+    """Build one map of several blocks, each at the pose of its anchor in the graph."""
+    stride = 2 if len(submaps) <= _FEW else 4  # neighbouring scans show much the same
+    keys = [key_scans_of(submap, graph)[::stride] for submap in submaps]
+    poses = [graph.tracked_poses_in_map(anchor_of(b), k) for b, k in zip(submaps, keys, strict=True)]
+    return build_map(mapper, scans, np.concatenate(keys), np.concatenate(poses))
+
+
+@final
+class SubmapCache:
+    """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
+
+    Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
+    """
+
+    __slots__ = ("_joint", "_kept", "_most", "_pyramids")
+
+    def __init__(self, most: int = 32) -> None:
+        """Keep `most` submaps at a time, about 1 MB each, and less where they are larger."""
+        self._kept: dict[int, TileMaps] = {}
+        self._joint: dict[tuple[int, ...], TileMaps] = {}
+        self._pyramids: dict[tuple[int, ...], Pyramid] = {}
+        self._most = most
+
+    def __call__(self, submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
+        """Give a submap that is complete."""
+        maps = self._kept.pop(submap, None)
+        if maps is None:
+            keys, anchor = key_scans_of(submap, graph), anchor_of(submap)
+            maps = build_map(mapper, scans, keys, graph.tracked_poses_from(anchor, keys))
+            while self._kept and (len(self._kept) >= self._most or self.nbytes + maps.nbytes > _MOST_BYTES):
+                del self._kept[next(iter(self._kept))]
+        self._kept[submap] = maps  # the last used one comes last
+        return maps
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the submaps that are kept."""
+        return sum(maps.nbytes for maps in self._kept.values())
+
+    def joint_map(
+        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+    ) -> TileMaps:
+        """Give `build_joint_map`, drawn once as long as the submaps are those of one of the last two; see `forget`."""
+        if submaps not in self._joint:
+            if len(self._joint) > 1:
+                oldest = next(iter(self._joint))
+                del self._joint[oldest]
+                self._pyramids.pop(oldest, None)
+            self._joint[submaps] = build_joint_map(submaps, mapper, scans, graph)
+        return self._joint[submaps]
+
+    def pyramid(
+        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
+    ) -> Pyramid:
+        """Give the pyramid of `joint`, made once."""
+        maps = self.joint_map(submaps, mapper, scans, graph)
+        if submaps not in self._pyramids:
+            self._pyramids[submaps] = Pyramid.of(maps, 0)
+        return self._pyramids[submaps]
+
+    def forget(self) -> None:
+        """Drop the cached joint maps after the poses have changed."""
+        self._joint.clear()
+        self._pyramids.clear()

@@ -1,0 +1,1 @@
+"""Pose graphs: GraphSLAM, its robust kernels and marginals."""

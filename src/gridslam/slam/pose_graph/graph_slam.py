@@ -1,0 +1,158 @@
+"""GraphSLAM: the most likely trajectory of a pose graph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.angles import wrap
+from gridslam.slam.pose_graph.cauchy import CauchyEstimator
+from gridslam.slam.pose_graph.descent import DescentResult, descend, squared_mahalanobis
+from gridslam.slam.pose_graph.incremental import Computation, run_to_completion
+from gridslam.slam.pose_graph.initial import initial_guess
+from gridslam.slam.pose_graph.linear import BlockSystem, require_connected
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import GraduatedNonConvexity, scale_information
+from gridslam.types import FloatArray
+
+__all__ = ["GraphSlam", "GraphSolution"]
+
+_RETRY_RATIOS = (0.1, 0.001)
+"""Weights of what is not trusted, for first guesses: which one is fooled less by false measurements varies."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphSolution:
+    """What GraphSLAM found.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        The measurements as they were given, about the solved poses, whose headings are in [-pi, pi).
+    chi2_before, chi2_after : float
+        Sum of w e' information e at the poses given and at those found, w the weights.
+    iterations : int
+        Linear systems solved.
+    weights : (M,) float64
+        How much each measurement counts, in [0, 1]; all 1 without robust estimation.
+    converged : bool
+        A minimum was found, within the iterations allowed.
+    """
+
+    graph: PoseGraph
+    chi2_before: float
+    chi2_after: float
+    iterations: int
+    weights: FloatArray
+    converged: bool
+
+    @property
+    def poses(self) -> FloatArray:
+        """The solved poses (N, 3)."""
+        return self.graph.poses
+
+    @property
+    def weighted_graph(self) -> PoseGraph:
+        """The solved graph as it was solved: information times weight, false measurements left out."""
+        return scale_information(self.graph, self.weights)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class GraphSlam:
+    """Least squares over a pose graph: the poses of the least chi2, pose 0 held.
+
+    Parameters
+    ----------
+    first_guess : "given", "computed" or "either"
+        Where the search begins: at the graph's own poses (for a graph that was solved before and grew: two or three
+        iterations, one if `max_iterations` is 1), at `initial_guess` (for poses that mean nothing), or where chi2 is
+        less, and again from the other where the first answer is doubtful: it turned some pose by more than a right
+        angle from the computed guess, or its chi2 is greater than the measurements' noise explains.
+    robust : GraduatedNonConvexity, CauchyEstimator or None
+        Robust estimator of the measurements that are not trusted; None for plain least squares.
+    max_iterations : int
+        Linear systems solved at most from one guess.
+    tolerance : float
+        A minimum is where the quadratic model promises to lower chi2 by less than this share.
+
+    Source: Thrun, Burgard, Fox, Probabilistic Robotics (2005), chapter 11; Grisetti et al., A tutorial on graph-based
+    SLAM (2010), algorithm 1.
+    """
+
+    first_guess: Literal["given", "computed", "either"] = "either"
+    robust: GraduatedNonConvexity | CauchyEstimator | None = None
+    max_iterations: int = Field(default=100, ge=1)
+    tolerance: float = Field(default=1e-6, gt=0, lt=1)
+
+    def solve(self, graph: PoseGraph) -> GraphSolution:
+        """Find the poses of least chi2.
+
+        Raises
+        ------
+        ArgumentError
+            The measurements do not join all poses.
+        """
+        return run_to_completion(self.solve_in_steps(graph))
+
+    def import_solver(self) -> None:
+        """Import what solving needs, a quarter of a second, by solving the smallest graph there is."""
+        edges, measured = [[0, 1], [0, 1], [0, 1]], [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
+        smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
+        self.solve(replace(smallest, trusted=np.array([True, False, False])))
+
+    def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
+        """Do what `solve` does, in steps of about one linear system each."""
+        require_connected(graph.edges, len(graph.poses))
+        weights = np.ones(len(graph.edges))
+        if len(graph.poses) == 1:
+            return GraphSolution(graph, 0.0, 0.0, 0, weights, True)
+        if self.robust is None:
+            found = yield from self._least_squares(graph)
+        else:
+            estimate = yield from self.robust.estimate(
+                graph, self._initial_guesses(graph), self.max_iterations, self.tolerance
+            )
+            found, weights = estimate.solution, estimate.weights
+        poses = found.poses.copy()
+        poses[:, 2] = wrap(poses[:, 2])
+        before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())
+        return GraphSolution(graph.with_poses(poses), before, found.chi2, found.iterations, weights, found.converged)
+
+    def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
+        """Return the least chi2 met from the guesses there are."""
+        system = BlockSystem(graph.edges, len(graph.poses), 3)
+        if self.first_guess == "given":
+            return (yield from descend(graph, graph.poses, system, self.max_iterations, self.tolerance))
+        computed = initial_guess(graph)
+        if self.first_guess == "computed":
+            return (yield from descend(graph, computed, system, self.max_iterations, self.tolerance))
+        starts = sorted((computed, graph.poses), key=graph.chi2)
+        found = yield from descend(graph, starts[0], system, self.max_iterations, self.tolerance)
+        if not _doubtful(found, computed, len(graph.edges)):
+            return found
+        other = yield from descend(graph, starts[1], system, self.max_iterations, self.tolerance)
+        best = min(found, other, key=lambda descent: descent.chi2)
+        return replace(best, iterations=found.iterations + other.iterations)
+
+    def _initial_guesses(self, graph: PoseGraph) -> Iterator[FloatArray]:
+        """Guesses for a robust estimation: the graph's poses, and where the trusted measurements put them."""
+        if self.first_guess != "computed":
+            yield graph.poses
+        if self.first_guess != "given":
+            for weight in _RETRY_RATIOS:
+                yield initial_guess(scale_information(graph, np.where(graph.trusted, 1.0, weight)))
+
+
+def _doubtful(found: DescentResult, computed: FloatArray, measurements: int) -> bool:
+    """Whether another guess may lead lower: see `GraphSlam`."""
+    turned = np.abs(wrap(found.poses[:, 2] - computed[:, 2])).max()
+    freedom = 3 * (measurements - len(computed) + 1)
+    return bool(turned > math.pi / 2 or found.chi2 > freedom + 5 * math.sqrt(2 * freedom))

@@ -1,0 +1,190 @@
+"""The sparse linear systems of GraphSLAM: normal equations whose pattern is found once and whose numbers change."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
+
+__all__ = ["BlockSystem", "MatrixBlocks", "is_connected", "linearize", "require_connected"]
+
+
+class MatrixBlocks(NamedTuple):
+    """What each of M measurements adds to the normal equations, in blocks of `size` unknowns for each pose.
+
+    Attributes
+    ----------
+    first, second : (M, size, size) float64
+        Of the two poses that the measurement joins.
+    cross : (M, size, size) float64
+        Rows of the first pose, columns of the second.
+    gradient_first, gradient_second : (M, size) float64
+        Half the derivative of chi2.
+    """
+
+    first: FloatArray
+    cross: FloatArray
+    second: FloatArray
+    gradient_first: FloatArray
+    gradient_second: FloatArray
+
+
+def linearize(graph: PoseGraph, poses: FloatArray, errors: FloatArray) -> MatrixBlocks:
+    """Blocks J' information J and J' information e of the errors e (M, 3) at poses (N, 3).
+
+    Unknowns are the poses' coordinates. The error sees the difference d of the positions only turned by the first
+    heading: with R the rotation from the map to the frame in which the measurement ends, its Jacobians are
+    J_second = diag(R, 1) and J_first = -J_second (I with the third column l), l = (-d_y, d_x, 1). So the blocks of the
+    first pose are those of the second, with the third row or column replaced by the product with l.
+
+    Source: Grisetti et al., A tutorial on graph-based SLAM (2010), equations 32 and 33.
+    """
+    first, second = graph.edges.T
+    heading = poses[first, 2] + graph.measurements[:, 2]
+    c, s = np.cos(heading), np.sin(heading)
+    at_second = _turned(graph.information, c, s)
+    gradient = np.matmul(graph.information, errors[:, :, None])[:, :, 0]
+    gradient[:, 0], gradient[:, 1] = c * gradient[:, 0] - s * gradient[:, 1], s * gradient[:, 0] + c * gradient[:, 1]
+
+    x, y = poses[first, 1] - poses[second, 1], poses[second, 0] - poses[first, 0]
+    lever = at_second[:, :, 0] * x[:, None] + at_second[:, :, 1] * y[:, None] + at_second[:, :, 2]
+    cross, at_first, gradient_first = -at_second, at_second.copy(), -gradient
+    cross[:, 2, :] = -lever
+    at_first[:, 2, :] = at_first[:, :, 2] = lever
+    at_first[:, 2, 2] = x * lever[:, 0] + y * lever[:, 1] + lever[:, 2]
+    gradient_first[:, 2] -= x * gradient[:, 0] + y * gradient[:, 1]
+    return MatrixBlocks(at_first, cross, at_second, gradient_first, gradient)
+
+
+def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray:
+    """diag(R, 1)' information diag(R, 1) for rotations R = (c, s; -s, c), (M,) each; matrix products are slower."""
+    turned = information.copy()
+    (xx, xy, xt), (_, yy, yt), _ = information.transpose(1, 2, 0)
+    turned[:, 0, 0] = c * c * xx - 2 * c * s * xy + s * s * yy
+    turned[:, 1, 1] = s * s * xx + 2 * c * s * xy + c * c * yy
+    turned[:, 0, 1] = turned[:, 1, 0] = c * s * (xx - yy) + (c * c - s * s) * xy
+    turned[:, 0, 2] = turned[:, 2, 0] = c * xt - s * yt
+    turned[:, 1, 2] = turned[:, 2, 1] = s * xt + c * yt
+    return turned
+
+
+def is_connected(edges: IntArray, poses: int) -> bool:
+    """Whether `edges` (M, 2) join all poses."""
+    return bool(_parts(edges, poses)[0] == 1)
+
+
+def require_connected(edges: IntArray, poses: int) -> None:
+    """Raise ArgumentError, saying in how many parts and who is apart, if `edges` (M, 2) do not join all poses."""
+    parts, part = _parts(edges, poses)
+    if parts > 1:
+        apart = np.flatnonzero(part != part[0])
+        some = ", ".join(map(str, apart[:10].tolist())) + (", ..." if len(apart) > 10 else "")
+        got = f"{parts} parts: {len(apart)} poses cannot be reached from pose 0 ({some})"
+        raise ArgumentError("graph", "measurements that join all poses", got)
+
+
+def _parts(edges: IntArray, poses: int) -> tuple[int, IntArray]:
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    joined = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(poses, poses))
+    parts, part = connected_components(joined, directed=False)
+    return int(parts), np.asarray(part, np.int64)
+
+
+@final
+class BlockSystem:
+    """Sparse symmetric systems H x = b of one pattern: `size` unknowns for each pose but pose 0, which is held.
+
+    The upper triangle of H is kept by columns. All that depends on the pattern (where each number goes, the order of
+    elimination, the structure of the factor) is found once; then a solution costs a numeric factorization.
+
+    Parameters
+    ----------
+    edges : (M, 2) int64
+        Places of the two poses that each measurement joins; together they join all poses.
+    poses : int
+        N >= 2.
+    size : int
+        Unknowns of a pose, >= 1.
+    """
+
+    def __init__(self, edges: IntArray, poses: int, size: int) -> None:
+        self.size, self.free = size, poses - 1
+        self._first, self._second = (edges - 1).T  # as free poses; -1 is the one that is held
+        self._upper = np.triu_indices(size)
+        self._solver: Any = None
+        low, high = np.minimum(self._first, self._second), np.maximum(self._first, self._second)
+        held = self.free * self.free  # stands for all pairs with the pose that is held, after all others
+        pairs, place = np.unique(np.where(low < 0, held, high * self.free + low), return_inverse=True)
+        self._lay_out(pairs[pairs < held], place)
+
+    def _lay_out(self, pairs: IntArray, place: IntArray) -> None:
+        """Find where the numbers of each block go: column by column, the blocks above the diagonal, then its own."""
+        from scipy.sparse import csc_matrix
+
+        size, free, local = self.size, self.free, np.arange(self.size)[:, None]
+        column, row = np.divmod(pairs, free)
+        above = np.bincount(column, minlength=free)
+        ends = np.cumsum(above[:, None] * size + local.T + 1)
+        begin = np.concatenate(([0], ends[:-1])).reshape(free, 1, size)
+        rank = np.arange(len(column)) - (np.cumsum(above) - above)[column]
+        crossing = begin[column] + (rank * size)[:, None, None] + local
+        diagonal = begin + (above * size)[:, None, None] + local
+
+        indices = np.empty(ends[-1], np.int32)
+        indices[crossing] = (row * size)[:, None, None] + local
+        own = np.broadcast_to((np.arange(free) * size)[:, None, None] + local, diagonal.shape)
+        indices[self._of_upper(diagonal)] = self._of_upper(own)
+        self._pivots = ends - 1  # the diagonal's numbers end the columns
+        self._matrix: csc_matrix = csc_matrix((np.zeros(len(indices)), indices, np.concatenate(([0], ends))))
+
+        spare = len(indices)  # takes what belongs to the pose that is held
+        crossing = np.concatenate((crossing, np.full((1, size, size), spare)))[place]
+        backward = self._first > self._second  # then the block lies transposed above the diagonal
+        crossing[backward] = crossing[backward].transpose(0, 2, 1)
+        diagonal = np.concatenate((self._of_upper(diagonal), np.full((1, len(self._upper[0])), spare)))
+        self._slots = np.concatenate((diagonal[self._first], crossing, diagonal[self._second]), axis=None)
+
+    def _of_upper(self, blocks: Any) -> Any:  # noqa: ANN401 the numbers' type is that of the blocks
+        return blocks[:, self._upper[0], self._upper[1]]
+
+    def assemble(self, blocks: MatrixBlocks) -> tuple[FloatArray, FloatArray]:
+        """Sum blocks to the numbers of H and to the gradient (free * size,)."""
+        numbers = np.concatenate((self._of_upper(blocks.first), blocks.cross, self._of_upper(blocks.second)), axis=None)
+        matrix = np.bincount(self._slots, numbers, len(self._matrix.indices) + 1)[:-1]
+        return np.asarray(matrix, np.float64), self.gradient(blocks.gradient_first, blocks.gradient_second)
+
+    def gradient(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """Sum what belongs to the poses that the measurements join, (M, size) each, to (free * size,)."""
+        slots, values = np.concatenate((self._first, self._second)) + 1, np.concatenate((first, second))
+        summed = [np.bincount(slots, column, self.free + 1)[1:] for column in values.T]
+        return np.asarray(np.stack(summed, axis=1).ravel(), np.float64)
+
+    def factorize(self, matrix: FloatArray, damping: float = 0.0) -> None:
+        """Factorize H + damping diag(H) for `solve`, from the numbers that `assemble` returns."""
+        import qdldl
+
+        self._matrix.data[:] = matrix
+        self._matrix.data[self._pivots] *= 1.0 + damping
+        if self._solver is None:
+            self._solver = qdldl.Solver(self._matrix, upper=True)
+        else:
+            self._solver.update(self._matrix, upper=True)
+
+    def solve(self, right_side: FloatArray) -> FloatArray:
+        """Solve for one right side (free * size,) with the last factorization; returns (N, size), 0 for pose 0."""
+        solution: FloatArray = np.zeros((self.free + 1, self.size))
+        solution[1:] = self._solver.solve(right_side).reshape(-1, self.size)
+        return solution
+
+    def factors(self) -> Any:  # noqa: ANN401 scipy's sparse matrix
+        """Return L without its unit diagonal, the diagonal D and the order p of elimination: H[p, p] = L D L'."""
+        return self._solver.factors()

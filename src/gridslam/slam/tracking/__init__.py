@@ -1,0 +1,1 @@
+"""Scan-to-scan tracking: the motion between key scans."""

@@ -1,0 +1,265 @@
+"""State and result of the tracker."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.geometry.se2 import between, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
+from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
+
+__all__ = ["PoseEstimate", "Prediction", "SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
+
+_BOTH = np.array([0, 1], np.int32)
+_ROWS = (np.array([0], np.int32), np.array([1], np.int32))
+
+
+@final
+class SensorTrack(NamedTuple):
+    """Track of one laser; lasers are distinguished by `sensor`."""
+
+    stamp_ns: int  # of its last scan that was matched
+    matched_pose: FloatArray  # (3,), of that scan
+    inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
+    inserted_pose: FloatArray  # (3,), of its last scan that was inserted
+    beam_order_sums: FloatArray  # (3,), votes for the order of its beams; see `TrackerDeskew`
+    ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
+
+    @classmethod
+    def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
+        """After its first scan, from `pose` (3,)."""
+        return cls(stamp_ns, pose, 1.0, pose, np.zeros(3))
+
+
+@final
+@dataclass(slots=True, eq=False)
+class TrackerState:
+    """State of the tracker; arrays are replaced, never modified in place.
+
+    Attributes
+    ----------
+    maps : TileMaps
+        Two overlapping local maps.
+    pose : (3,) float64
+        Of the last scan, in the tracker's own, slowly drifting frame.
+    stamp_ns : int
+        Of the last scan.
+    odometry : (3,) float64
+        Of the last scan; NaN where it had none.
+    matched_pose, matched_odometry : (3,) float64
+        Of the last scan that was matched, from which odometry goes on.
+    sensors : dict of str to SensorTrack
+        The last of each laser.
+    odometry_errors : OdometryErrorModel
+        What the odometry's errors are.
+    twist : (3,) float64
+        Velocity of the base in its own frame, m/s and rad/s.
+    velocity_variances : (2,) float64
+        Variances of what velocities predicted lately, m^2 (each of x and y) and rad^2.
+    period_s : float
+        Mean time between scans.
+    mean_step : float
+        Mean way between scans while the robot moves, m + rad.
+    stamps_unreliable : bool
+        Stamps are unreliable: the time between scans is taken as `period_s`.
+    matched_map : int
+        Which local map is matched against.
+    scans : (int, int)
+        Scans that each local map holds.
+    unlocalized_scans : int
+        Consecutive scans without a valid match and without odometry.
+    rejected_odometry : int
+        Number of scans whose odometry was rejected (jump, latency, or not trusted).
+    rejected_match_m2, rejected_match_rad2 : float
+        Accumulated variances of predictions used in place of a rejected match.
+    """
+
+    maps: TileMaps
+    pose: FloatArray
+    stamp_ns: int
+    odometry: FloatArray
+    matched_pose: FloatArray
+    matched_odometry: FloatArray
+    sensors: dict[str, SensorTrack]
+    odometry_errors: OdometryErrorModel = field(default_factory=OdometryErrorModel)
+    twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity_variances: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
+    period_s: float = 0.1
+    mean_step: float = 0.0
+    stamps_unreliable: bool = False
+    matched_map: int = 0
+    scans: tuple[int, int] = (1, 0)
+    unlocalized_scans: int = 0
+    rejected_odometry: int = 0
+    rejected_match_m2: float = 0.0
+    rejected_match_rad2: float = 0.0
+
+    @classmethod
+    def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
+        """Begin at the origin of the tracker's frame."""
+        pose, at = np.zeros(3), pose_of(odometry)
+        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: SensorTrack.first(stamp_ns, pose)})
+
+    @property
+    def row(self) -> NDArray[np.int32]:
+        """The local map that is matched against, (1,)."""
+        return _ROWS[self.matched_map]
+
+    def update_track(self, sensor: str, track: SensorTrack) -> None:
+        """Keep the last of a laser; copies that were made before do not change."""
+        self.sensors = {**self.sensors, sensor: track}
+
+    def merge_lasers(self, beams: Beams, pose: FloatArray, metres: float, radians: float) -> BeamEnds:
+        """The scan, taken at about `pose` (3,), with what the other lasers saw last from no farther away.
+
+        All lasers are one sensor: each alone may see a single wall.
+        """
+        others = [
+            transform_points(between(pose, track.matched_pose), track.ends)
+            for sensor, track in self.sensors.items()
+            if sensor != beams.scan.sensor and is_within(track.matched_pose, pose, metres, radians)
+        ]
+        return StoredScan(np.concatenate([beams.ends, *others]), beams.origin) if others else beams
+
+    def insert(self, beams: Beams, most: int) -> None:
+        """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""
+        scans, active, full = list(self.scans), self.matched_map, most * len(self.sensors)
+        rows = _ROWS[active] if scans[active] < full else _BOTH
+        for row in rows.tolist():
+            scans[row] += 1
+        self.maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), beams)
+        if scans[1 - active] >= full:
+            self.maps.clear(active)
+            scans[active], self.matched_map = 0, 1 - active
+        self.scans = (scans[0], scans[1])
+
+    def snapshot(self) -> TrackerState:
+        """Keep a copy for later, at the cost of the maps' tables."""
+        return replace(self, maps=self.maps.snapshot(), odometry_errors=self.odometry_errors.snapshot())
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays; `from_arrays` continues with identical results."""
+        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
+        counters = [
+            self.stamp_ns,
+            self.matched_map,
+            *self.scans,
+            self.unlocalized_scans,
+            self.rejected_odometry,
+            self.stamps_unreliable,
+        ]
+        arrays["counters"] = np.array(counters, np.int64)
+        arrays["rejected_match_variances"] = np.array([self.rejected_match_m2, self.rejected_match_rad2])
+        arrays["rates"] = np.array([self.period_s, self.mean_step])
+        stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
+        arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
+        arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
+        arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
+        arrays["sensors.counts"], arrays["sensors.ends"] = np.array([len(e) for e in ends]), np.concatenate(ends)
+        arrays |= {f"odometry_errors.{name}": array for name, array in self.odometry_errors.to_arrays().items()}
+        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
+        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
+        maps = mapper.restore({n.removeprefix("maps."): a for n, a in arrays.items() if n.startswith("maps.")})
+        odometry_errors = OdometryErrorModel.from_arrays(
+            {n.removeprefix("odometry_errors."): a for n, a in arrays.items() if n.startswith("odometry_errors.")}
+        )
+        stamp_ns, active, first, second, unlocalized, rejected, unreliable = (int(v) for v in arrays["counters"])
+        rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
+        period_s, mean_step = arrays["rates"].tolist()
+        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
+        ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
+        last = [
+            SensorTrack(int(s), pose, float(ratio), *rest) for s, pose, ratio, *rest in zip(*parts, ends, strict=True)
+        ]
+        return cls(
+            maps, stamp_ns=stamp_ns, odometry_errors=odometry_errors,
+            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)), period_s=period_s,
+            mean_step=mean_step, stamps_unreliable=bool(unreliable), matched_map=active, scans=(first, second),
+            unlocalized_scans=unlocalized, rejected_odometry=rejected, rejected_match_m2=rejected_match_m2,
+            rejected_match_rad2=rejected_match_rad2, **{name: np.array(arrays[name], np.float64) for name in _POSES},
+        )  # fmt: skip
+
+
+_OF_SENSORS = ("matched_poses", "inlier_ratios", "inserted_poses", "beam_order_sums")
+_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "velocity_variances")
+
+
+def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
+    """Whether poses (3,) are nearer to each other than both."""
+    dx, dy, turn = (a - b).tolist()
+    return math.hypot(dx, dy) < metres and abs(math.remainder(turn, math.tau)) < radians
+
+
+def pose_of(odometry: Odometry | None) -> FloatArray:
+    """Pose (3,); NaN where there is none."""
+    return np.full(3, np.nan) if odometry is None else odometry.pose
+
+
+@final
+class Prediction(NamedTuple):
+    """Predicted pose of a scan."""
+
+    pose: FloatArray  # (3,)
+    by_odometry: bool  # or by the velocity
+    seconds: float  # since the last scan
+    moved_m: float  # since the last scan that was matched, by the odometry; 0 without
+    turned_rad: float  # since the last scan that was matched
+    sigma_m: float
+    sigma_rad: float
+    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
+
+    @property
+    def prior(self) -> FloatArray:
+        """Information (1, 3, 3) of the prediction, beside residuals in m."""
+        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
+        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
+
+
+@final
+class PoseEstimate(NamedTuple):
+    """Where a scan was taken."""
+
+    pose: FloatArray  # (3,)
+    prediction: Prediction  # from which it was found
+    matched: bool  # whether the map was asked
+    lost: bool  # neither match nor prediction is reliable
+    inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
+    determined: bool = False  # by the scan, in all directions
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedScan:
+    """Result of tracking one scan.
+
+    Attributes
+    ----------
+    pose, predicted : (3,) float64
+        In the tracker's frame; `predicted` uses only the scans before this one, `pose` this one too. Where scans are
+        far apart `predicted` may be a guess from this scan, to descend from.
+    beams : Beams
+        As seen from the base at the stamp: deskewed.
+    merged_beams : BeamEnds
+        These, and what the other lasers saw a moment ago: what is to be matched, as each laser alone may see a single
+        wall. Weighing takes `beams` alone: what the other lasers saw has been weighed at their own key scans.
+    prediction_variances : (2,) float64 or None
+        Variances of a prediction by the velocity, m^2 (each of x and y) and rad^2; None by odometry, whose noise is the
+        motion model's.
+    """
+
+    pose: FloatArray
+    predicted: FloatArray
+    beams: Beams
+    merged_beams: BeamEnds
+    prediction_variances: FloatArray | None = None
