@@ -28,7 +28,9 @@ class Count(NamedTuple):
     modules: int
     """Files of Python."""
     statements: int
-    """Nodes of the syntax tree that are statements; docstrings are none."""
+    """Nodes of the syntax tree that are statements; docstrings are none, and `a, b = x, y` is two."""
+    packed: float
+    """Ratio of assignments that are packed as `a, b = x, y`, percent."""
     lines: int
     """Physical lines of Python, with blank ones and comments."""
     compiled_lines: int
@@ -37,16 +39,21 @@ class Count(NamedTuple):
 
 def count(files: Iterable[tuple[str, str]]) -> Count:
     """Count files, each a name and a text; what is neither Python nor C++ does not count."""
-    modules = statements = lines = compiled_lines = 0
+    modules = statements = assignments = packed = lines = compiled_lines = 0
     for name, text in files:
         length = len(text.splitlines())
         if name.endswith(".py"):
             modules += 1
             lines += length
-            statements += sum(_is_statement(node) for node in ast.walk(ast.parse(text)))
+            for node in ast.walk(ast.parse(text)):
+                statements += _is_statement(node)
+                assignments += isinstance(node, ast.Assign | ast.AnnAssign)
+                more = _packed(node)
+                statements += more
+                packed += more > 0
         elif name.endswith(_COMPILED):
             compiled_lines += length
-    return Count(modules, statements, lines, compiled_lines)
+    return Count(modules, statements, round(100 * packed / max(1, assignments), 1), lines, compiled_lines)
 
 
 def main(arguments: Sequence[str] | None = None) -> str:
@@ -56,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> str:
     commits = parser.parse_args(arguments).commits
     rows = [[commit, *count(_at(commit))] for commit in commits]
     rows.append(["working tree", *count(_here())])
-    text = table(["", "modules", "statements", "lines of Python", "lines of C++"], rows)
+    text = table(["", "modules", "statements", "packed assignments, %", "lines of Python", "lines of C++"], rows)
     print(text)
     return text
 
@@ -66,6 +73,16 @@ def _is_statement(node: ast.AST) -> bool:
         isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
     )
     return isinstance(node, ast.stmt) and not docstring
+
+
+def _packed(node: ast.AST) -> int:
+    """Count the assignments that a node holds beyond its first: of one value to each name, none used by another."""
+    match node:
+        case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)) if len(targets) == len(values):
+            assigned = {ast.unparse(target) for target in targets}
+            used = {ast.unparse(part) for value in values for part in ast.walk(value) if isinstance(part, ast.expr)}
+            return 0 if assigned & used else len(targets) - 1
+    return 0
 
 
 def _here() -> Iterator[tuple[str, str]]:

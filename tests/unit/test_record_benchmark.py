@@ -16,7 +16,17 @@ CODE = '"""A docstring."""\n\nimport math\n\n\ndef f(x):\n    """Another."""\n  
 def test_statements_are_those_of_the_syntax_tree():
     """An import, a definition, an if and a return; docstrings, comments and blank lines are none."""
     counted = count.count([("a.py", CODE), ("b.cpp", "int x;\n\n"), ("c.html", "<p>\n")])
-    assert counted == count.Count(modules=1, statements=4, lines=9, compiled_lines=2)
+    assert counted == count.Count(modules=1, statements=4, packed=0, lines=9, compiled_lines=2)
+
+
+@pytest.mark.parametrize(
+    ("code", "statements"),
+    [("a, b = 1, c", 2), ("a, b.x, d = c", 1), ("a, b = b, a", 1), ("a = 1, 2", 1), ("a, b, d = c.x, 1, f(2)", 3)],
+)
+def test_a_packed_assignment_counts_as_what_it_assigns(code, statements):
+    counted = count.count([("a.py", code)])
+    assert counted.statements == statements
+    assert counted.packed == (100.0 if statements > 1 else 0.0)
 
 
 def test_figures_are_the_mean_and_the_worst_of_the_seeds_and_the_cost_of_the_first():
