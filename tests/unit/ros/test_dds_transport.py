@@ -11,10 +11,10 @@ pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not in
 
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.ros2 import dds
 from gridslam.ros.ros2.arguments import RosArguments
 from gridslam.ros.ros2.cdr import encode_message
 from gridslam.ros.ros2.outputs import TOPICS, Ros2Outputs
-from gridslam.ros.ros2 import dds
 from gridslam.ros.ros2.ros2_dds import DdsNode
 from support.dds_peer import free_domain
 from support.ros_node import until
