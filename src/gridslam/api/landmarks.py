@@ -27,8 +27,8 @@ from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
 from gridslam.slam.landmarks.path import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkReport
-from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, MotionModel
 
 __all__ = ["METHODS", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "LandmarkMethod", "map_landmarks"]

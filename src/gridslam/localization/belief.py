@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,8 @@ class PoseEstimate(NamedTuple):
         Weight of the cluster: the belief's probability that the robot is within 1 m and 0.5 rad of the pose.
     """
 
-    pose: FloatArray
-    covariance: FloatArray
+    pose: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3]
     mass: float
 
 

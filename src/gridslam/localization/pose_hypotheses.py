@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from pydantic import Field
@@ -21,8 +21,8 @@ __all__ = ["NO_HYPOTHESES", "HypothesisTracker", "PoseHypotheses"]
 class PoseHypotheses(NamedTuple):
     """Poses (K, 3) in the map, and the log-odds (K,) of each relative to the reported one."""
 
-    poses: FloatArray
-    log_odds: FloatArray
+    poses: Annotated[FloatArray, "K", 3]
+    log_odds: Annotated[FloatArray, "K"]
 
     @property
     def odds(self) -> float:

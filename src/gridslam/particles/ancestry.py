@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
+from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Ancestry"]
@@ -158,14 +159,14 @@ class Ancestry:
 
         Raises ArgumentError if the arrays are not such a state: a wrong shape or type, or a node that is nobody's past.
         """
-        trunk = _checked(arrays, "trunk", np.float64, (-1, 3))
-        counts = _checked(arrays, "counts", np.int64, (-1,))
+        trunk = read_array(arrays, "trunk", np.float64, (None, 3))
+        counts = read_array(arrays, "counts", np.int64, (None,))
         if (counts < 1).any():
             raise ArgumentError("counts", "at least one node a step", counts.min())
         ends = np.cumsum(counts)
-        poses = _checked(arrays, "poses", np.float64, (int(counts.sum()), 3))
-        parents = _checked(arrays, "parents", np.int64, (int(counts.sum()),))
-        leaves = _checked(arrays, "leaves", np.int64, (-1,))
+        poses = read_array(arrays, "poses", np.float64, (int(counts.sum()), 3))
+        parents = read_array(arrays, "parents", np.int64, (int(counts.sum()),))
+        leaves = read_array(arrays, "leaves", np.int64, (None,))
         levels = [_Level(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
         places = [*(level.parents for level in levels), leaves]
         for count, used in zip([1, *counts], places, strict=True):
@@ -216,14 +217,3 @@ class Ancestry:
             past[:, self._trunk_length + k] = poses[places]
             places = parents[places]
         return past
-
-
-def _checked(arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Copy one array of the schema; -1 in `shape` means any length."""
-    if name not in arrays:
-        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-    array = np.array(arrays[name])
-    fits = array.ndim == len(shape) and all(want in (-1, got) for want, got in zip(shape, array.shape, strict=True))
-    if array.dtype != dtype or not fits:
-        raise ArgumentError(name, f"{np.dtype(dtype)} {shape} (-1: any)", f"{array.dtype} {array.shape}")
-    return array

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.full_slam.global_scan_refinement import Candidate, CandidateSelection
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.pose_graph.pose_graph import PoseGraph

@@ -15,10 +15,11 @@ from gridslam.io.results.archive import read_arrays, write_arrays
 from gridslam.io.results.generator import dump_generator, load_generator
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
+from gridslam.serialization import select_part
 
 __all__ = ["SavedLocalization", "read_localization", "write_localization"]
 
-_SCHEMA = "gridslam.saved_localization/2"
+_SCHEMA = "gridslam.saved_localization/3"
 
 
 @final
@@ -69,11 +70,9 @@ def read_localization(path: str | Path) -> SavedLocalization:
         The file cannot be read, has another schema, or its arrays do not belong together.
     """
     arrays = read_arrays(path, _SCHEMA, "a saved localization")
-    own = {name.removeprefix("state."): array for name, array in arrays.items() if name.startswith("state.")}
     try:
         configuration = replace_parameters(MonteCarloConfiguration(), json.loads(str(arrays["configuration"])))
-        return SavedLocalization(
-            configuration, MonteCarloState.from_arrays(own), load_generator(str(arrays["generator"]))
-        )
+        state = MonteCarloState.from_arrays(select_part(arrays, "state"))
+        return SavedLocalization(configuration, state, load_generator(str(arrays["generator"])))
     except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
         raise InputError(path, f"expected a saved localization: {error}") from None

@@ -15,6 +15,7 @@ from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.results.archive import read_arrays, write_arrays
 from gridslam.io.results.generator import dump_generator, load_generator
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.serialization import select_part
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 
 __all__ = ["SavedRun", "read_state", "write_state"]
@@ -88,17 +89,14 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
     """
     arrays = read_arrays(path, _SCHEMA, "a saved run")
 
-    def part(prefix: str) -> dict[str, NDArray[Any]]:
-        return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
-
     try:
         configuration = loads(_text(arrays, "configuration"))
         return SavedRun(
             configuration,
-            GridFastSlamState.from_arrays(part("state"), configuration.mapper, threads),
+            GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads),
             load_generator(_text(arrays, "generator")),
-            TrajectoryRecorder.from_arrays(part("trajectory")),
-            StatisticsRecorder.from_arrays(part("statistics")),
+            TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
+            StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
         )
     except (ArgumentError, ConfigurationError) as error:
         raise InputError(path, f"expected a saved run: {error}") from None

@@ -8,9 +8,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction, weigh_known_beams
 from gridslam.slam.tracking.state import PoseEstimate, Prediction, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
@@ -155,8 +154,6 @@ class OdometrySearch:
             along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
             match = self.calibrated_matcher(maps, row, along[None], _NO_PRIOR, beams)
         at = match.poses[0]
-        known = maps.is_known(state.matched_map, transform_points(at, beams.ends))
-        away = maps.distances(row, at[None], beams.ends)[0, known]
-        agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
-        inlier_ratio = agreeing / max(len(away), self.min_overlap * len(beams))
+        weights = weigh_known_beams(maps, row, at, beams.ends, self.matcher.cauchy_m)
+        inlier_ratio = float(weights.sum()) / max(len(weights), self.min_overlap * len(beams))
         return PoseEstimate(at, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
-from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
@@ -27,11 +25,12 @@ class SensorTrack(NamedTuple):
     """Track of one laser; lasers are distinguished by `sensor`."""
 
     stamp_ns: int  # of its last scan that was matched
-    matched_pose: FloatArray  # (3,), of that scan
+    matched_pose: Annotated[FloatArray, 3]  # of that scan
     inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
-    inserted_pose: FloatArray  # (3,), of its last scan that was inserted
-    beam_order_sums: FloatArray  # (3,), votes for the order of its beams; see `TrackerDeskew`
-    ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
+    inserted_pose: Annotated[FloatArray, 3]  # of its last scan that was inserted
+    beam_order_sums: Annotated[FloatArray, 3]  # votes for the order of its beams; see `TrackerDeskew`
+    # of that scan, base frame; kept where there are several lasers
+    ends: Annotated[FloatArray, None, 2] = np.zeros((0, 2))
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
@@ -83,15 +82,15 @@ class TrackerState:
     """
 
     maps: TileMaps
-    pose: FloatArray
+    pose: Annotated[FloatArray, 3]
     stamp_ns: int
-    odometry: FloatArray
-    matched_pose: FloatArray
-    matched_odometry: FloatArray
+    odometry: Annotated[FloatArray, 3]
+    matched_pose: Annotated[FloatArray, 3]
+    matched_odometry: Annotated[FloatArray, 3]
     sensors: dict[str, SensorTrack]
     odometry_errors: OdometryErrorModel = field(default_factory=OdometryErrorModel)
-    twist: FloatArray = field(default_factory=lambda: np.zeros(3))
-    velocity_variances: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
+    twist: Annotated[FloatArray, 3] = field(default_factory=lambda: np.zeros(3))
+    velocity_variances: Annotated[FloatArray, 2] = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
     period_s: float = 0.1
     mean_step: float = 0.0
     stamps_unreliable: bool = False
@@ -144,55 +143,6 @@ class TrackerState:
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
         return replace(self, maps=self.maps.snapshot(), odometry_errors=self.odometry_errors.snapshot())
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues with identical results."""
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
-        counters = [
-            self.stamp_ns,
-            self.matched_map,
-            *self.scans,
-            self.unlocalized_scans,
-            self.rejected_odometry,
-            self.stamps_unreliable,
-        ]
-        arrays["counters"] = np.array(counters, np.int64)
-        arrays["rejected_match_variances"] = np.array([self.rejected_match_m2, self.rejected_match_rad2])
-        arrays["rates"] = np.array([self.period_s, self.mean_step])
-        stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
-        arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
-        arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
-        arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
-        arrays["sensors.counts"], arrays["sensors.ends"] = np.array([len(e) for e in ends]), np.concatenate(ends)
-        arrays |= {f"odometry_errors.{name}": array for name, array in self.odometry_errors.to_arrays().items()}
-        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
-        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        maps = mapper.restore({n.removeprefix("maps."): a for n, a in arrays.items() if n.startswith("maps.")})
-        odometry_errors = OdometryErrorModel.from_arrays(
-            {n.removeprefix("odometry_errors."): a for n, a in arrays.items() if n.startswith("odometry_errors.")}
-        )
-        stamp_ns, active, first, second, unlocalized, rejected, unreliable = (int(v) for v in arrays["counters"])
-        rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
-        period_s, mean_step = arrays["rates"].tolist()
-        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
-        ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
-        last = [
-            SensorTrack(int(s), pose, float(ratio), *rest) for s, pose, ratio, *rest in zip(*parts, ends, strict=True)
-        ]
-        return cls(
-            maps, stamp_ns=stamp_ns, odometry_errors=odometry_errors,
-            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)), period_s=period_s,
-            mean_step=mean_step, stamps_unreliable=bool(unreliable), matched_map=active, scans=(first, second),
-            unlocalized_scans=unlocalized, rejected_odometry=rejected, rejected_match_m2=rejected_match_m2,
-            rejected_match_rad2=rejected_match_rad2, **{name: np.array(arrays[name], np.float64) for name in _POSES},
-        )  # fmt: skip
-
-
-_OF_SENSORS = ("matched_poses", "inlier_ratios", "inserted_poses", "beam_order_sums")
-_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "velocity_variances")
 
 
 def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:
