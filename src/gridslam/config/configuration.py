@@ -19,7 +19,7 @@ from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
-from gridslam.scan.thinning import Thinning
+from gridslam.scan import Thinning
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.map_limit import MapLimit

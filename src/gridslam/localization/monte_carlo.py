@@ -21,8 +21,7 @@ from gridslam.localization.monte_carlo_configuration import MonteCarloConfigurat
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.particles.initial import sample_gaussian
-from gridslam.particles.resampling import Systematic
-from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
 from gridslam.types import (
     Beams,
     FloatArray,

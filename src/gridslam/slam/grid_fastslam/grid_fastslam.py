@@ -23,9 +23,8 @@ from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
-from gridslam.particles.resampling import Systematic
-from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
-from gridslam.scan.thinning import Thinning
+from gridslam.particles.resampling import Systematic, effective_sample_size, normalize, relative_to_greatest
+from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
