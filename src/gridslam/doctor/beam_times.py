@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
@@ -31,7 +31,7 @@ class BeamTimes:
         Time from scan to scan, lately; NaN before the second.
     """
 
-    order: BeamOrder = BeamOrder()
+    order: BeamOrder = field(default_factory=BeamOrder)
     period_s: float = math.nan
     _last_ns: int | None = None
 

@@ -52,7 +52,10 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
 
 def heading_rmse(known, log, order, margin):
     """Of the pose that is told, in rad, where the driver tells `order` times the times of beams."""
-    mcl, rng = MonteCarloLocalization(known, MonteCarloConfiguration(beam_order_margin=margin)), np.random.default_rng(0)
+    mcl, rng = (
+        MonteCarloLocalization(known, MonteCarloConfiguration(beam_order_margin=margin)),
+        np.random.default_rng(0),
+    )
     state, off = mcl.init_gaussian(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
     for (odometry, scan), truth in zip(log.measurements, log.truth.poses, strict=True):
         told = replace(scan, beam_times_s=order * scan.beam_times_s)
