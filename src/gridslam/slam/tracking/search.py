@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
+from gridslam.models.parameters import Numbers
 from gridslam.slam.tracking.state import PoseEstimate, Prediction, TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
@@ -72,8 +73,8 @@ class OdometrySearch:
     sparse_step: float = Field(default=0.4, gt=0)
     blind_period_s: float = Field(default=1.0, gt=0)
     blind_step: float = Field(default=1.0, gt=0)
-    gate_sigmas: tuple[float, ...] = (2.0, 5.0, 12.0)
-    inlier_gains: tuple[float, ...] = (0.1, 0.1, 0.3)
+    gate_sigmas: Numbers = (2.0, 5.0, 12.0)
+    inlier_gains: Numbers = (0.1, 0.1, 0.3)
     certain_inlier_ratio: float = Field(default=0.7, gt=0, le=1)
     min_segments: float = Field(default=20, ge=0)
     min_sigma_m: float = Field(default=0.05, gt=0)

@@ -8,7 +8,7 @@ widely.
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -18,6 +18,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
+from gridslam.models.parameters import Kind
 from gridslam.slam.tracking.deskew import TrackerDeskew
 from gridslam.slam.tracking.motion import motion_of, odometry_sigmas
 from gridslam.slam.tracking.odometry_calibration import OdometryCalibration
@@ -113,8 +114,8 @@ class Tracker:
     search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
     max_unmatched_scans: int = Field(default=3, ge=1)
     search: OdometrySearch = OdometrySearch()
-    deskew: TrackerDeskew | None = TrackerDeskew()
-    calibration: OdometryCalibration | None = OdometryCalibration()
+    deskew: Annotated[TrackerDeskew | None, Kind()] = TrackerDeskew()
+    calibration: Annotated[OdometryCalibration | None, Kind()] = OdometryCalibration()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
