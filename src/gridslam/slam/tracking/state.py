@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
-__all__ = ["PoseEstimate", "Prediction", "SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
+__all__ = ["SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
+_ORDER_MARGIN = 0.005
+"""Gain of the inlier ratio, averaged over scans, required to use an order of beams other than the reported one."""
+
+_ORDER_PRIOR_SCANS = 20
+"""Prior weight of the reported order of beams, in scans."""
+
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 
 
@@ -28,14 +35,19 @@ class SensorTrack(NamedTuple):
     matched_pose: Annotated[FloatArray, 3]  # of that scan
     inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
     inserted_pose: Annotated[FloatArray, 3]  # of its last scan that was inserted
-    beam_order_sums: Annotated[FloatArray, 3]  # votes for the order of its beams; see `TrackerDeskew`
+    beam_order: BeamOrder = BeamOrder()
     # of that scan, base frame; kept where there are several lasers
     ends: Annotated[FloatArray, None, 2] = np.zeros((0, 2))
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
         """After its first scan, from `pose` (3,)."""
-        return cls(stamp_ns, pose, 1.0, pose, np.zeros(3))
+        return cls(stamp_ns, pose, 1.0, pose)
+
+    @property
+    def best_order(self) -> int:
+        """Order in which its beams are measured, one of `gridslam.matching.beam_order.ORDERS`."""
+        return self.beam_order.best(_ORDER_MARGIN, _ORDER_PRIOR_SCANS)
 
 
 @final
@@ -104,8 +116,10 @@ class TrackerState:
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
         """Begin at the origin of the tracker's frame."""
-        pose, at = np.zeros(3), pose_of(odometry)
-        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: SensorTrack.first(stamp_ns, pose)})
+        pose = np.zeros(3)
+        odometry_pose = pose_of(odometry)
+        track = SensorTrack.first(stamp_ns, pose)
+        return cls(maps, pose, stamp_ns, odometry_pose, pose, odometry_pose, {sensor: track})
 
     @property
     def row(self) -> NDArray[np.int32]:
@@ -130,14 +144,17 @@ class TrackerState:
 
     def insert(self, beams: Beams, most: int) -> None:
         """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""
-        scans, active, full = list(self.scans), self.matched_map, most * len(self.sensors)
+        scans = list(self.scans)
+        active = self.matched_map
+        full = most * len(self.sensors)
         rows = _ROWS[active] if scans[active] < full else _BOTH
         for row in rows.tolist():
             scans[row] += 1
         self.maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), beams)
         if scans[1 - active] >= full:
             self.maps.clear(active)
-            scans[active], self.matched_map = 0, 1 - active
+            scans[active] = 0
+            self.matched_map = 1 - active
         self.scans = (scans[0], scans[1])
 
     def snapshot(self) -> TrackerState:
@@ -154,38 +171,6 @@ def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bo
 def pose_of(odometry: Odometry | None) -> FloatArray:
     """Pose (3,); NaN where there is none."""
     return np.full(3, np.nan) if odometry is None else odometry.pose
-
-
-@final
-class Prediction(NamedTuple):
-    """Predicted pose of a scan."""
-
-    pose: FloatArray  # (3,)
-    by_odometry: bool  # or by the velocity
-    seconds: float  # since the last scan
-    moved_m: float  # since the last scan that was matched, by the odometry; 0 without
-    turned_rad: float  # since the last scan that was matched
-    sigma_m: float
-    sigma_rad: float
-    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
-
-    @property
-    def prior(self) -> FloatArray:
-        """Information (1, 3, 3) of the prediction, beside residuals in m."""
-        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
-
-
-@final
-class PoseEstimate(NamedTuple):
-    """Where a scan was taken."""
-
-    pose: FloatArray  # (3,)
-    prediction: Prediction  # from which it was found
-    matched: bool  # whether the map was asked
-    lost: bool  # neither match nor prediction is reliable
-    inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
-    determined: bool = False  # by the scan, in all directions
 
 
 @final
