@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping
 from enum import Enum
 from functools import cache
 from types import NoneType, UnionType
@@ -37,10 +37,10 @@ _Shape = tuple[Any, ...]  # of int, str and None: see `read_array`
 def to_arrays(state: object) -> dict[str, NDArray[Any]]:
     """Return a copy of all that is saved of a state as plain arrays by dotted names."""
     arrays: dict[str, NDArray[Any]] = {}
-    for field, form in _saved_fields(cast("Hashable", type(state))).items():
+    for field, (name, form) in _saved_fields(cast("Hashable", type(state))).items():
         value = getattr(state, field)
         if value is not None:
-            arrays |= _dump(field.strip("_"), form, value)
+            arrays |= _dump(name, form, value)
     return arrays
 
 
@@ -61,7 +61,7 @@ def from_arrays(kind: type[_State], arrays: _Arrays, restore: Mapping[type, _Res
     ArgumentError
         An array is missing, or its type or shape is wrong.
     """
-    return cast("_State", _Reader(arrays, restore or {}, "", {}).state(kind))
+    return cast("_State", _load_state(kind, "", arrays, restore or {}))
 
 
 def select_part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
@@ -117,6 +117,11 @@ class _Form(NamedTuple):
         return dataclasses.is_dataclass(self.kind) or hasattr(self.kind, "_fields")
 
     @property
+    def is_ragged(self) -> bool:
+        """Whether the arrays of values may differ in length."""
+        return any(not isinstance(length, int) for length in self.shape or ())
+
+    @property
     def dtype(self) -> type:
         """Type of the numbers."""
         if self.kind is np.ndarray:
@@ -133,89 +138,6 @@ class _Form(NamedTuple):
                 raise ArgumentError(name, f"one of {', '.join(self.kind.__members__)}", values)
             return self.kind[str(values)]
         return tuple(values.tolist()) if self.kind is tuple else values.item()
-
-
-@final
-class _Reader(NamedTuple):
-    """Restores one state."""
-
-    arrays: _Arrays
-    restore: Mapping[type, _Restore]
-    prefix: str  # of the names of its arrays
-    sizes: dict[str, int]  # see `read_array`
-
-    def state(self, kind: type) -> object:
-        return kind(**{field: self.field(field.strip("_"), form) for field, form in _saved_fields(kind).items()})
-
-    def field(self, name: str, form: _Form) -> object:
-        full = self.prefix + name
-        if form.is_optional and not any(n == full or n.startswith(full + ".") for n in self.arrays):
-            return None
-        restore = self.restore.get(form.kind, getattr(form.kind, "from_arrays", None))
-        if restore is not None:
-            return restore(select_part(self.arrays, full))
-        if form.is_state:
-            return self._replace(prefix=full + ".", sizes={}).state(form.kind)
-        if form.kind in (dict, Counter):
-            keys = self.column(f"{name}.keys", _form(form.items[0]), name)
-            return form.kind(dict(zip(keys, self.column(name, _form(form.items[1]), name), strict=True)))
-        if form.kind is list:
-            return self.column(name, _form(form.items[0]), form.shape[0] if form.shape else name)
-        return form.convert(full, read_array(self.arrays, full, form.dtype, form.shape, self.sizes))
-
-    def column(self, name: str, form: _Form, rows: int | str | None) -> Sequence[Any]:
-        """Restore a list of values."""
-        full = self.prefix + name
-        if form.is_state:
-            fields = _saved_fields(form.kind)
-            columns = [self.column(f"{name}.{field.strip('_')}", of, rows) for field, of in fields.items()]
-            return [form.kind(**dict(zip(fields, row, strict=True))) for row in zip(*columns, strict=True)]
-        shape = form.shape or ()
-        if _is_ragged(shape):
-            counts = read_array(self.arrays, f"{full}.counts", np.int64, (rows,), self.sizes)
-            if (counts < 0).any():
-                raise ArgumentError(f"{full}.counts", "numbers >= 0", counts.min())
-            whole = read_array(self.arrays, full, form.dtype, (int(counts.sum()), *shape[1:]))
-            values: list[NDArray[Any]] = np.split(whole, np.cumsum(counts)[:-1]) if len(counts) else []
-        else:
-            values = list(read_array(self.arrays, full, form.dtype, (rows, *shape), self.sizes))
-        return [form.convert(full, value) for value in values]
-
-
-def _dump(name: str, form: _Form, value: Any) -> dict[str, NDArray[Any]]:  # noqa: ANN401 whatever a state holds
-    if form.is_state or hasattr(value, "to_arrays"):
-        nested = value.to_arrays() if hasattr(value, "to_arrays") else to_arrays(value)
-        return {f"{name}.{inner}": values for inner, values in nested.items()}
-    if isinstance(value, dict):
-        keys = _dump_column(f"{name}.keys", _form(form.items[0]), list(value))
-        return keys | _dump_column(name, _form(form.items[1]), list(value.values()))
-    if isinstance(value, list):
-        return _dump_column(name, _form(form.items[0]), value)
-    return {name: np.array(value.name if isinstance(value, Enum) else value, form.dtype)}
-
-
-def _dump_column(name: str, form: _Form, values: list[Any]) -> dict[str, NDArray[Any]]:
-    if form.is_state:
-        columns: dict[str, NDArray[Any]] = {}
-        for field, of in _saved_fields(form.kind).items():
-            columns |= _dump_column(f"{name}.{field.strip('_')}", of, [getattr(value, field) for value in values])
-        return columns
-    shape = form.shape or ()
-    if _is_ragged(shape):
-        nothing = np.empty((0, *shape[1:]), form.dtype)
-        counts = np.array([len(value) for value in values], np.int64)
-        return {f"{name}.counts": counts, name: np.concatenate([nothing, *values])}
-    plain = [value.name if isinstance(value, Enum) else value for value in values]
-    return {name: np.array(plain, form.dtype).reshape(len(values), *shape)}
-
-
-@cache
-def _saved_fields(kind: Hashable) -> dict[str, _Form]:
-    """The fields of a class of states that are saved, by name."""
-    forms = {name: _form(annotation) for name, annotation in get_type_hints(kind, include_extras=True).items()}
-    if not dataclasses.is_dataclass(kind):
-        return forms
-    return {field.name: forms[field.name] for field in dataclasses.fields(kind) if field.metadata != NOT_SAVED}
 
 
 @cache
@@ -237,5 +159,81 @@ def _form(annotation: Hashable) -> _Form:
     return _Form(origin, items, shape, is_optional)
 
 
-def _is_ragged(shape: _Shape) -> bool:
-    return any(not isinstance(length, int) for length in shape)
+@cache
+def _saved_fields(kind: Hashable) -> dict[str, tuple[str, _Form]]:
+    """The fields of a class of states that are saved: the name of the array, and the form, by the name of the field."""
+    annotations = get_type_hints(kind, include_extras=True)
+    if dataclasses.is_dataclass(kind):
+        saved = [field.name for field in dataclasses.fields(kind) if field.metadata != NOT_SAVED]
+        annotations = {name: annotations[name] for name in saved}
+    return {name: (name.strip("_"), _form(annotation)) for name, annotation in annotations.items()}
+
+
+def _dump(name: str, form: _Form, value: Any) -> dict[str, NDArray[Any]]:  # noqa: ANN401 whatever a state holds
+    if form.is_state or hasattr(value, "to_arrays"):
+        nested = value.to_arrays() if hasattr(value, "to_arrays") else to_arrays(value)
+        return {f"{name}.{inner}": values for inner, values in nested.items()}
+    if isinstance(value, dict):
+        keys = _dump_column(f"{name}.keys", _form(form.items[0]), list(value))
+        return keys | _dump_column(name, _form(form.items[1]), list(value.values()))
+    if isinstance(value, list):
+        return _dump_column(name, _form(form.items[0]), value)
+    return {name: np.array(value.name if isinstance(value, Enum) else value, form.dtype)}
+
+
+def _dump_column(name: str, form: _Form, values: list[Any]) -> dict[str, NDArray[Any]]:
+    shape = form.shape or ()
+    if form.is_state:
+        columns: dict[str, NDArray[Any]] = {}
+        for field, (inner, of) in _saved_fields(form.kind).items():
+            columns |= _dump_column(f"{name}.{inner}", of, [getattr(value, field) for value in values])
+        return columns
+    if form.is_ragged:
+        nothing = np.empty((0, *shape[1:]), form.dtype)
+        counts = np.array([len(value) for value in values], np.int64)
+        return {f"{name}.counts": counts, name: np.concatenate([nothing, *values])}
+    plain = [value.name if isinstance(value, Enum) else value for value in values]
+    return {name: np.array(plain, form.dtype).reshape(len(values), *shape)}
+
+
+def _load_state(kind: type, prefix: str, arrays: _Arrays, restore: Mapping[type, _Restore]) -> object:
+    """Restore a state from the arrays whose names begin with `prefix`."""
+    sizes: dict[str, int] = {}
+    fields: dict[str, object] = {}
+    for field, (inner, form) in _saved_fields(kind).items():
+        name = prefix + inner
+        own_restore = restore.get(form.kind, getattr(form.kind, "from_arrays", None))
+        if form.is_optional and not any(other == name or other.startswith(name + ".") for other in arrays):
+            fields[field] = None
+        elif own_restore is not None:
+            fields[field] = own_restore(select_part(arrays, name))
+        elif form.is_state:
+            fields[field] = _load_state(form.kind, name + ".", arrays, restore)
+        elif form.kind in (dict, Counter):
+            keys = _load_column(f"{name}.keys", _form(form.items[0]), arrays, name, sizes)
+            values = _load_column(name, _form(form.items[1]), arrays, name, sizes)
+            fields[field] = form.kind(dict(zip(keys, values, strict=True)))
+        elif form.kind is list:
+            rows = form.shape[0] if form.shape else name
+            fields[field] = _load_column(name, _form(form.items[0]), arrays, rows, sizes)
+        else:
+            fields[field] = form.convert(name, read_array(arrays, name, form.dtype, form.shape, sizes))
+    return kind(**fields)
+
+
+def _load_column(name: str, form: _Form, arrays: _Arrays, rows: int | str | None, sizes: dict[str, int]) -> list[Any]:
+    """Restore a list of `rows` values."""
+    shape = form.shape or ()
+    if form.is_state:
+        fields = _saved_fields(form.kind)
+        columns = [_load_column(f"{name}.{inner}", of, arrays, rows, sizes) for inner, of in fields.values()]
+        return [form.kind(**dict(zip(fields, row, strict=True))) for row in zip(*columns, strict=True)]
+    if form.is_ragged:
+        counts = read_array(arrays, f"{name}.counts", np.int64, (rows,), sizes)
+        if (counts < 0).any():
+            raise ArgumentError(f"{name}.counts", "numbers >= 0", counts.min())
+        whole = read_array(arrays, name, form.dtype, (int(counts.sum()), *shape[1:]))
+        values = np.split(whole, np.cumsum(counts))[:-1]
+    else:
+        values = list(read_array(arrays, name, form.dtype, (rows, *shape), sizes))
+    return [form.convert(name, value) for value in values]

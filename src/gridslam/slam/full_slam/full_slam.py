@@ -17,7 +17,7 @@ from gridslam.slam.full_slam.full_trajectory import drift_covariances, full_traj
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
@@ -166,12 +166,12 @@ def _summarize(
 ) -> LoopClosureSummary:
     """Summarize online loop closure and the final refinement."""
     best = refined.best
-    closures = _key_scan_pairs(best.accepted_constraints, ConstraintSource.RECOGNIZED)
+    closures = key_scan_pairs(c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED)
     online = driven.graph.constraints
     recognized = len(best.recognized_constraints)
     return LoopClosureSummary(
         closures=closures,
-        tracked_revisits=_key_scan_pairs(online, ConstraintSource.TRACKED),
+        tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
         removed=recognized - len(closures),
         rejected=closure_state.rejected,
         constraints=Counter(constraint.source for constraint in online),
@@ -181,9 +181,3 @@ def _summarize(
         candidates=refined.scores,
         selected=best.name,
     )
-
-
-def _key_scan_pairs(constraints: list[Constraint], source: ConstraintSource) -> IntArray:
-    """Pairs of key scans (K, 2) connected by constraints from a source."""
-    pairs = [(constraint.from_, constraint.to) for constraint in constraints if constraint.source is source]
-    return np.array(pairs, np.int64).reshape(-1, 2)

@@ -74,43 +74,30 @@ class Candidate:
 
 @final
 class CandidateSelection:
-    """Keeps the best of the candidates that are added, its map, and the scores of all by name.
+    """The best of the candidates so far, its map, and the scores of all by name.
 
     Parameters
     ----------
     score : callable
         Gets poses (T, 3), gives their score and the map drawn from them.
+    first : Candidate
+        The first candidate.
     """
 
-    __slots__ = ("_best", "_maps", "_score", "scores")
-
-    def __init__(self, score: Callable[[FloatArray], tuple[TrajectoryScore, TileMaps]]) -> None:
-        """Begin without a candidate."""
+    def __init__(self, score: Callable[[FloatArray], tuple[TrajectoryScore, TileMaps]], first: Candidate) -> None:
         self._score = score
-        self._best: Candidate | None = None
-        self._maps: TileMaps | None = None
-        self.scores: dict[str, TrajectoryScore] = {}
+        self.best = first
+        first_score, self.maps = score(first.graph.poses)
+        self.scores = {first.name: first_score}
 
     def add(self, candidate: Candidate) -> float:
         """Compare a candidate with the best so far, which remains the best where both are equal; log likelihood."""
         score, maps = self._score(candidate.graph.poses)
-        if all(score.log_likelihood > other.log_likelihood for other in self.scores.values()):
-            self._best = candidate
-            self._maps = maps
+        if score.log_likelihood > self.scores[self.best.name].log_likelihood:
+            self.best = candidate
+            self.maps = maps
         self.scores[candidate.name] = score
         return score.log_likelihood
-
-    @property
-    def best(self) -> Candidate:
-        """The best candidate; there must be one."""
-        assert self._best is not None
-        return self._best
-
-    @property
-    def maps(self) -> TileMaps:
-        """The map drawn from it."""
-        assert self._maps is not None
-        return self._maps
 
 
 @final
@@ -254,13 +241,13 @@ class _Refinement:
     def select(self, trajectory: FloatArray) -> CandidateSelection:
         """Compare the candidates, beginning with the trajectory (T, 3) of the filter."""
         score = self.parameters.score
+        first, *others = self._candidates(trajectory)
         selection = CandidateSelection(
-            lambda poses: score(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress)
+            lambda poses: score(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress), first
         )
-        candidates = list(self._candidates(trajectory))
-        for candidate in candidates:
+        for candidate in others:
             selection.add(candidate)
-        begins = [selection.best, *(c for c in candidates if c.name == "constraints" and c is not selection.best)]
+        begins = [selection.best, *(c for c in others if c.name == "constraints" and c is not selection.best)]
         for begin in begins:
             self._search(selection, begin)
         return selection

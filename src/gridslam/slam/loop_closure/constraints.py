@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import IntEnum
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose_jacobians
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
-from gridslam.types import BeamEnds, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, IntArray, Match
 
 __all__ = [
     "Constraint",
     "ConstraintSource",
+    "key_scan_pairs",
     "recompute_information",
     "transform_match",
 ]
@@ -58,6 +59,11 @@ class Constraint(NamedTuple):
     source: ConstraintSource
     determined: bool
 
+    @property
+    def pair(self) -> tuple[int, int]:
+        """Both key scans."""
+        return self.from_, self.to
+
     @classmethod
     def from_match(
         cls,
@@ -90,10 +96,7 @@ class Constraint(NamedTuple):
             across = np.eye(3)
             across[:2, :2] -= np.outer(weak, weak)
             information = across @ information @ across
-        c = math.cos(pose[2])
-        s = math.sin(pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source, weak is None)
+        return cls(from_, to, pose, _rotate(information, pose) + _FLOOR, source, weak is None)
 
 
 def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
@@ -108,7 +111,16 @@ def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: 
 
 def transform_match(frame: FloatArray, match: Match) -> Match:
     """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
-    c = math.cos(frame[2])
-    s = math.sin(frame[2])
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
+    return replace(match, poses=between(frame, match.poses), information=_rotate(match.information, frame))
+
+
+def key_scan_pairs(constraints: Iterable[Constraint]) -> IntArray:
+    """Pairs of key scans (K, 2) that constraints connect: from, to."""
+    return np.array([constraint.pair for constraint in constraints], np.int64).reshape(-1, 2)
+
+
+def _rotate(information: FloatArray, frame: FloatArray) -> FloatArray:
+    """Information (..., 3, 3) in the axes of a frame at pose (3,)."""
+    _, rotation = compose_jacobians(frame, frame)
+    rotated: FloatArray = rotation.T @ information @ rotation
+    return rotated

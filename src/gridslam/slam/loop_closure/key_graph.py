@@ -6,13 +6,14 @@ import heapq
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from itertools import accumulate, pairwise
 from typing import Annotated, NamedTuple, final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose, inverse
 from gridslam.serialization import NOT_SAVED
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
@@ -103,7 +104,6 @@ class KeyGraph:
 
     def __post_init__(self) -> None:
         """Derive the moments."""
-        self._count_gaps()
         if self.poses:
             self.correct(np.array(self.poses))
 
@@ -121,10 +121,7 @@ class KeyGraph:
         self.tracked.append(tracked)
         self.poses.append(pose)
         self.variances.append(variances)
-        self._count_gaps()
-        moments = compute_moments(np.array([pose]), np.array([variances]))[0]
-        self._sums.append(moments + self._sums[-1] if self._sums else moments)
-        self._add_steps()
+        self._derive()
 
     def add(self, constraint: Constraint) -> None:
         """Add a measurement between two key scans."""
@@ -134,10 +131,9 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        self._sums = list(np.cumsum(compute_moments(poses, np.array(self.variances)), axis=0))
-        self._links = {}
-        self._steps = []
-        self._add_steps()
+        for derived in (self._gap_counts, self._sums, self._steps, self._links):
+            derived.clear()
+        self._derive()
         for constraint in self.constraints:
             self._add_link(constraint)
 
@@ -259,14 +255,12 @@ class KeyGraph:
         count = len(poses)
         known = self.constraints[:constraints]
         steps = np.zeros((count - 1, 3, 3))
-        spread = np.array(self.variances[1:count]).reshape(-1, 2)
-        steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
-        steps[:, 2, 2] = 1 / spread[:, 1]
+        steps[:, [0, 1, 2], [0, 1, 2]] = 1 / np.array(self.variances[1:count]).reshape(-1, 2)[:, [0, 0, 1]]
         chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
         measurements = np.array([t.measurement for t in known]).reshape(-1, 3)
         return PoseGraph(
             poses,
-            np.concatenate([chain, np.array([(t.from_, t.to) for t in known], np.int64).reshape(-1, 2)]),
+            np.concatenate([chain, key_scan_pairs(known)]),
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
             np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
             np.arange(count - 1 + len(known)) < count - 1,
@@ -291,19 +285,16 @@ class KeyGraph:
             found.append((submap + 1, None, self._steps[submap]))
         return found
 
-    def _count_gaps(self) -> None:
-        """Count the gaps in the laser data up to the new key scans."""
-        for position, heading in self.variances[len(self._gap_counts) :]:
-            before = self._gap_counts[-1] if self._gap_counts else 0
-            self._gap_counts.append(before + (position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2))
-
-    def _add_steps(self) -> None:
-        """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""
-        sums = self._sums
-        for first in range(
-            len(self._steps) * KEY_SCANS_PER_SUBMAP, len(sums) - KEY_SCANS_PER_SUBMAP, KEY_SCANS_PER_SUBMAP
-        ):
-            self._steps.append(tuple((sums[first + KEY_SCANS_PER_SUBMAP] - sums[first]).tolist()))
+    def _derive(self) -> None:
+        """Extend to the newest key scan what follows from the poses and the variances."""
+        first = len(self._sums)
+        variances = np.array(self.variances[first:])
+        gaps: list[int] = (variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2]).any(axis=1).astype(np.int64).tolist()
+        self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + gaps)
+        moments = compute_moments(np.array(self.poses[first:]), variances)
+        self._sums[-1:] = accumulate(self._sums[-1:] + list(moments))
+        new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
+        self._steps += [tuple((after - before).tolist()) for before, after in pairwise(new)]
 
     def _add_link(self, constraint: Constraint) -> None:
         """Add the link of a constraint between two submaps if it is the most certain so far."""

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
 from gridslam.slam.loop_closure.state import Correction, LoopClosureState, PendingConstraints, RejectionReason
@@ -111,7 +111,8 @@ class LoopClosure:
         pending = closure_state.pending_constraints
         constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
         if report.skipped is not None:
-            return replace(report, closures=_key_scan_pairs(constraints)) if constraints else report
+            closures = tuple(constraint.pair for constraint in constraints)
+            return replace(report, closures=closures) if closures else report
         self._add_key_scan(closure_state, state)
         found = self.recognition(closure_state, mapper)
         is_busy = closure_state.pending_constraints is not None or closure_state.correction is not None
@@ -123,7 +124,8 @@ class LoopClosure:
             constraints = constraints + found
         correction = closure_state.correction
         corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
-        return replace(report, pose=state.best_pose, closures=_key_scan_pairs(constraints), corrected=corrected)
+        closures = tuple(constraint.pair for constraint in constraints)
+        return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
 
     def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""
@@ -140,8 +142,8 @@ class LoopClosure:
 
     def _contradict_filter(self, constraints: list[Constraint], trajectory: FloatArray) -> bool:
         """Whether the trajectory (T, 3) of the best particle violates the new constraints."""
-        ends = np.array(_key_scan_pairs(constraints))
-        has = between(trajectory[ends[:, 0]], trajectory[ends[:, 1]])
+        from_, to = key_scan_pairs(constraints).T
+        has = between(trajectory[from_], trajectory[to])
         missed = between(has, np.array([constraint.measurement for constraint in constraints]))
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
@@ -197,7 +199,3 @@ class LoopClosure:
         state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None
         return True
-
-
-def _key_scan_pairs(constraints: list[Constraint]) -> tuple[tuple[int, int], ...]:
-    return tuple((constraint.from_, constraint.to) for constraint in constraints)

@@ -122,14 +122,10 @@ class GraphSlam:
     def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
         """Return the least chi2 met from the guesses there are."""
         system = BlockSystem(graph.edges, len(graph.poses), 3)
-        if self.first_guess == "given":
-            return (yield from descend(graph, graph.poses, system, self.max_iterations, self.tolerance))
-        computed = initial_guess(graph)
-        if self.first_guess == "computed":
-            return (yield from descend(graph, computed, system, self.max_iterations, self.tolerance))
-        starts = sorted((computed, graph.poses), key=graph.chi2)
+        computed = graph.poses if self.first_guess == "given" else initial_guess(graph)
+        starts = sorted((computed, graph.poses), key=graph.chi2) if self.first_guess == "either" else [computed]
         found = yield from descend(graph, starts[0], system, self.max_iterations, self.tolerance)
-        if not _doubtful(found, computed, len(graph.edges)):
+        if self.first_guess != "either" or not _doubtful(found, computed, len(graph.edges)):
             return found
         other = yield from descend(graph, starts[1], system, self.max_iterations, self.tolerance)
         best = min(found, other, key=lambda descent: descent.chi2)
