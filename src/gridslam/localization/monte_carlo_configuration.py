@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Annotated, final
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
@@ -14,7 +14,7 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.models.parameters import STRICT
+from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 
 __all__ = ["MonteCarloConfiguration"]
@@ -92,8 +92,8 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
-    motion: GMappingMotion | OdometryMotion | DiffusionMotion = Field(default_factory=GMappingMotion)
-    sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
+    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
+    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(default_factory=_sensor)
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
@@ -101,7 +101,9 @@ class MonteCarloConfiguration:
     beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=_when_to_update)
-    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample = Field(default_factory=EffectiveSampleSizeBelow)
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
+        default_factory=EffectiveSampleSizeBelow
+    )
     resample_interval: int = Field(default=1, ge=1)
     max_beams: int = Field(default=120, ge=1)
     range_min_m: float = Field(default=0.05, ge=0)

@@ -8,7 +8,7 @@ widely.
 from __future__ import annotations
 
 import math
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -19,6 +19,7 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
+from gridslam.models.parameters import Kind
 from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, motion_of
 from gridslam.slam.tracking.prediction import (
     NEWEST_WEIGHT,
@@ -112,7 +113,7 @@ class Tracker:
     matcher: GaussNewton = GaussNewton()
     velocity: ConstantVelocity = ConstantVelocity()
     search: OdometrySearch = OdometrySearch()
-    calibration: OdometryCalibration | None = OdometryCalibration()
+    calibration: Annotated[OdometryCalibration | None, Kind()] = OdometryCalibration()
 
     def init(
         self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
