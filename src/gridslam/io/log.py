@@ -114,7 +114,7 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
     if options.odometry_topic or options.odometry_frame or options.base_frame:
         raise InputError(path, f"topics and frames are chosen in bags alone, and this is a {form.value} log")
     if form is LogFormat.CSV:
-        from gridslam.io.csv.reader import CsvLog
+        from gridslam.io.csv import CsvLog
 
         return select(CsvLog(path, keep_truncated=options.keep_truncated), options)
     from gridslam.io.carmen.reader import CarmenLog

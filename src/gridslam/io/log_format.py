@@ -9,7 +9,7 @@ from pathlib import Path
 from gridslam.errors import InputError
 from gridslam.io.carmen.lines import SCAN_TAGS
 from gridslam.io.text import open_for_reading, read_head
-from gridslam.io.trajectories.trajectory import CSV_HEADER
+from gridslam.io.trajectories import CSV_HEADER
 
 __all__ = ["LOG_FORMATS", "LogFormat", "detect_log_format"]
 
