@@ -37,7 +37,7 @@ def read_landmarks(path: str | Path) -> LandmarkMap:
     rows = list(read_rows(path, LANDMARKS_HEADER))
     values = np.array([row.values for row in rows]).reshape(-1, 7)
     counts = values[:, [0, -1]]
-    whole = (counts == np.rint(counts)).all(axis=1)
+    whole = ((counts == np.rint(counts)) & (np.abs(counts) < 2**53)).all(axis=1)
     expected = "expected whole numbers of a landmark and of its observations"
     check_rows(path, [row.line for row in rows], whole, lambda row: f"{expected}, got {counts[row]}")
     names, observations = counts.astype(np.int64).T

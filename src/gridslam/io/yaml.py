@@ -29,7 +29,8 @@ def compose_yaml(text: str) -> Any:  # noqa: ANN401
 
 def _read(text: str, method: str) -> Any:  # noqa: ANN401
     from ruamel.yaml import YAML  # slow to import
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+    from ruamel.yaml.scanner import ScannerError
 
     reader = YAML(typ="safe", pure=True)
     reader.version = (1, 1)
@@ -37,7 +38,9 @@ def _read(text: str, method: str) -> Any:  # noqa: ANN401
         warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
         try:
             return getattr(reader, method)(text)
+        except MarkedYAMLError as error:
+            begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
+            mark = begun or error.problem_mark
+            raise YamlError(error.problem, mark.line + 1) from None
         except YAMLError as error:
-            mark = getattr(error, "context_mark", None) or getattr(error, "problem_mark", None)
-            problem = getattr(error, "problem", None) or str(error)
-            raise YamlError(" ".join(problem.split()), None if mark is None else mark.line + 1) from None
+            raise YamlError(" ".join(str(error).split()), None) from None

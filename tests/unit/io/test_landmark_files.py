@@ -34,6 +34,7 @@ def test_what_is_written_is_read(tmp_path, count):
         (LANDMARKS_HEADER + "\n1,2,3,4,5,6\n", r"line 2: expected 7 numbers \(landmark,x_m.*\), got 6"),
         (LANDMARKS_HEADER + "\n1,2,3,4,5,6,7\n1,2,x,4,5,6,7\n", "line 3: expected numbers"),
         (LANDMARKS_HEADER + "\n1.5,2,3,4,5,6,7\n", "line 2: expected whole numbers"),
+        (LANDMARKS_HEADER + "\n" + "9" * 30 + ",2,3,4,5,6,7\n", "line 2: expected whole numbers"),
         (LANDMARKS_HEADER + "\n1,2,nan,4,5,6,7\n", "line 2: expected finite numbers"),
     ],
 )

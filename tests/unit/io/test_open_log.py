@@ -10,8 +10,7 @@ import pytest
 from gridslam.errors import InputError
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.csv import CsvLog
-from gridslam.io.log import LogOptions, open_log
-from gridslam.io.log_format import LogFormat, detect_log_format
+from gridslam.io.log import LogFormat, LogOptions, detect_log_format, open_log
 from gridslam.io.selection import SelectedLog
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import CSV_HEADER
