@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gridslam.errors import InputError
-from gridslam.io.graphs.g2o import read_g2o
-from gridslam.io.landmarks.files import read_landmarks
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.g2o import read_g2o
+from gridslam.io.landmarks import read_landmarks
+from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.io.text import read_text
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
 from gridslam.live.run import make_run_info
 from gridslam.types import FloatArray, IntArray, OccupancyGrid

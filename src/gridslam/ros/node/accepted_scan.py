@@ -10,7 +10,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.csv.columns import angles_of_rotation, rotation_of_angles
+from gridslam.io.csv import angles_of_rotation, rotation_of_angles
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import IO, final
 
 from gridslam.errors import OutputError
-from gridslam.io.carmen.lines import format_stamp_ns
-from gridslam.io.csv.columns import COLUMNS
+from gridslam.io.csv import COLUMNS
+from gridslam.io.tables import format_stamp_ns
 from gridslam.ros.node.accepted_scan import AcceptedScan, LaserDescription
 
 __all__ = ["ScanRecorder"]
