@@ -20,7 +20,7 @@ from gridslam.live.run import LiveRun
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node.localization import Localization
+from gridslam.ros.node.session import Localization
 from support.localization_world import drive as localized_drive
 from support.localization_world import flat_map
 from support.loops import PROVOKED, loop_drive

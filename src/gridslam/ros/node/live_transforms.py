@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import final
+from collections.abc import Callable, Iterable
+from typing import TypeAlias, final
 
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import StampedTransform
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
 
-__all__ = ["LiveTransforms"]
+__all__ = ["LiveTransforms", "Warn"]
+
+Warn: TypeAlias = Callable[[str, str], None]
+"""Called with the kind of a problem, and the problem."""
 
 _KEEP_S = 10.0
 _SIMULTANEOUS_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
@@ -24,7 +26,7 @@ class LiveTransforms:
     ----------
     jump_s : float, s
         Two readings in a row that are this much older than the latest of their link are a jump.
-    warn : ThrottledWarnings
+    warn : callable
         Called with readings that are not valid transforms.
 
     Attributes
@@ -33,7 +35,7 @@ class LiveTransforms:
         The current buffer.
     """
 
-    def __init__(self, jump_s: float, warn: ThrottledWarnings) -> None:
+    def __init__(self, jump_s: float, warn: Warn) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
         self._jump_ns = round(jump_s * 1e9)
         self._warn = warn

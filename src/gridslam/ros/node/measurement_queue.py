@@ -16,9 +16,8 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
 from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
-from gridslam.ros.node.live_transforms import LiveTransforms
-from gridslam.ros.node.settings import NodeSettings
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.ros.node.live_transforms import LiveTransforms, Warn
+from gridslam.ros.node.parameters import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
 from gridslam.types import BeamStatus, FloatArray, Odometry
 
@@ -52,7 +51,7 @@ class Counts:
     Attributes
     ----------
     received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused, see `ThrottledWarnings`; dropped
+        All of them; those left out on request, and while the node paused; refused, with a warning; dropped
         because the filter was behind; given to the filter; times that the stamps jumped back.
     """
 
@@ -70,7 +69,7 @@ class MeasurementQueue:
     ----------
     settings : NodeSettings
         Bounds and frames.
-    warn : ThrottledWarnings
+    warn : callable
         Called with refused data, by kind.
     clock : callable
         Monotonic time, s.
@@ -83,9 +82,7 @@ class MeasurementQueue:
         Whether incoming scans are dropped.
     """
 
-    def __init__(
-        self, settings: NodeSettings, warn: ThrottledWarnings, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
         self.counts = Counts()
         self.is_paused = False
         self._settings, self._warn, self._clock = settings, warn, clock
