@@ -12,7 +12,7 @@ from websockets.sync.client import connect
 from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
 from gridslam.live.control import RobotControl
-from gridslam.live.mapping_monitor import MappingMonitor
+from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
