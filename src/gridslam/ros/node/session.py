@@ -212,7 +212,12 @@ class SessionCopy:
         self.stopwatch.resume()
         state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)
         full = full_slam(
-            state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement
+            state,
+            trajectory.keys,
+            trajectory.key_from_base,
+            config.mapper,
+            config.loop_closure,
+            config.final_refinement,
         )
         self.stopwatch.lap("final refinement")
         online = trajectory.online_trajectory()
