@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
-from gridslam.live.control import Control, RobotControl
+from gridslam.live.control import Control
 from gridslam.live.monitor import LOST, FilterMonitor, StateView
 from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
@@ -71,7 +71,7 @@ class LiveObserver:
     ----------
     post : callable
         Called with each snapshot in the filter's thread; must not block.
-    control : Control or RobotControl
+    control : Control
         Delays the scans that pass through `pace`.
     monitor : FilterMonitor
         Monitor of the filter.
@@ -84,9 +84,7 @@ class LiveObserver:
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
-    def __init__(
-        self, post: Callable[[Snapshot], None], control: Control | RobotControl, monitor: FilterMonitor
-    ) -> None:
+    def __init__(self, post: Callable[[Snapshot], None], control: Control, monitor: FilterMonitor) -> None:
         """Start before the first scan."""
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan

@@ -44,8 +44,8 @@ class LivePage:
 
     Attributes
     ----------
-    control : Control or RobotControl
-        Pause, step and speed.
+    control : Control
+        Pause, step and speed of the source that passes through `pace`.
     observer : LiveObserver
         Observer to pass to the pipeline.
     """
@@ -61,8 +61,8 @@ class LivePage:
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
-        self.control = robot or Control(options.speed)
-        self._run = LiveRun(title, self.control, range_max_m, known)
+        self.control = Control(options.speed)
+        self._run = LiveRun(title, robot or self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
         monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)

@@ -11,7 +11,7 @@ from websockets.sync.client import connect
 
 from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
-from gridslam.live.control import RobotControl
+from gridslam.live.control import Control, RobotControl
 from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
@@ -56,7 +56,7 @@ def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
         live.apply(snapshot)
         observer.release()
 
-    observer = live.observer = LiveObserver(post, robot.control, MappingMonitor(30.0))
+    observer = live.observer = LiveObserver(post, Control(), MappingMonitor(30.0))
     viewer = live.add_viewer(lambda: None)
     sessions = []
     for part in (drive, drive[20:40]):

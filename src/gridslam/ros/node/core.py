@@ -81,8 +81,7 @@ class NodeCore:
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
         if settings.odometry != "needed" and by_odometry:
-            expected = "expected needed, as this filter requires it"
-            raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
+            raise ConfigurationError(f"odometry: expected needed, as this filter requires it, got {settings.odometry}")
         self.settings = settings
         self.configuration = configuration
         self.failure: BaseException | None = None
@@ -142,10 +141,8 @@ class NodeCore:
                 thread.join()
         if self._renderer is not None:
             self._renderer.close()
-        session = self._session
-        copied = None
-        if isinstance(session, Session) and session.state is not None:
-            copied = session.copy(self._whole_record())
+        is_mapped = not self.localizes and self._session.state is not None
+        copied = self._session.copy(self._whole_record()) if is_mapped else None
         self._close_record()
         return copied
 
@@ -220,9 +217,6 @@ class NodeCore:
 
         def copy_session() -> None:
             try:
-                if not isinstance(self._session, Session):
-                    expected = "a node that maps"
-                    raise ArgumentError("save", expected, "one that localizes; `gridslam localize` takes its record")
                 copied.set_result(self._session.copy(self._whole_record()))
             except GridslamError as error:
                 copied.set_exception(error)
@@ -251,16 +245,15 @@ class NodeCore:
 
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
-        session = self._session
         source = self._measurements()
         for wrap in self._wrappers:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            session.run(chain([first], source), [self._publisher, *self._observers])
+            self._session.run(chain([first], source), [self._publisher, *self._observers])
         if self._session_end is SessionEnd.CLOSED:
             return False
-        self._outputs.log(Level.WARN, f"{session.restart_message}: {self._session_end.value}")
+        self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
         return True
 
     def _measurements(self) -> Iterator[Measurement]:
@@ -295,18 +288,15 @@ class NodeCore:
 
     def _begin_session(self) -> None:
         self._publisher.start_session()
-        number = self._publisher.sessions
         record = self._record
-        if record is not None and number > 1:
-            record = record.with_name(f"{record.stem}-{number}{record.suffix}")
+        if record is not None and self._publisher.sessions > 1:
+            record = record.with_name(f"{record.stem}-{self._publisher.sessions}{record.suffix}")
         self._recorder = None if record is None else ScanRecorder(record)
-        config = self.configuration
-        settings = self.settings
         self._session: Session | LocalizationSession
-        if isinstance(config, Localization):
-            self._session = LocalizationSession(config, settings.seed)
+        if isinstance(self.configuration, Localization):
+            self._session = LocalizationSession(self.configuration, self.settings.seed)
         else:
-            self._session = Session(config, settings.seed, settings.threads)
+            self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
 
     def _whole_record(self) -> Path | None:
         """The record of the session, if it contains all its scans."""

@@ -94,6 +94,10 @@ class LocalizationSession:
     def add(self, accepted: AcceptedScan) -> None:
         """Do nothing: a localization has no files, in which scans are counted."""
 
+    def copy(self, record: Path | None) -> SessionCopy:
+        """Raise ArgumentError: a localization has no map to save."""
+        raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
+
     def run(self, source: Iterator[Measurement], observers: Sequence[Any]) -> None:
         """Run the filter on all measurements of a source."""
         run(source, self, rng=self._rng, observers=observers, state=self.state)
