@@ -57,11 +57,13 @@ class ThrottledWarnings:
         self, log: Callable[[Level, str], None], every_s: float = 1.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.counts: Counter[str] = Counter()
-        self._log, self._every_s, self._clock = log, every_s, clock
+        self._log = log
+        self._every_s = every_s
+        self._clock = clock
         self._due: dict[str, float] = {}
         self._suppressed: Counter[str] = Counter()
         self._lock = threading.Lock()
-        self._last = "", 0.0
+        self._last = ("", 0.0)
 
     def __call__(self, kind: str, problem: str) -> None:
         """Count one more problem of a kind, and report it if it is due."""
@@ -109,8 +111,11 @@ class StatePublisher:
         queue: MeasurementQueue,
         warn: ThrottledWarnings,
     ) -> None:
-        self._settings, self._outputs, self._renderer = settings, outputs, renderer
-        self._queue, self._warn = queue, warn
+        self._settings = settings
+        self._outputs = outputs
+        self._renderer = renderer
+        self._queue = queue
+        self._warn = warn
         self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
         self._measurement: AcceptedScan | None = None
         self._report: Report | None = None
@@ -144,8 +149,10 @@ class StatePublisher:
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
         """Publish the report of one scan."""
-        accepted, outputs, frame = self._measurement, self._outputs, self._settings.map_frame
+        accepted = self._measurement
         assert accepted is not None
+        outputs = self._outputs
+        frame = self._settings.map_frame
         odometry = accepted.measurement.odometry
         with self._lock:
             self._report = report
@@ -184,10 +191,10 @@ class StatePublisher:
             current = stamp_ns, self._report
             if current == self._published and now_s < self._repeat_after_s:  # a clock at rest: tf warns of repetitions
                 return
-            self._published, self._repeat_after_s = current, now_s + _REPEAT_PERIOD_S
+            self._published = current
+            self._repeat_after_s = now_s + _REPEAT_PERIOD_S
             x, y, theta = self._map_from_odom.tolist()
-            half = 0.5 * theta
-            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(0.5 * theta)), float(np.cos(0.5 * theta)))
             transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
             self._own_transforms[transform] = None  # before publishing: it may return at once on /tf
             if len(self._own_transforms) > _MAX_OWN_TRANSFORMS:
@@ -210,9 +217,9 @@ class StatePublisher:
 
     def diagnostics(self) -> Diagnostics:
         """Return counts, latency and the current problem or state."""
-        counts, report = self._queue.counts, self._report
+        report = self._report
         latency = Latency.of(np.array(tuple(self._latencies)))
-        values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
+        values = {name: str(getattr(self._queue.counts, name)) for name in Counts.__slots__}
         values |= {f"{kind}, times": str(times) for kind, times in sorted(self._warn.counts.items())}
         values |= {
             "session": str(self.sessions),
@@ -234,7 +241,8 @@ class StatePublisher:
             self._outputs.log(*state)
 
     def _state(self) -> tuple[Level, str]:
-        report, accepted = self._report, self._measurement
+        report = self._report
+        accepted = self._measurement
         if self._queue.is_paused:
             return Level.OK, "paused"
         if report is None or accepted is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import struct
 import threading
@@ -12,7 +13,7 @@ from typing import Any, Final, Protocol, TypeAlias, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError, GridslamError
+from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
 from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
 from gridslam.io.output import OutputFolder
 from gridslam.ros.node.core import NodeCore
@@ -20,7 +21,15 @@ from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import NodeParameters
 
 __all__ = [
-    "LATCHED", "POLL_S", "TOPICS", "Handler", "RosNode", "Transport", "ViewerOpener", "save_results",
+    "LATCHED",
+    "POLL_S",
+    "TOPICS",
+    "Handler",
+    "RosNode",
+    "Transport",
+    "ViewerOpener",
+    "import_ros",
+    "save_results",
     "set_pose_from_message",
 ]  # fmt: skip
 
@@ -48,6 +57,19 @@ ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
 """Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
 
 _PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
+
+
+def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # noqa: ANN401
+    """Import a module of "ROS 1" or "ROS 2", or a type such as "nav_msgs/GetMap" from a folder of its package.
+
+    Raises ConfigurationError with a hint if it is not installed.
+    """
+    package, _, kind = name.partition("/")
+    try:
+        module = importlib.import_module(f"{package}.{folder}" if kind else name)
+    except ImportError as error:
+        raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
+    return getattr(module, kind) if kind else module
 
 
 class Transport(Protocol):

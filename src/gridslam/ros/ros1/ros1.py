@@ -8,12 +8,12 @@ Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 
 from __future__ import annotations
 
-import importlib
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from functools import partial
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
@@ -28,7 +28,7 @@ from gridslam.ros.node.messages import (
     StampedTransform,
 )  # fmt: skip
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
 from gridslam.ros.ros1.messages import cloud_class, grid_class, response_class
 
 __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
@@ -36,17 +36,7 @@ __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 NODE_NAME = "slam_gmapping"
 
 
-def _module(name: str) -> Any:  # noqa: ANN401
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        hint = "source its setup.bash, or install python3-rospy and the messages' packages"
-        raise ConfigurationError(f"ROS 1 is not available ({error}): {hint}") from None
-
-
-def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
-    package, _, kind = name.partition("/")
-    return getattr(_module(f"{package}.{folder}"), kind)
+_import = partial(import_ros, "ROS 1", "source its setup.bash, or install python3-rospy and the messages' packages")
 
 
 def _name(topic: str) -> str:
@@ -62,9 +52,9 @@ class Ros1Transport:
 
     def __init__(self) -> None:
         self.outputs: Outputs = self
-        self._rospy = _module("rospy")
-        self._grid_class = grid_class(_type("nav_msgs/OccupancyGrid"))
-        self._cloud_class = cloud_class(_type("geometry_msgs/PoseArray"))
+        self._rospy = _import("rospy")
+        self._grid_class = grid_class(_import("nav_msgs/OccupancyGrid"))
+        self._cloud_class = cloud_class(_import("geometry_msgs/PoseArray"))
         self._publishers: dict[str, Any] = {}
 
     def connect(self, refuse: Callable[[str, str], None]) -> None:
@@ -72,7 +62,9 @@ class Ros1Transport:
         self._refuse = refuse
         for topic, kind in TOPICS.items():
             latched = topic in LATCHED
-            publisher = self._rospy.Publisher(_name(topic), _type(kind), queue_size=1 if latched else 10, latch=latched)
+            publisher = self._rospy.Publisher(
+                _name(topic), _import(kind), queue_size=1 if latched else 10, latch=latched
+            )
             self._publishers[topic] = publisher
 
     def wire_of(self, data: bytes) -> Wire:
@@ -100,7 +92,7 @@ class Ros1Transport:
 
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         """Offer a service of std_srvs; rospy answers each request in a thread of its own."""
-        service_class = _type(kind, "srv")
+        service_class = _import(kind, "srv")
 
         def answer(request: Any) -> Any:  # noqa: ANN401
             return service_class._response_class(*serve(getattr(request, "data", None)))
@@ -109,7 +101,7 @@ class Ros1Transport:
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service, which fails where there is none."""
-        service_class = _type("nav_msgs/GetMap", "srv")
+        service_class = _import("nav_msgs/GetMap", "srv")
         answer_class = response_class(service_class._response_class)
 
         def answer(request: Any) -> Any:  # noqa: ANN401
@@ -141,24 +133,24 @@ class Ros1Transport:
 
     def transform(self, message: StampedTransform) -> None:
         """Publish on /tf."""
-        sent = _type("geometry_msgs/TransformStamped")()
+        sent = _import("geometry_msgs/TransformStamped")()
         self._stamp(sent.header, message.stamp_ns, message.parent)
         sent.child_frame_id = message.child
         x, y, z, *xyzw = message.pose
-        sent.transform.translation = _type("geometry_msgs/Vector3")(x, y, z)
-        sent.transform.rotation = _type("geometry_msgs/Quaternion")(*xyzw)
-        self._publish("/tf", _type(TOPICS["/tf"])([sent]))
+        sent.transform.translation = _import("geometry_msgs/Vector3")(x, y, z)
+        sent.transform.rotation = _import("geometry_msgs/Quaternion")(*xyzw)
+        self._publish("/tf", _import(TOPICS["/tf"])([sent]))
 
     def pose(self, message: PoseMessage) -> None:
         """Publish on ~pose."""
-        sent = _type(TOPICS["~/pose"])()
+        sent = _import(TOPICS["~/pose"])()
         self._stamp(sent.header, message.stamp_ns, message.frame)
         message.fill(sent.pose)
         self._publish("~/pose", sent)
 
     def entropy(self, nats: float) -> None:
         """Publish on ~entropy."""
-        self._publish("~/entropy", _type(TOPICS["~/entropy"])(nats))
+        self._publish("~/entropy", _import(TOPICS["~/entropy"])(nats))
 
     def particles(self, message: CloudMessage) -> None:
         """Publish on particlecloud."""
@@ -170,11 +162,11 @@ class Ros1Transport:
 
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish on /diagnostics."""
-        pair = _type("diagnostic_msgs/KeyValue")
+        pair = _import("diagnostic_msgs/KeyValue")
         values = [pair(name, value) for name, value in message.values.items()]
         name = f"{self._rospy.get_name().lstrip('/')}: SLAM"
-        status = _type("diagnostic_msgs/DiagnosticStatus")(int(message.level), name, message.summary, "", values)
-        sent = _type(TOPICS["/diagnostics"])(status=[status])
+        status = _import("diagnostic_msgs/DiagnosticStatus")(int(message.level), name, message.summary, "", values)
+        sent = _import(TOPICS["/diagnostics"])(status=[status])
         sent.header.stamp = self._rospy.Time.now()
         self._publish("/diagnostics", sent)
 
@@ -222,7 +214,7 @@ def check_ros1_arguments(arguments: Sequence[str]) -> None:
 
 def _wait_for_master(on_poll: Callable[[], None]) -> None:
     """Wait for roscore, as slam_gmapping does."""
-    graph = importlib.import_module("rosgraph")
+    graph = importlib.import_import("rosgraph")
     if not graph.is_master_online():
         print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
     while not graph.is_master_online():
@@ -257,7 +249,7 @@ def run_ros1(
     GridslamError
         The node cannot be started, or its filter failed.
     """
-    rospy = _module("rospy")
+    rospy = _import("rospy")
     check_ros1_arguments(arguments)
     _wait_for_master(on_poll)
     try:

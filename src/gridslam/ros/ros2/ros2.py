@@ -8,10 +8,10 @@ forgets when it is cleaned up.
 from __future__ import annotations
 
 import array
-import importlib
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from functools import partial
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError
@@ -19,7 +19,7 @@ from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
 from gridslam.ros.node.parameters import node_parameters
-from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
 from gridslam.ros.ros2.outputs import Ros2Outputs
 
 __all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
@@ -30,17 +30,7 @@ _ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
 """Parameters that rclpy handles, or that are read before the node is created."""
 
 
-def _module(name: str) -> Any:  # noqa: ANN401
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        hint = "source a ROS 2's setup.bash, or use --transport dds"
-        raise ConfigurationError(f"ROS 2 is not available ({error}): {hint}") from None
-
-
-def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
-    package, _, kind = name.partition("/")
-    return getattr(_module(f"{package}.{folder}"), kind)
+_import = partial(import_ros, "ROS 2", "source a ROS 2's setup.bash, or use --transport dds")
 
 
 @final
@@ -51,9 +41,9 @@ class Ros2Transport:
 
     def __init__(self, node: Any) -> None:  # noqa: ANN401
         self._node = node
-        self._rclpy = _module("rclpy")
-        self._qos = _module("rclpy.qos")
-        self._apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
+        self._rclpy = _import("rclpy")
+        self._qos = _import("rclpy.qos")
+        self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         self._publishers: dict[str, Any] = {}
         self.outputs: Outputs = Ros2Outputs(self._publish, self._now_ns, self._log, node.get_name())
 
@@ -62,7 +52,7 @@ class Ros2Transport:
         for topic, kind in TOPICS.items():
             latched = topic in LATCHED
             profile = self._profile(latched=latched, depth=1 if latched else 10)
-            self._publishers[topic] = self._node.create_publisher(_type(kind), topic, profile)
+            self._publishers[topic] = self._node.create_publisher(_import(kind), topic, profile)
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
@@ -77,7 +67,7 @@ class Ros2Transport:
     ) -> None:
         """Subscribe to the bytes of messages; rclpy does not name their publisher."""
         profile = self._profile(reliable=reliable, latched=latched, depth=depth)
-        self._node.create_subscription(_type(kind), topic, lambda data: handle(data, ""), profile, raw=True)
+        self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, raw=True)
 
     def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
         """Offer a service of std_srvs; scans do not wait for a slow one."""
@@ -88,7 +78,7 @@ class Ros2Transport:
             return response
 
         group = {"callback_group": self._apart} if slow else {}
-        self._node.create_service(_type(kind, "srv"), service, answer, **group)
+        self._node.create_service(_import(kind, "srv"), service, answer, **group)
 
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service; without a map the response is empty."""
@@ -108,11 +98,11 @@ class Ros2Transport:
                 grid.data = array.array("b", latest.cells.tobytes())
             return response
 
-        self._node.create_service(_type("nav_msgs/GetMap", "srv"), service, answer)
+        self._node.create_service(_import("nav_msgs/GetMap", "srv"), service, answer)
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until ROS is shut down or the event is set."""
-        executors = _module("rclpy.executors")
+        executors = _import("rclpy.executors")
         executor = executors.MultiThreadedExecutor(2)
         executor.add_node(self._node)
         while self._rclpy.ok() and not ended.is_set():
@@ -187,10 +177,10 @@ def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
 
 def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
     """Initialize rclpy, whose signal handlers would end it before the last map is published."""
-    unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
+    unknown = _import("rclpy.utilities").remove_ros_args(arguments)[1:]
     if unknown:
         raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
-    rclpy.init(args=arguments, signal_handler_options=_module("rclpy.signals").SignalHandlerOptions.NO)
+    rclpy.init(args=arguments, signal_handler_options=_import("rclpy.signals").SignalHandlerOptions.NO)
 
 
 def run_ros2(
@@ -218,13 +208,13 @@ def run_ros2(
     ConfigurationError
         ROS 2 is not available, or a parameter is invalid.
     """
-    _init_rclpy(_module("rclpy"), ["gridslam", *arguments])
+    _init_rclpy(_import("rclpy"), ["gridslam", *arguments])
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
-    node = _module("rclpy.node").Node(NODE_NAME, **options)
+    node = _import("rclpy.node").Node(NODE_NAME, **options)
     managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
     if managed:
         node.destroy_node()
-        node = _make_managed_class(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
+        node = _make_managed_class(_import("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
     parameters = node_parameters({**_read_parameters(node), **(given or {})}, "default")
     ours = RosNode(Ros2Transport(node), parameters)
     if managed:
