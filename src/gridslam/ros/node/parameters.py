@@ -1,4 +1,4 @@
-"""Parameters of the node: those of slam_gmapping with their names and defaults, and its own.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, those of AMCL, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -8,19 +8,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
-from pydantic import ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.api.amcl import AMCL_NAMES
+from gridslam.api.amcl import AMCL_NAMES, from_amcl, override_configuration
+from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
-from gridslam.errors import ConfigurationError
-from gridslam.ros.node.localization import Localization
-from gridslam.ros.node.localization_parameters import NODE_NAMES, read_localization
-from gridslam.ros.node.settings import NodeSettings
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.ros.node.session import Localization
 
-__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "node_parameters"]
+__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
 
 GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
     "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
@@ -77,6 +77,12 @@ _NODE: Final[Mapping[str, str]] = {
     "queue": "queue_s",
 }  # fmt: skip
 
+_AMCL_NODE: Final[Mapping[str, str]] = {
+    "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
+    "transform_tolerance": "tf_delay",
+}  # fmt: skip
+"""The node's names of AMCL's parameters."""
+
 _UNSUPPORTED: Final[Mapping[str, str]] = {
     **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
     **dict.fromkeys(
@@ -88,6 +94,69 @@ _UNSUPPORTED: Final[Mapping[str, str]] = {
     "inverted_laser": "the mounting is taken from the transforms",
 }
 """Parameters without an equivalent, with the reason."""
+
+
+def _strip_slash(frame: str) -> str:
+    if not (bare := frame.lstrip("/")):
+        raise ValueError("expected the name of a frame")
+    return bare
+
+
+Frame: TypeAlias = Annotated[str, AfterValidator(_strip_slash)]
+"""Name of a frame without tf1's leading slash: "/odom" becomes "odom"."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class NodeSettings:
+    """Frames, rates and bounds of the node; the defaults with a ROS name are slam_gmapping's.
+
+    Parameters
+    ----------
+    base_frame, odom_frame, map_frame : str
+        Frames of the robot, its odometry and the map.
+    odometry : str
+        "needed": scans without odometry are refused; "optional": they are matched without; "none": odometry is ignored.
+    map_update_interval_s : float, s
+        Time between two maps; 0: a map after each scan, as fast as rendering permits.
+    transform_publish_period_s : float, s
+        Time between two transforms from map to odometry; 0: no transform is published.
+    tf_delay_s : float, s
+        How far in the future that transform is stamped, i.e. how long it is valid.
+    throttle_scans : int
+        Use every n-th scan.
+    transform_wait_s : float, s
+        How long a scan waits for the transforms at its stamp.
+    queue_s, queue_scans : float in s, int
+        Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
+        first: the filter is never further behind. Half a second bridges the correction of a loop.
+    jump_s : float, s
+        Time has jumped back if two scans in a row are stamped this much before the last one.
+    map_values : str
+        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
+    min_beams, max_beams : int
+        Scans with fewer or more beams are refused.
+    seed, threads : int
+        As in `map_log`: the generator is re-seeded for each session; the threads do not affect results.
+    """
+
+    base_frame: Frame = "base_link"
+    odom_frame: Frame = "odom"
+    map_frame: Frame = "map"
+    odometry: Literal["needed", "optional", "none"] = "needed"
+    map_update_interval_s: float = Field(default=5.0, ge=0)
+    transform_publish_period_s: float = Field(default=0.05, ge=0)
+    tf_delay_s: float = Field(default=0.05, ge=0)
+    throttle_scans: int = Field(default=1, ge=1)
+    transform_wait_s: float = Field(default=0.5, ge=0)
+    queue_s: float = Field(default=0.75, gt=0)
+    queue_scans: int = Field(default=100, ge=1)
+    jump_s: float = Field(default=1.0, gt=0)
+    map_values: Literal["trinary", "probability"] = "trinary"
+    min_beams: int = Field(default=10, ge=1)
+    max_beams: int = Field(default=100_000, ge=1)
+    seed: int = Field(default=0, ge=0)
+    threads: int = Field(default=1, ge=1, le=256)
 
 
 @final
@@ -161,8 +230,8 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
 
 def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
     """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
-    localization, ignored = read_localization(given)
-    by_node_name = {NODE_NAMES.get(name, name): value for name, value in given.items()}
+    localization, ignored = _read_localization(given)
+    by_node_name = {_AMCL_NODE.get(name, name): value for name, value in given.items()}
     elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
     reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
@@ -177,6 +246,41 @@ def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]
         _path_or_none(node_values["record"]),
         None,
     )
+
+
+def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
+    """Return the localization, and the given parameters of AMCL that have no effect.
+
+    Parameters
+    ----------
+    given : mapping
+        ROS parameters set by the user: ``map_file``, ``set``, ``threads`` and AMCL's; others are ignored.
+
+    Raises
+    ------
+    ConfigurationError
+        ``map_file`` is missing, or a parameter is unknown, has a wrong type or is out of range.
+    InputError
+        The file is not a valid map.
+    """
+    path = given.get("map_file")
+    if not path:
+        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
+    amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
+    changed = override_configuration(
+        amcl.configuration, [part for part in str(given.get("set", "")).split(";") if part.strip()]
+    )
+    source = changed if changed.pose is not None else amcl
+    configuration = changed.configuration
+    known = known_map(str(path), configuration, int(given.get("threads", 1)))[1]
+    pose = None if source.pose is None else (source.pose, source.covariance)
+    if pose is not None:
+        try:
+            known.require(pose[0])
+        except ArgumentError as error:
+            raise ConfigurationError(f"initial_{error}") from None
+    ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in _AMCL_NODE]
+    return Localization(known, configuration, pose), ignored
 
 
 def _path_or_none(text: object) -> Path | None:
