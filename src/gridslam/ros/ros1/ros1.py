@@ -35,7 +35,6 @@ __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
 NODE_NAME = "slam_gmapping"
 
-
 _import = partial(import_ros, "ROS 1", "source its setup.bash, or install python3-rospy and the messages' packages")
 
 
@@ -61,11 +60,8 @@ class Ros1Transport:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
         self._refuse = refuse
         for topic, kind in TOPICS.items():
-            latched = topic in LATCHED
-            publisher = self._rospy.Publisher(
-                _name(topic), _import(kind), queue_size=1 if latched else 10, latch=latched
-            )
-            self._publishers[topic] = publisher
+            options = {"queue_size": 1, "latch": True} if topic in LATCHED else {"queue_size": 10}
+            self._publishers[topic] = self._rospy.Publisher(_name(topic), _import(kind), **options)
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message."""
@@ -214,7 +210,7 @@ def check_ros1_arguments(arguments: Sequence[str]) -> None:
 
 def _wait_for_master(on_poll: Callable[[], None]) -> None:
     """Wait for roscore, as slam_gmapping does."""
-    graph = importlib.import_import("rosgraph")
+    graph = _import("rosgraph")
     if not graph.is_master_online():
         print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
     while not graph.is_master_online():
