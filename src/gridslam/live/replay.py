@@ -93,25 +93,25 @@ class ReplayViewer:
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
-        what = command["do"]
-        if what == "pause":
-            self._playing = False
-        elif what == "resume":
-            if self._at == self._last:
-                self._seek(0)
-            self._playing = True
-            self._played_until = time.perf_counter()
-        elif what == "step":
-            self._playing = False
-            self._seek(min(self._at + 1, self._last))
-        elif what == "seek":
-            self._seek(min(max(int(command["at"]), 0), self._last))
-        elif what == "speed":
-            self._speed = check_speed(command["factor"]) or self._speed
-        elif what == "select":
-            self._select(command["particle"])
-        else:
-            raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
+        match command["do"]:
+            case "pause":
+                self._playing = False
+            case "resume":
+                if self._at == self._last:
+                    self._seek(0)
+                self._playing = True
+                self._played_until = time.perf_counter()
+            case "step":
+                self._playing = False
+                self._seek(min(self._at + 1, self._last))
+            case "seek":
+                self._seek(min(max(int(command["at"]), 0), self._last))
+            case "speed":
+                self._speed = check_speed(command["factor"]) or self._speed
+            case "select":
+                self._select(command["particle"])
+            case what:
+                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""

@@ -220,19 +220,19 @@ class LiveViewer:
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
         run = self._run
-        what = command["do"]
-        if what == "pause":
-            run.control.pause()
-        elif what == "resume":
-            run.control.resume()
-        elif what == "step":
-            run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
-        elif what == "speed":
-            run.control.set_speed(check_speed(command["factor"]))
-        elif what == "select":
-            self._select(command["particle"])
-        else:
-            raise ArgumentError("do", "pause, resume, step, speed or select", what)
+        match command["do"]:
+            case "pause":
+                run.control.pause()
+            case "resume":
+                run.control.resume()
+            case "step":
+                run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
+            case "speed":
+                run.control.set_speed(check_speed(command["factor"]))
+            case "select":
+                self._select(command["particle"])
+            case what:
+                raise ArgumentError("do", "pause, resume, step, speed or select", what)
         run.notify_viewers()
 
     def close(self) -> None:

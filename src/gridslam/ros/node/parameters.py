@@ -67,6 +67,9 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The filter's parameters that are derived from one or several parameters of slam_gmapping."""
 
+_PATHS: Final[Mapping[str, tuple[str, ...]]] = {**{name: (path,) for name, path in _FILTER.items()}, **_DERIVED}
+"""All parameters of the filter for each parameter of slam_gmapping."""
+
 _ALMOST_ZERO = 1e-9
 
 _NODE: Final[Mapping[str, str]] = {
@@ -199,80 +202,61 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     Raises
     ------
     ConfigurationError
-        A value has a wrong type or is out of range, or the preset does not exist.
+        A value has a wrong type or is out of range, the preset does not exist, or a node that localizes has no map.
+    InputError
+        The file of the map or of the configuration cannot be read.
     """
-    node_values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
-    if node_values["mode"] not in ("mapping", "localization"):
-        raise ConfigurationError(f"mode: expected mapping or localization, got {node_values['mode']!r}")
-    if node_values["mode"] == "localization":
-        return _parse_localization(given, node_values)
-    if node_values["map_file"]:
+    values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
+    localizes = values["mode"] == "localization"
+    if not localizes and values["mode"] != "mapping":
+        raise ConfigurationError(f"mode: expected mapping or localization, got {values['mode']!r}")
+    if values["map_file"] and not localizes:
         raise ConfigurationError("map_file: requires the mode localization")
-    name = str(node_values["preset"]) or preset_name
-    base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
-    current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
+    given = {name: _as_roscpp(name, value) for name, value in given.items()}
+    configuration: Configuration | Localization
+    if localizes:
+        configuration, reasons = _read_localization(given)
+        given = {_AMCL_NODE.get(name, name): value for name, value in given.items()}
+    else:
+        configuration, reasons = _read_mapping(given, str(values["preset"]) or preset_name)
+    record = Path(str(values["record"])) if values["record"] else None
+    out = Path(str(values["out"])) if values["out"] and not localizes else None
+    return NodeParameters(_read_settings(given), configuration, _group_by_reason(reasons), record, out)
+
+
+def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
+    """Return the configuration, and why given parameters have no effect."""
+    base = preset(preset_name)
+    there = set(names(base))
+    current = {**GMAPPING_DEFAULTS, **given} if preset_name == "gmapping" else given
+    direct = {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
     try:
-        config = replace_parameters(base, nest(_direct_values(base, current)))
+        config = replace_parameters(base, nest(direct))
         config = replace_parameters(config, nest(_derived_values(base, given, current)))
     except ConfigurationError as error:
         raise _with_ros_name(error) from None
-    if node_values["config"]:
-        config = load(str(node_values["config"]), config)
-    config = override(config, *(part for part in str(node_values["set"]).split(";") if part.strip()))
-    return NodeParameters(
-        settings=_read_settings(given),
-        configuration=config,
-        warning=_describe_ignored(base, name, given),
-        record=_path_or_none(node_values["record"]),
-        out=_path_or_none(node_values["out"]),
-    )
-
-
-def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
-    """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
-    localization, ignored = _read_localization(given)
-    by_node_name = {_AMCL_NODE.get(name, name): value for name, value in given.items()}
-    elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
-    reasons = dict.fromkeys(ignored, "it has no equivalent")
+    if given.get("config"):
+        config = load(str(given["config"]), config)
+    reasons = {}
     for name in given:
-        if name in elsewhere:
-            reasons[name] = "the node localizes and builds no map"
-        elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
-    return NodeParameters(
-        _read_settings(by_node_name),
-        localization,
-        _group_by_reason(reasons),
-        _path_or_none(node_values["record"]),
-        None,
-    )
+        if name in _UNSUPPORTED:
+            reasons[name] = _UNSUPPORTED[name]
+        elif name in _PATHS:
+            if not there.intersection(_PATHS[name]):
+                reasons[name] = f"the preset {preset_name} has no such part"
+        elif name not in _NODE and name not in NODE_DEFAULTS:
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
+    return override(config, *_assignments(given)), reasons
 
 
-def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, list[str]]:
-    """Return the localization, and the given parameters of AMCL that have no effect.
-
-    Parameters
-    ----------
-    given : mapping
-        ROS parameters set by the user: ``map_file``, ``set``, ``threads`` and AMCL's; others are ignored.
-
-    Raises
-    ------
-    ConfigurationError
-        ``map_file`` is missing, or a parameter is unknown, has a wrong type or is out of range.
-    InputError
-        The file is not a valid map.
-    """
-    path = given.get("map_file")
-    if not path:
+def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str, str]]:
+    """Return the localization, and why given parameters have no effect: AMCL's hold instead of slam_gmapping's."""
+    if not given.get("map_file"):
         raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
     amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
-    changed = override_configuration(
-        amcl.configuration, [part for part in str(given.get("set", "")).split(";") if part.strip()]
-    )
+    changed = override_configuration(amcl.configuration, _assignments(given))
     source = changed if changed.pose is not None else amcl
-    configuration = changed.configuration
-    known = known_map(str(path), configuration, int(given.get("threads", 1)))[1]
+    known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
     pose = None if source.pose is None else (source.pose, source.covariance)
     if pose is not None:
         try:
@@ -280,11 +264,18 @@ def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, list[str
         except ArgumentError as error:
             raise ConfigurationError(f"initial_{error}") from None
     ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in _AMCL_NODE]
-    return Localization(known, configuration, pose), ignored
+    reasons = dict.fromkeys(ignored, "it has no equivalent")
+    for name in given:
+        if name in (*_PATHS, *_UNSUPPORTED, "preset", "config", "out"):
+            reasons[name] = "the node localizes and builds no map"
+        elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
+    return Localization(known, changed.configuration, pose), reasons
 
 
-def _path_or_none(text: object) -> Path | None:
-    return Path(str(text)) if text else None
+def _assignments(given: Mapping[str, Any]) -> list[str]:
+    """Return the parts of `set`: parameters of the filter by their names."""
+    return [part for part in str(given.get("set", "")).split(";") if part.strip()]
 
 
 def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
@@ -299,14 +290,8 @@ def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
 def _with_ros_name(error: ConfigurationError) -> ConfigurationError:
     """Replace the filter's name of a parameter by its ROS name."""
     path, _, problem = str(error).partition(": ")
-    ros_names = [name for name in GMAPPING_DEFAULTS if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
+    ros_names = [name for name in GMAPPING_DEFAULTS if path in _PATHS.get(name, ())]
     return ConfigurationError(f"{' and '.join(ros_names) or path}: {problem}")
-
-
-def _direct_values(base: Configuration, current: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of parameters with a direct equivalent, by dotted names."""
-    there = set(names(base))
-    return {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
 
 
 def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
@@ -341,21 +326,6 @@ def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
         field, _, problem = describe_error(error.errors()[0], values).partition(": ")
         name = next((name for name, known in _NODE.items() if known == field), field)
         raise ConfigurationError(f"{name}: {problem}") from None
-
-
-def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
-    """Return a message about all given parameters without effect."""
-    there, reasons = set(names(base)), {}
-    for name in given:
-        if name in _UNSUPPORTED:
-            reasons[name] = _UNSUPPORTED[name]
-        elif name in _FILTER or name in _DERIVED:
-            paths = _DERIVED.get(name) or (_FILTER[name],)
-            if not there.intersection(paths):
-                reasons[name] = f"the preset {preset_name} has no such part"
-        elif name not in _NODE and name not in NODE_DEFAULTS:
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
-    return _group_by_reason(reasons)
 
 
 def _group_by_reason(reasons: Mapping[str, str]) -> str:
