@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.beams import field_of_view_rad
+from gridslam.doctor.lasers import field_of_view_rad
 from gridslam.types import FloatArray, IntArray, LaserScan
 
 __all__ = ["BeamOrder", "BeamTimes"]

@@ -1,22 +1,30 @@
-"""A log with its faults taken out: the laser's direction and yaw, the clock's skew, the errors of odometry."""
+"""A log that is read as it should have been recorded: laser, clock and odometry without their faults."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import final
+from pathlib import Path
+from typing import Literal, final
 
 import numpy as np
 
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
-from gridslam.doctor.laser_motion import LaserMotionEstimator
+from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.range_limits import RangeCounts
+from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
+from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["Repair", "calibrate_early", "find_full_repair", "find_needed_repair", "repair_measurements"]
+__all__ = [
+    "Repair", "RepairedLog", "calibrate_early", "find_full_repair", "find_needed_repair", "open_repaired",
+    "repair_measurements",
+]  # fmt: skip
 
 _EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
@@ -247,3 +255,79 @@ def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, senso
     share = min(max((taken - before.stamp_ns) / passed, 0.0), 1.0) if passed > 0 else 0.0
     pose = compose(before.pose, exp(share * log(between(before.pose, after.pose))))
     return Measurement(Odometry(odometry.stamp_ns, pose, odometry.covariance), scan)
+
+
+@final
+class RepairedLog:
+    """A log from which the faults of the laser's mounting, of the clocks and of the odometry are taken out.
+
+    Parameters
+    ----------
+    log : Log
+        What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
+        own.
+    kind : "needed" or "all"
+        Only faults that make any map unusable, estimated from the begin of the log (see `find_needed_repair`), or all
+        faults that are certain, estimated from the whole log (see `find_full_repair`).
+    tell : callable
+        Gets the repair, if there is any, before the first measurement.
+
+    Attributes
+    ----------
+    repair : Repair or None
+        What is taken out; None before the first iteration.
+    """
+
+    def __init__(
+        self, log: Log, kind: Literal["needed", "all"] = "needed", tell: Callable[[Repair], None] = lambda repair: None
+    ) -> None:
+        """Nothing is read before the iteration."""
+        self._log, self._kind, self._tell = log, kind, tell
+        self.repair: Repair | None = None
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        return self._log.path
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+        return self._log.statistics
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start."""
+        if self.repair is None:
+            self.repair = self._find_repair()
+            if self.repair:
+                self._tell(self.repair)
+        return repair_measurements(self._log, self.repair) if self.repair else iter(self._log)
+
+    def _find_repair(self) -> Repair:
+        counts = RangeCounts()
+        if self._kind == "all":
+            full = calibrate(laser_motion(_counted(self._log, counts)))
+            return find_full_repair(full, counts.false_hits_m())
+        early = calibrate_early(_counted(self._log, counts))
+        return find_needed_repair(early, counts.false_hits_m())
+
+
+def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
+    """Count the ranges of the first laser on their way."""
+    sensor = None
+    for measurement in log:
+        sensor = measurement.scan.sensor if sensor is None else sensor
+        if measurement.scan.sensor == sensor:
+            counts.take(measurement.scan)
+        yield measurement
+
+
+def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
+    """Open a log as `open_if_path` does, with the corrections of `RepairedLog`, or none.
+
+    Raises ArgumentError for another `kind`, too.
+    """
+    if kind not in ("needed", "all", "none"):
+        raise ArgumentError("repair", "needed, all or none", kind)
+    read = open_if_path(log, options)
+    return read if kind == "none" else RepairedLog(read, kind)
