@@ -17,7 +17,7 @@ __all__ = ["Intervals", "cumulative_headings", "differences", "interpolate_odome
 
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
-_MOVED = 0.03  # m, and rad: an interval in which less moves tells nothing
+_MOVED = 0.03  # m, and rad: an interval with less motion holds no information
 _RATE_OVER_S = 0.3  # a turn rate is the turn over so long
 
 
@@ -98,7 +98,7 @@ def turn_rates(motion: LaserMotion) -> FloatArray:
 
 
 def differences(motion: LaserMotion) -> tuple[int, FloatArray, FloatArray]:
-    """How many scans are half of 0.3 s; and the seconds and turns from so many before each scan to so many after it."""
+    """Number of scans in half of 0.3 s; and the seconds and turns from as many before each scan to as many after."""
     times = np.maximum.accumulate(motion.seconds)
     headings = cumulative_headings(motion.poses)
     apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))

@@ -317,7 +317,8 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
     Intervals in which the laser does not determine its motion well take no part. Wheels that slip turn more than the
     robot moves; a log whose odometry is as often too small has another fault than slip.
     """
-    parts, residuals = calibration.intervals, calibration.residuals[:, [0, 2]]
+    parts = calibration.intervals
+    residuals = calibration.residuals[:, [0, 2]]
     if not len(parts):
         return []
     spread = np.sqrt(np.diagonal(parts.covariances, axis1=1, axis2=2))

@@ -14,7 +14,9 @@ from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 
 __all__ = ["RangeCounts"]
 
-_BIN_M, _BINS, _SECTORS = 0.01, 20_000, 16
+_BIN_M = 0.01
+_BINS = 20_000
+_SECTORS = 16
 _BLOCK = 1 << 16  # readings that are counted together
 _USED_M = 30.0  # the configuration's range_max_m: farther readings are neither matched nor mapped
 

@@ -15,7 +15,7 @@ from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, ca
 from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
 from gridslam.doctor.range_limits import RangeCounts
 from gridslam.errors import ArgumentError
-from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.geometry.se2 import adjoint, between, compose, exp, log
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
@@ -26,12 +26,15 @@ __all__ = [
     "repair_measurements",
 ]  # fmt: skip
 
-_EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
+_EARLY_SCANS = 1000
+_EARLY = (8.0, 6.0)  # m, rad
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
 _EARLY_HZ = 7.0  # every other scan of 10 Hz is as informative
 _NO_ODOMETRY_SCANS = 50
-_SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.2
-_SPOILING_YAW_RAD, _SIGMAS = 0.35, 6.0
+_SURELY_REFLECTED = -0.7
+_TURNED_RAD = 1.2
+_SPOILING_YAW_RAD = 0.35
+_SIGMAS = 6.0
 
 
 @final
@@ -125,21 +128,19 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     That settles the two faults of `find_needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad
     where neither is there; a log without odometry settles neither.
     """
-    estimator, sensor, last = LaserMotionEstimator(rate_hz=_EARLY_HZ), None, None
-    moved, looks = np.zeros(2), list(_LOOKS)
-    for measurement in measurements:
-        odometry, scan = measurement
-        sensor = scan.sensor if sensor is None else sensor
-        if scan.sensor != sensor:
-            continue
+    estimator = LaserMotionEstimator(rate_hz=_EARLY_HZ)
+    last: FloatArray | None = None
+    moved = np.zeros(2)
+    looks = list(_LOOKS)
+    for measurement in _of_first_laser(measurements):
         estimator.add(measurement)
-        if odometry is not None:
-            step = between(odometry.pose if last is None else last, odometry.pose)
+        if measurement.odometry is not None:
+            pose = measurement.odometry.pose
+            step = between(pose if last is None else last, pose)
             moved += [math.hypot(step[0], step[1]), abs(step[2])]
-            last = odometry.pose
-        if last is None and len(estimator) >= _NO_ODOMETRY_SCANS:
-            break
-        if len(estimator) >= _EARLY_SCANS or (moved > [_EARLY_M, _EARLY_RAD]).all():
+            last = pose
+        enough = _NO_ODOMETRY_SCANS if last is None else _EARLY_SCANS
+        if len(estimator) >= enough or (moved > _EARLY).all():
             break
         if looks and (moved > looks[0]).all():
             looks.pop(0)
@@ -174,10 +175,9 @@ def repair_measurements(
     corrected = _Odometer(repair)
     for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
-        seen = (
-            _limit_ranges(_turn_laser(scan, repair, geometries), repair.range_max_m) if scan.sensor == sensor else scan
-        )
-        yield Measurement(None if odometry is None else corrected(odometry), seen)
+        if scan.sensor == sensor:
+            scan = _limit_ranges(_turn_laser(scan, repair, geometries), repair.range_max_m)
+        yield Measurement(None if odometry is None else corrected(odometry), scan)
 
 
 def _turn_laser(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, ScanGeometry]) -> LaserScan:
@@ -185,9 +185,8 @@ def _turn_laser(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, 
         return scan
     geometry = geometries.get(scan.geometry)
     if geometry is None:
-        c, s = math.cos(repair.yaw_rad), math.sin(repair.yaw_rad)
         mounting = scan.geometry.base_from_laser.copy()
-        mounting[:2, :3] = np.array([[c, -s], [s, c]]) @ mounting[:2, :3]
+        mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
         bearings = -scan.geometry.bearings if repair.reflected else scan.geometry.bearings
         geometry = geometries[scan.geometry] = ScanGeometry(bearings, mounting)
     return replace(scan, geometry=geometry)
@@ -250,7 +249,8 @@ def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, senso
     taken = scan.stamp_ns - skew_ns
     while len(readings) > 2 and readings[1].stamp_ns <= taken:
         readings.popleft()
-    before, after = readings[0], readings[min(1, len(readings) - 1)]
+    before = readings[0]
+    after = readings[min(1, len(readings) - 1)]
     passed = after.stamp_ns - before.stamp_ns
     share = min(max((taken - before.stamp_ns) / passed, 0.0), 1.0) if passed > 0 else 0.0
     pose = compose(before.pose, exp(share * log(between(before.pose, after.pose))))
@@ -282,7 +282,9 @@ class RepairedLog:
         self, log: Log, kind: Literal["needed", "all"] = "needed", tell: Callable[[Repair], None] = lambda repair: None
     ) -> None:
         """Nothing is read before the iteration."""
-        self._log, self._kind, self._tell = log, kind, tell
+        self._log = log
+        self._kind = kind
+        self._tell = tell
         self.repair: Repair | None = None
 
     @property
@@ -305,21 +307,25 @@ class RepairedLog:
 
     def _find_repair(self) -> Repair:
         counts = RangeCounts()
+
+        def counted() -> Iterator[Measurement]:
+            for measurement in _of_first_laser(self._log):
+                counts.take(measurement.scan)
+                yield measurement
+
         if self._kind == "all":
-            full = calibrate(laser_motion(_counted(self._log, counts)))
+            full = calibrate(laser_motion(counted()))
             return find_full_repair(full, counts.false_hits_m())
-        early = calibrate_early(_counted(self._log, counts))
+        early = calibrate_early(counted())
         return find_needed_repair(early, counts.false_hits_m())
 
 
-def _counted(log: Log, counts: RangeCounts) -> Iterator[Measurement]:
-    """Count the ranges of the first laser on their way."""
-    sensor = None
-    for measurement in log:
+def _of_first_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+    sensor: str | None = None
+    for measurement in measurements:
         sensor = measurement.scan.sensor if sensor is None else sensor
         if measurement.scan.sensor == sensor:
-            counts.take(measurement.scan)
-        yield measurement
+            yield measurement
 
 
 def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
