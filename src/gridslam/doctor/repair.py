@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Literal, final
 
@@ -19,7 +20,7 @@ from gridslam.geometry.se2 import adjoint, between, compose, exp, log
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, Odometry, ScanGeometry
 
 __all__ = [
     "Repair", "RepairedLog", "calibrate_early", "find_full_repair", "find_needed_repair", "open_repaired",
@@ -171,55 +172,34 @@ def repair_measurements(
         Odometry is that of the time at which the scan was taken; within one skew of the log's begin or end it is the
         first or last that is known.
     """
-    geometries: dict[ScanGeometry, ScanGeometry] = {}
-    corrected = _Odometer(repair)
+
+    @cache
+    def turned(geometry: ScanGeometry) -> ScanGeometry:
+        mounting = geometry.base_from_laser.copy()
+        mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
+        return ScanGeometry(-geometry.bearings if repair.reflected else geometry.bearings, mounting)
+
+    told: FloatArray | None = None
+    pose = np.zeros(3)
     for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
         if scan.sensor == sensor:
-            scan = _limit_ranges(_turn_laser(scan, repair, geometries), repair.range_max_m)
-        yield Measurement(None if odometry is None else corrected(odometry), scan)
+            if repair.reflected or repair.yaw_rad:
+                scan = replace(scan, geometry=turned(scan.geometry))
+            if repair.range_max_m is not None:
+                false = (scan.status == BeamStatus.HIT) & (scan.ranges >= repair.range_max_m)
+                scan = replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
+        if odometry is not None:
+            pose = odometry.pose if told is None else compose(pose, _true_increment(told, odometry.pose, repair))
+            told = odometry.pose
+            odometry = replace(odometry, pose=pose)
+        yield Measurement(odometry, scan)
 
 
-def _turn_laser(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, ScanGeometry]) -> LaserScan:
-    if not (repair.reflected or repair.yaw_rad):
-        return scan
-    geometry = geometries.get(scan.geometry)
-    if geometry is None:
-        mounting = scan.geometry.base_from_laser.copy()
-        mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
-        bearings = -scan.geometry.bearings if repair.reflected else scan.geometry.bearings
-        geometry = geometries[scan.geometry] = ScanGeometry(bearings, mounting)
-    return replace(scan, geometry=geometry)
-
-
-def _limit_ranges(scan: LaserScan, range_max_m: float | None) -> LaserScan:
-    if range_max_m is None:
-        return scan
-    false = (scan.status == BeamStatus.HIT) & (scan.ranges >= range_max_m)
-    if not false.any():
-        return scan
-    return replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
-
-
-@final
-class _Odometer:
-    """Rebuilds odometry from corrected increments."""
-
-    def __init__(self, repair: Repair) -> None:
-        self._repair = repair
-        self._told: FloatArray | None = None
-        self._pose = np.zeros(3)
-
-    def __call__(self, odometry: Odometry) -> Odometry:
-        repair = self._repair
-        if self._told is None:
-            self._pose = odometry.pose
-        else:
-            x, y, turn = (log(between(self._told, odometry.pose)) / [repair.scale, repair.scale, 1.0]).tolist()
-            turn = (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale
-            self._pose = compose(self._pose, exp([x, y, turn]))
-        self._told = odometry.pose
-        return Odometry(odometry.stamp_ns, self._pose, odometry.covariance)
+def _true_increment(before: FloatArray, after: FloatArray, repair: Repair) -> FloatArray:
+    """Pose (3,) of `after` seen from `before`, without the errors of odometry."""
+    x, y, turn = (log(between(before, after)) / [repair.scale, repair.scale, 1.0]).tolist()
+    return exp([x, y, (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale])
 
 
 def _remove_skew(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
@@ -254,7 +234,7 @@ def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, senso
     passed = after.stamp_ns - before.stamp_ns
     share = min(max((taken - before.stamp_ns) / passed, 0.0), 1.0) if passed > 0 else 0.0
     pose = compose(before.pose, exp(share * log(between(before.pose, after.pose))))
-    return Measurement(Odometry(odometry.stamp_ns, pose, odometry.covariance), scan)
+    return Measurement(replace(odometry, pose=pose), scan)
 
 
 @final
