@@ -289,8 +289,8 @@ class KeyGraph:
         """Extend to the newest key scan what follows from the poses and the variances."""
         first = len(self._sums)
         variances = np.array(self.variances[first:])
-        gaps = (variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2]).any(axis=1)
-        self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + [int(gap) for gap in gaps])
+        gaps = [int(gap) for gap in np.any(variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2], axis=1)]
+        self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + gaps)
         moments = compute_moments(np.array(self.poses[first:]), variances)
         self._sums[-1:] = accumulate(self._sums[-1:] + list(moments))
         new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
