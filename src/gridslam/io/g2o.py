@@ -16,7 +16,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.output import write_atomically
-from gridslam.io.tables import check_rows, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.tables import check_rows, parse_tagged, symmetric_of_upper, upper_of_symmetric
 from gridslam.io.text import read_numbered_lines
 from gridslam.slam.pose_graph.linear import find_parts
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -162,21 +162,11 @@ def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows],
     lines: dict[str, list[int]] = {tag: [] for tag in _FIELDS}
     skipped = Counter[str]()
     for number, line in read_numbered_lines(path):
-        tag, *words = line.split()
+        tag = line.split(None, 1)[0]
         if tag in _FIELDS:
-            split = len(_IDS[tag].split())
-            try:
-                # Python reads 1_000 as a number; the format knows no such thing.
-                if len(words) != len(_FIELDS[tag].split()) or any("_" in word for word in words):
-                    raise ValueError
-                own_ids = array("q", map(int, words[:split]))
-                if min(own_ids) < 0:
-                    raise ValueError
-                values[tag].extend(map(float, words[split:]))
-            except (ValueError, OverflowError):
-                got = textwrap.shorten(line, 100)
-                raise InputError(path, f"expected '{tag} {_FIELDS[tag]}', got {got!r}", number) from None
+            own_ids, numbers = parse_tagged(path, number, line, _IDS[tag], _VALUES[tag])
             ids[tag].extend(own_ids)
+            values[tag].extend(numbers)
             lines[tag].append(number)
         elif skip_unknown:
             skipped[tag] += 1

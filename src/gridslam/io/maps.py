@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text import read_text
-from gridslam.io.yaml import YamlError, compose_yaml
+from gridslam.io.yaml import YamlError, parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ def read_map_description(path: str | Path) -> MapDescription:
 def _read_fields(path: str | Path) -> _Fields:
     """Text of each key's value as it stands there, or texts of a list; and the line."""
     try:
-        tree = compose_yaml(read_text(path))
+        tree = parse_yaml(read_text(path), as_nodes=True)
     except YamlError as error:
         raise InputError(path, f"expected 'key: value' in YAML: {error}", error.line) from None
     if getattr(tree, "id", None) != "mapping":

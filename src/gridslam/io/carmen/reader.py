@@ -174,7 +174,7 @@ class _Parser:
         for (tag, _), lines in self._waiting.items():
             try:
                 for first, rows in parse_rows(tag, [line.text for line in lines]):
-                    self._check_poses(tag, first, rows)
+                    self._check_poses(tag, rows, lines[first].number)
                     scans.extend(self._measurements(tag, rows, lines[first : first + len(rows.ranges)]))
             except LineError as error:
                 raise InputError(self._path, str(error), lines[error.row].number) from None
@@ -185,14 +185,13 @@ class _Parser:
         for _, measurement in scans:
             yield measurement
 
-    def _check_poses(self, tag: str, first: int, rows: ScanRows) -> None:
+    def _check_poses(self, tag: str, rows: ScanRows, number: int) -> None:
         """Refuse a line with another number of poses than those before: some of its readings are missing."""
         has = rows.robot_poses is not None
         if self._has_poses.setdefault(tag, has) != has:
             want, got = ("none", "six") if has else ("six", "none")
-            error = LineError(f"expected {want} pose values after the readings as in lines before, got {got}")
-            error.row = first
-            raise error
+            problem = f"expected {want} pose values after the readings as in lines before, got {got}"
+            raise InputError(self._path, problem, number)
 
     def _measurements(self, tag: str, rows: ScanRows, lines: list[_ScanLine]) -> Iterator[tuple[int, Measurement]]:
         """Yield the scans of one form, each with the number of its line."""
