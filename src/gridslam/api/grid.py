@@ -12,8 +12,7 @@ import numpy as np
 from gridslam.api.grid_result import GridResult
 from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, apply_laser, override
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.text import compute_digest

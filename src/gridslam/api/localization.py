@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.arguments import require_instance, require_seed, require_threads
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.maps import read_map

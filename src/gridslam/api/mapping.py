@@ -12,8 +12,7 @@ from gridslam.api.result import MapResult
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.measurement import Measurement
