@@ -53,7 +53,8 @@ _Cells: TypeAlias = Mapping[str, str]
 
 def rotation_of_angles(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation (3, 3) about the fixed axes x, y, z, one after the other, by angles in rad."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    cr, cp, cy = np.cos([roll, pitch, yaw])
+    sr, sp, sy = np.sin([roll, pitch, yaw])
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

@@ -24,7 +24,9 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["G2oGraph", "read_g2o", "write_g2o"]
 
-_VERTEX, _EDGE, _FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
+_VERTEX = "VERTEX_SE2"
+_EDGE = "EDGE_SE2"
+_FIX = "FIX"
 _IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id"}
 _VALUES = {_VERTEX: "x y theta", _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt", _FIX: ""}
 _FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
@@ -177,11 +179,10 @@ def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows],
 
 
 def _table(path: str | Path, tag: str, ids: array[int], values: array[float], lines: list[int]) -> _Rows:
-    shape = len(lines), len(_VALUES[tag].split())
-    rows = _Rows(np.array(ids).reshape(len(lines), len(_IDS[tag].split())), np.array(values).reshape(shape), lines)
-    possible = (np.abs(rows.values[:, :3]) <= FARTHEST_M).all(axis=1) & (np.abs(rows.values[:, 3:]) <= _MOST).all(
-        axis=1
-    )
+    width = len(_VALUES[tag].split())
+    names = np.array(ids).reshape(len(lines), len(_IDS[tag].split()))
+    rows = _Rows(names, np.array(values).reshape(len(lines), width), lines)
+    possible = (np.abs(rows.values) <= ([FARTHEST_M] * 3 + [_MOST] * 6)[:width]).all(axis=1)
     most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == _EDGE)
     expected = f"expected {most} for {tag} {_FIELDS[tag]}"
     check_rows(path, lines, possible, lambda row: f"{expected}, got {' '.join(f'{x:g}' for x in rows.values[row])}")

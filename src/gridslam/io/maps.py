@@ -288,7 +288,9 @@ def occupancy_percent(
     if description.mode == "raw":
         percent = np.rint(image.brightness)
         return np.where(percent <= 100, percent, -1).astype(np.int8)[::-1]
-    darkness, low, high = _darkness(image, description), description.free_thresh, description.occupied_thresh
+    darkness = _darkness(image, description)
+    low = description.free_thresh
+    high = description.occupied_thresh
     between = -1.0 if description.mode == "trinary" else np.rint(100 * (darkness - low) / (high - low))
     percent = np.where(darkness > high, 100, np.where(darkness < low, 0, between))
     if not strict_thresholds:
