@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.live.options import LiveOptions
 from gridslam.live.protocol import encode
 from gridslam.types import OccupancyGrid

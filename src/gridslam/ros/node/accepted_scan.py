@@ -16,9 +16,9 @@ import numpy as np
 
 from gridslam.errors import OutputError
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.carmen.lines import format_stamp_ns
-from gridslam.io.csv.columns import COLUMNS, angles_of_rotation, rotation_of_angles
+from gridslam.io.csv import COLUMNS, angles_of_rotation, rotation_of_angles
 from gridslam.io.measurement import Measurement
+from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["AcceptedScan", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
