@@ -90,7 +90,9 @@ NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
 def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
     """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`."""
     arrays = ancestry.to_arrays()
-    counts, parents, leaves = arrays["counts"], arrays["parents"], arrays["leaves"]
+    counts = arrays["counts"]
+    parents = arrays["parents"]
+    leaves = arrays["leaves"]
     begins = np.concatenate([[0], np.cumsum(counts)])
     stride = -(-len(parents) // max_nodes) or 1
     kept = range(len(counts) - 1, -1, -stride)  # levels, the newest first

@@ -23,22 +23,21 @@ _MARGIN_M = 2 * TILE * 0.05  # deskewing may move the end point of a beam this f
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Box:
-    """A rectangle of the map frame in which maps may have changed, m."""
+    """A rectangle of the map frame in which maps may have changed: its corners (2,), x and y in m."""
 
-    low: tuple[float, float]
-    high: tuple[float, float]
+    low: FloatArray
+    high: FloatArray
 
     @classmethod
     def around(cls, poses: FloatArray, reach_m: float) -> Box:
         """Return the box that scans of this reach from poses (K, 3), K >= 1, can have changed."""
         reach = reach_m + _MARGIN_M
-        (x0, y0), (x1, y1) = poses[:, :2].min(axis=0).tolist(), poses[:, :2].max(axis=0).tolist()
-        return cls((x0 - reach, y0 - reach), (x1 + reach, y1 + reach))
+        return cls(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
 
 
-EMPTY_BOX = Box((1.0, 1.0), (-1.0, -1.0))
+EMPTY_BOX = Box(np.ones(2), -np.ones(2))
 """A box that contains nothing."""
 
 
@@ -81,34 +80,27 @@ class TileChangeDetector:
         other maps than those looked at before.
         """
         ids, corner = maps.tile_ids(row)
-        before, before_at = self._ids, self._corner
-        self._ids, self._corner = ids, corner
-        if before.shape != ids.shape or before_at != corner:
-            origin = min(corner[0], before_at[0]), min(corner[1], before_at[1])
-            ends = [max(corner[k] + ids.shape[k], before_at[k] + before.shape[k]) for k in (0, 1)]
-            shape = ends[0] - origin[0], ends[1] - origin[1]
-            ids, before = _embed(ids, corner, origin, shape), _embed(before, before_at, origin, shape)
-            corner = origin
+        corners = np.array([corner, self._corner])
+        tables = [ids, self._ids]
+        self._ids = ids
+        self._corner = corner
+        origin = corners.min(axis=0)
+        end = (corners + [table.shape for table in tables]).max(axis=0)
+        ids, before = (
+            np.pad(table, np.stack([at - origin, end - at - table.shape], axis=1))
+            for table, at in zip(tables, corners, strict=True)
+        )
         changed = ids != before
         if written is None:
             changed |= ids != 0
         else:
             side = TILE * maps.resolution_m
-            low = [max(int(written.low[1 - k] // side) - corner[k], 0) for k in (0, 1)]
-            high = [max(int(written.high[1 - k] // side) - corner[k] + 1, 0) for k in (0, 1)]
+            low = np.maximum((written.low[::-1] // side).astype(int) - origin, 0)
+            high = np.maximum((written.high[::-1] // side).astype(int) + 1 - origin, 0)
             inside = slice(low[0], high[0]), slice(low[1], high[1])
             changed[inside] |= ids[inside] != 0
-        rows, columns = np.nonzero(changed)
-        at = np.stack([rows + corner[0], columns + corner[1]], axis=1).astype(np.int32)
-        return TileChanges(at, maps.tiles(ids[rows, columns]))
-
-
-def _embed(table: Int32Array, at: tuple[int, int], origin: tuple[int, int], shape: tuple[int, int]) -> Int32Array:
-    """Return a table embedded in a larger frame of zeros."""
-    framed = np.zeros(shape, np.int32)
-    row, column = at[0] - origin[0], at[1] - origin[1]
-    framed[row : row + table.shape[0], column : column + table.shape[1]] = table
-    return framed
+        at = (np.argwhere(changed) + origin).astype(np.int32)
+        return TileChanges(at, maps.tiles(ids[changed]))
 
 
 @final
@@ -188,10 +180,12 @@ def split_into_tiles(grid: OccupancyGrid) -> TileChanges:
     height, width = grid.known.shape
     column, row = (round(corner / grid.resolution_m) for corner in grid.origin)
     first = row // TILE, column // TILE
-    rows, columns = -(-(row + height) // TILE) - first[0], -(-(column + width) // TILE) - first[1]
+    rows = -(-(row + height) // TILE) - first[0]
+    columns = -(-(column + width) // TILE) - first[1]
     cells = np.full((rows * TILE, columns * TILE), UNKNOWN, np.int16)
     steps = np.clip(np.rint(grid.log_odds / np.float32(LOG_ODDS_UNIT)), UNKNOWN + 1, -UNKNOWN - 1)
-    top, left = row - first[0] * TILE, column - first[1] * TILE
+    top = row - first[0] * TILE
+    left = column - first[1] * TILE
     cells[top : top + height, left : left + width] = np.where(grid.known, steps, UNKNOWN).astype(np.int16)
     blocks = cells.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
     used = np.nonzero((blocks != UNKNOWN).any(axis=(2, 3)))
