@@ -20,7 +20,7 @@ ONLY_IN = {
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
     "numpy": set(RANKS),
-    "scipy": {"slam"},
+    "scipy": {"slam", "localization"},
     "qdldl": {"slam"},
     "rosbags": {"io"},
     "lz4": {"io"},

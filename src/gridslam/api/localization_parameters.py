@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from gridslam.api.amcl import AMCL_NAMES, AmclParameters, from_amcl
 from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 
 __all__ = ["override_configuration"]
 

@@ -14,7 +14,6 @@ __all__ = ["circular_mean", "normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
-TAU = 2.0 * math.pi
 _MANY = 500  # of which fmod takes longer than to look at them all
 
 
@@ -44,17 +43,18 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     if isinstance(angle, float | int):
         if -math.pi <= angle < math.pi:
             return float(angle)
-        rest = math.fmod(angle, TAU)
-        return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
+        rest = math.fmod(angle, math.tau)
+        return rest - math.tau if rest >= math.pi else rest + math.tau if rest < -math.pi else rest
     near = False
     if angle.size > _MANY:
-        least, most = angle.min(), angle.max()
+        least = angle.min()
+        most = angle.max()
         if -math.pi <= least and most < math.pi:
             return angle.astype(np.float64)
-        near = bool(least > -1.5 * TAU and most < 1.5 * TAU)
-    remainder = angle if near else np.fmod(angle, TAU, dtype=np.float64)
+        near = bool(least > -1.5 * math.tau and most < 1.5 * math.tau)
+    remainder = angle if near else np.fmod(angle, math.tau, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
-    return remainder - TAU * turns
+    return remainder - math.tau * turns
 
 
 def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:

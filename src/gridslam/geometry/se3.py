@@ -75,7 +75,8 @@ def interpolate(a: ArrayLike, b: ArrayLike, fraction: float) -> FloatArray:
 def from_planar(pose: ArrayLike) -> FloatArray:
     """Transform (4, 4) of a pose (3,) = [x m, y m, theta rad] in the ground plane; raises ArgumentError otherwise."""
     x, y, theta = _vector(pose, "pose", 3)
-    c, s = math.cos(theta), math.sin(theta)
+    c = math.cos(theta)
+    s = math.sin(theta)
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 

@@ -36,10 +36,6 @@ def test_log_at_half_a_turn() -> None:
     np.testing.assert_allclose(se2.log([0, 2, math.pi]), [-math.pi, 0, -math.pi], atol=1e-15)
 
 
-def test_right_jacobian_is_the_identity_at_rest() -> None:
-    np.testing.assert_array_equal(se2.right_jacobian([0, 0, 0]), np.eye(3))
-
-
 def test_leading_dimensions_broadcast() -> None:
     a, b = np.zeros((4, 1, 3)), np.zeros((5, 3))
     assert se2.compose(a, b).shape == (4, 5, 3)
@@ -69,7 +65,7 @@ def test_mean_and_covariance_across_the_cut() -> None:
     np.testing.assert_allclose(batch, [np.outer(residual, residual), np.zeros((3, 3))], atol=1e-14)
 
 
-@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint, se2.right_jacobian])
+@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log])
 @pytest.mark.parametrize("bad", [np.zeros(2), np.zeros((3, 4)), 1.0])
 def test_wrong_width_is_refused(function, bad: object) -> None:
     with pytest.raises(ArgumentError, match=r"shape \(..., 3\)"):

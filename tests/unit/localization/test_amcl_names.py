@@ -12,7 +12,7 @@ from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ConfigurationError
 from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import OdometryMotion
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
 

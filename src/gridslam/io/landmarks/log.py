@@ -10,7 +10,7 @@ from typing import Protocol, final, runtime_checkable
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text import read_head
-from gridslam.models.landmark_observations import LandmarkStep, ObservationKind
+from gridslam.models.landmark import LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = ["LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "open_landmark_log", "open_landmark_log_if_path"]

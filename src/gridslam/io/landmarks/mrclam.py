@@ -16,7 +16,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
 from gridslam.io.landmarks.log import LandmarkLogStatistics, LandmarkTruth
 from gridslam.io.number_rows import NumberRow, read_numbered_lines, read_stamped_rows
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = ["MrclamLog"]

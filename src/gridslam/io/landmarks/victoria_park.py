@@ -11,7 +11,7 @@ import numpy as np
 from gridslam.errors import InputError
 from gridslam.io.landmarks.log import LandmarkLogStatistics, LandmarkTruth
 from gridslam.io.number_rows import read_numbered_lines
-from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep, ObservationKind
+from gridslam.models.landmark import LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray
 
 __all__ = ["VictoriaParkLog"]

@@ -13,7 +13,7 @@ from gridslam.config.tables import replace_parameters, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.results.archive import read_arrays, write_arrays
 from gridslam.io.results.generator import dump_generator, load_generator
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 
 __all__ = ["SavedLocalization", "read_localization", "write_localization"]
