@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import transform_points
-from gridslam.grid.evidence import Evidence
+from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.matching.gauss_newton import GaussNewton

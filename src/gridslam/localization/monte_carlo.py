@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,20 +18,19 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, log
 from gridslam.localization.belief import HypothesisTracker, PoseEstimate, estimate_pose, propagate_covariance
-from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.models.parameters import STRICT
+from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
-from gridslam.particles.resampling import Systematic
-from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -81,8 +80,9 @@ class MonteCarloConfiguration:
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL. Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a
         dot.
-    deskew : LocalizationDeskew
-        Deskewing of scans with beam times.
+    beam_order_margin : float, [0, 1]
+        Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
+        times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
     kld : KldSampling
         How many particles survive.
     when_to_update : MotionThreshold
@@ -117,16 +117,20 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
-    motion: GMappingMotion | OdometryMotion | DiffusionMotion = Field(default_factory=GMappingMotion)
-    sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=lambda: LikelihoodField(tempering=0.05))
+    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
+    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(
+        default_factory=lambda: LikelihoodField(tempering=0.05)
+    )
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(dense_spacing_m=0.0))
-    deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
+    beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=lambda: MotionThreshold(0.2, 0.2))
-    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample = Field(default_factory=EffectiveSampleSizeBelow)
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
+        default_factory=EffectiveSampleSizeBelow
+    )
     resample_interval: int = Field(default=1, ge=1)
     max_beams: int = Field(default=120, ge=1)
     range_min_m: float = Field(default=0.05, ge=0)
@@ -243,7 +247,8 @@ class MonteCarloLocalization:
             pose = self._match(guess, state.estimate.covariance, beams)
             return float(self._inlier_ratio(beams)(pose[None])[0])
 
-        return self.configuration.deskew(beams, twist, share)
+        order = BeamOrder().learn(beams, twist, share).best(self.configuration.beam_order_margin)
+        return beams.deskew(order * twist)
 
     def _skip_reason(
         self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams

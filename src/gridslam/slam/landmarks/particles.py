@@ -16,7 +16,7 @@ from gridslam.models.association import NEW
 from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.particles.resampling import effective_sample_size, normalize
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances
 from gridslam.types import FloatArray, IntArray, MotionSampler
