@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["circular_mean", "normalize_weights", "wrap"]
+__all__ = ["normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
@@ -55,38 +55,6 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     remainder = angle if near else np.fmod(angle, math.tau, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
     return remainder - math.tau * turns
-
-
-def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
-    """Mean direction: the angle of the weighted sum of unit vectors.
-
-    Where that sum vanishes, as for two opposite angles, no direction is better than another: the result is arbitrary.
-
-    Parameters
-    ----------
-    angles : (..., N) float64, rad
-        Any finite angles; the mean is taken over the last axis.
-    weights : (..., N) float64, optional
-        Finite, >= 0 and not all 0, of any scale; equal if not given.
-
-    Returns
-    -------
-    (...) float64, rad
-        In [-pi, pi).
-
-    Raises
-    ------
-    ArgumentError
-        If there is no angle, there is not one weight for each, a weight is negative or not finite, or all are 0.
-    """
-    theta = np.asarray(angles, dtype=np.float64)
-    if theta.ndim == 0 or theta.shape[-1] == 0:
-        raise ArgumentError("angles", "shape (..., N) with N >= 1", theta.shape)
-    share = normalize_weights(np.ones(theta.shape[-1]) if weights is None else weights)
-    if share.shape[-1] != theta.shape[-1]:
-        raise ArgumentError("weights", f"one for each of {theta.shape[-1]} angles", share.shape[-1])
-    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
-    return np.asarray(wrap(direction))
 
 
 def normalize_weights(weights: ArrayLike) -> FloatArray:

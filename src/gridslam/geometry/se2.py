@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import circular_mean, normalize_weights, wrap
+from gridslam.geometry.angles import normalize_weights, wrap
 
 __all__ = [
     "between", "between_jacobians", "compose", "compose_jacobians", "compound_covariance", "exp",
@@ -236,7 +236,9 @@ def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     if given.ndim < 2 or given.shape[-2] != share.shape[-1]:
         raise ArgumentError("weights", f"one for each pose of shape {given.shape}", f"shape {share.shape}")
     position = (share[..., None] * given[..., :2]).sum(axis=-2)
-    return np.concatenate([position, np.asarray(circular_mean(given[..., 2], share))[..., None]], axis=-1)
+    theta = given[..., 2]
+    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
+    return np.concatenate([position, np.asarray(wrap(direction))[..., None]], axis=-1)
 
 
 def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:

@@ -210,14 +210,14 @@ class MonteCarloLocalization:
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams):
             return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
-        poses = self._motion(moved)(state.poses, rng)  # predict
+        poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
-        log_weights = state.log_weights + log_likelihood(poses)  # weigh
-        if share := self._injection_ratio(state, poses, beams):  # augment
+        log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
+        if share := self._injection_ratio(state, poses, beams):  # w_slow, w_fast; max(0, 1 - w_fast / w_slow) of all
             poses, log_weights = self._inject_particles(poses, log_weights, share, beams, log_likelihood, rng)
         state.advance(poses, normalize(log_weights), odometry)
         report = self._refine_pose(self._report_update(state, scan, moved, beams, share, rng), beams)
-        if self._should_resample(state, report):  # resample
+        if self._should_resample(state, report):  # draw with probability w_t, as many as KLD-sampling asks for
             parents = self.configuration.kld(poses, np.exp(state.log_weights), self.resampler, rng)
             state.resample(parents)
             report = replace(report, parents=parents, particles=len(parents))
@@ -337,7 +337,8 @@ class MonteCarloLocalization:
         reason: LocalizationSkip,
     ) -> LocalizationReport:  # fmt: skip
         """Report of a scan that did not update the particles: the pose of the last update, moved on by odometry."""
-        state.last, estimate = odometry or state.last, state.estimate
+        state.last = odometry or state.last
+        estimate = state.estimate
         pose = compose(estimate.pose, moved)
         noise = self._motion(moved).moments(estimate.pose[None])[1][0]
         covariance = propagate_covariance(estimate.covariance, pose[:2] - estimate.pose[:2], noise)

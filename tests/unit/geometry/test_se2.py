@@ -55,6 +55,16 @@ def test_arguments_are_left_alone() -> None:
     np.testing.assert_array_equal(a, before)
 
 
+def test_mean_heading_across_the_cut() -> None:
+    def mean_heading(thetas: list[float], weights: list[float]) -> float:
+        return float(se2.weighted_mean([[0, 0, theta] for theta in thetas], weights)[2])
+
+    assert abs(mean_heading([math.radians(179), math.radians(-179)], [1, 1])) == pytest.approx(math.pi, abs=1e-15)
+    # atan2 of the sums: (sin 0 + 3 sin 90, cos 0 + 3 cos 90) = (3, 1).
+    assert mean_heading([0.0, math.pi / 2], [1, 3]) == pytest.approx(math.atan2(3, 1), abs=1e-15)
+    assert mean_heading([3.1, -3.1], [1, 1]) == pytest.approx(-math.pi, abs=1e-14)
+
+
 def test_mean_and_covariance_across_the_cut() -> None:
     poses = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, 4.0, -math.pi + 0.1]])
     np.testing.assert_allclose(se2.weighted_mean(poses, [1, 1])[:2], [1, 2])

@@ -92,15 +92,7 @@ def test_a_raft_turns_with_all_that_is_on_it():
     belief.append(state.local_frame_covariances)
     rows = np.arange(4)
     columns = np.full(4, state.column(1))
-    seen = slam.landmarks.innovation(
-        state,
-        rows,
-        columns,
-        belief.mean,
-        belief.covariance_seen_from(rows, columns),
-        LandmarkObservations.of([[4.2, -0.1]]),
-        0,
-    )
+    seen = slam.landmarks.innovation(state, rows, columns, belief, LandmarkObservations.of([[4.2, -0.1]]), 0)
     local_frames = state.local_frames.copy()
     belief.correct(seen)
     assert (np.abs(between(local_frames, state.local_frames)) > 1e-3).all()  # it moved and turned

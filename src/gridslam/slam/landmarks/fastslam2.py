@@ -21,7 +21,7 @@ from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters
+from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, matvec, transform_covariances, transpose
@@ -73,14 +73,11 @@ class PoseProposal:
         self.mean[:, 2] = wrap(self.mean[:, 2])
         return shift
 
-    def sample(self, rng: np.random.Generator) -> None:
-        """x_t ~ N(mu_x, Sigma_x); what is left is exact."""
+    def sample(self, rng: np.random.Generator) -> SampledPoses:
+        """x_t ~ N(mu_x, Sigma_x); mean and covariance are then what the state keeps of them."""
         self.mean = draw_poses(self.mean, self.covariance, rng)
         self.covariance = np.zeros_like(self.covariance)
-
-    def covariance_left(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
-        """Covariance (R, 3, 3) of sampled poses as seen from landmarks (rows, columns); None where they are exact."""
-        return None
+        return SampledPoses(self.mean)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         """H_x (R, 2, 3): derivatives of the observation by what the covariance is of."""
@@ -138,14 +135,14 @@ class FastSlam2:
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
             proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
-        self._sample(state, proposal, observations, columns, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+        sampled = self._sample(proposal, observations, columns, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
         state.advance(proposal.mean, proposal.covariance, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
-            left = proposal.covariance_left(rows, columns[rows, k])
-            seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, left, observations, k)
-            self.landmarks.correct(state, seen)
-            self.landmarks.add(state, columns[:, k], state.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
+            self.landmarks.correct(
+                state, self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
+            )
+            self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):
@@ -170,7 +167,6 @@ class FastSlam2:
         return PoseProposal(mean, covariance)
 
     def _sample(
-        self, state: LandmarkParticles, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
-        proposal.sample(rng)
+        self, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray, rng: np.random.Generator
+    ) -> SampledPoses:
+        return proposal.sample(rng)

@@ -47,15 +47,15 @@ class PoseBelief(Protocol):
         """Upper bound (N, 3, 3) of the pose covariance relative to any landmark; None where they are sampled."""
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SampledPoses:
     """Poses (N, 3) that are sampled: each particle takes its own for exact."""
 
     poses: FloatArray
 
-    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> None:
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Return None: there is no covariance."""
+        return None
 
     def bound_covariance(self) -> None:
         """Return None: there is no covariance."""
@@ -155,7 +155,7 @@ class LandmarkFilters:
             return self._draw_correspondences(state, observations, k, belief, taken, self.association, rng)
         column = state.column(int(signatures(observations)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
-        seen = self._predict(state, rows, np.full(len(rows), column), belief, observations, k)
+        seen = self.innovation(state, rows, np.full(len(rows), column), belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.gate
         columns = np.full(len(state), NEW)
@@ -165,14 +165,15 @@ class LandmarkFilters:
         return columns, likelihood, seen.select(believed)
 
     def innovation(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        spread: FloatArray | None, observations: LandmarkObservations, k: int,
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, belief: PoseBelief,
+        observations: LandmarkObservations, k: int,
     ) -> Innovation:  # fmt: skip
-        """Predict observation k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
-        predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
+        """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
+        predicted, H_x, H_m = self.sensor.linearize(belief.poses[rows], state.positions[rows, columns])
         L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
-        if spread is not None:
-            L += transform_covariances(H_x, spread)
+        R = belief.covariance_seen_from(rows, columns)
+        if R is not None:
+            L += transform_covariances(H_x, R)
         return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
@@ -232,13 +233,6 @@ class LandmarkFilters:
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
             state.confirmed = (state.confirmed | (evidence >= self.existence.log_odds_confirmed)) & (evidence >= 0)
 
-    def _predict(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, belief: PoseBelief,
-        observations: LandmarkObservations, k: int,
-    ) -> Innovation:  # fmt: skip
-        spread = belief.covariance_seen_from(rows, columns)
-        return self.innovation(state, rows, columns, belief.poses, spread, observations, k)
-
     def _log_threshold(self, observations: LandmarkObservations, k: int) -> float:
         """log p_0, the density at the threshold beyond which an observation is of no known landmark."""
         log_det = np.log(np.linalg.det(self.sensor.noise(observations)[k]))
@@ -250,7 +244,7 @@ class LandmarkFilters:
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Sample c ~ p(c | z), so that particles hold different correspondences; the weight is the sum of p(z | c)."""
         rows, columns = np.nonzero(self._may_match(state, observations, k, belief, within.new_gate))
-        seen = self._predict(state, rows, columns, belief, observations, k)
+        seen = self.innovation(state, rows, columns, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         free = (taken[rows] != columns[:, None]).all(axis=1)
         near = np.zeros(len(state), np.bool_)

@@ -20,7 +20,7 @@ from gridslam.geometry.se2 import compose, inverse, lever_arm_jacobian, transfor
 from gridslam.models.association import NEW
 from gridslam.models.landmark import LandmarkObservations
 from gridslam.slam.landmarks.fastslam2 import FastSlam2, PoseProposal
-from gridslam.slam.landmarks.filters import Innovation
+from gridslam.slam.landmarks.filters import Innovation, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw_poses, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, IntArray
@@ -45,9 +45,8 @@ class FastSlam2WithLocalFrames(FastSlam2):
         return proposal
 
     def _sample(
-        self, state: LandmarkParticles, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+        self, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray, rng: np.random.Generator
+    ) -> SampledPoses:
         assert isinstance(proposal, LocalFrameProposal)
         only_new = np.flatnonzero((columns == NEW).all(axis=1))
         poses = proposal.mean[only_new]
@@ -56,7 +55,7 @@ class FastSlam2WithLocalFrames(FastSlam2):
         ratio = np.linalg.inv(self.landmarks.sensor.noise(observations)[0]) @ of_pose
         less_certain = np.trace(ratio, axis1=1, axis2=2) > 2.0  # the pose than the observation, of two numbers
         proposal.open_local_frames(only_new[less_certain], rng)
-        proposal.sample(rng)
+        return proposal.sample(rng)
 
 
 @final
@@ -130,11 +129,10 @@ class LocalFrameProposal(PoseProposal):
         self.covariance[rows, :3, :3] = 0.0
         self.state.open_local_frames(rows, self.mean[rows])
 
-    def sample(self, rng: np.random.Generator) -> None:
+    def sample(self, rng: np.random.Generator) -> SampledPoses:
         """Sample the poses in the frame with the smaller covariance and condition the local frame on them."""
         if not self.has_local_frames:
-            super().sample(rng)
-            return
+            return super().sample(rng)
         state = self.state
         seen_from = [self._errors(np.full(len(state), side)) for side in (False, True)]
         in_map, in_local = (transform_covariances(errors, self.covariance) for errors in seen_from)
@@ -151,15 +149,7 @@ class LocalFrameProposal(PoseProposal):
         self.mean = poses
         self._move(np.arange(len(state)), matvec(gain, drawn))
         self.covariance = np.zeros_like(own)
-
-    def covariance_left(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
-        """Covariance (R, 3, 3) of sampled poses as seen from landmarks (rows, columns) in the other frame."""
-        state = self.state
-        if not state.local_frame_step.any():
-            return None
-        other = state.in_local_frame[rows] != state.landmark_in_local_frame[rows, columns]
-        L = lever_arm_jacobian(state.local_frames[rows], self.mean[rows])
-        return np.asarray(transform_covariances(L, state.local_frame_covariances[rows]) * other[:, None, None])
+        return _SampledInFrames(self.mean, state)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         if not self.has_local_frames:
@@ -187,6 +177,21 @@ class LocalFrameProposal(PoseProposal):
         state.positions[rows] = np.where(inside[:, :, None], transform_points(moved[:, None], points), points)
         aboard = state.in_local_frame[rows]
         self.mean[rows] = np.where(aboard[:, None], compose(moved, self.mean[rows]), self.mean[rows])
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _SampledInFrames(SampledPoses):
+    """Sampled poses, each exact in its own frame."""
+
+    state: LandmarkParticles
+
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns): of those in the other frame."""
+        state = self.state
+        other = state.in_local_frame[rows] != state.landmark_in_local_frame[rows, columns]
+        L = lever_arm_jacobian(state.local_frames[rows], self.poses[rows])
+        return np.asarray(transform_covariances(L, state.local_frame_covariances[rows]) * other[:, None, None])
 
 
 def _volume(covariances: FloatArray) -> FloatArray:

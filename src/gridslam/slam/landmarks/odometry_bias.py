@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gridslam.geometry.angles import wrap
 from gridslam.models.motion import OdometryBias
 from gridslam.slam.landmarks.fastslam2 import FastSlam2, PoseProposal
-from gridslam.slam.landmarks.filters import Innovation
+from gridslam.slam.landmarks.filters import Innovation, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw, draw_poses, matvec, transform_covariances, transpose
 from gridslam.types import FloatArray, IntArray, MotionSampler
@@ -108,7 +108,7 @@ class BiasProposal(PoseProposal):
         self.state.positions[seen.rows] += (self.state.positions_by_bias[seen.rows] @ shift[:, None, 3:, None])[..., 0]
         return shift
 
-    def sample(self, rng: np.random.Generator) -> None:
+    def sample(self, rng: np.random.Generator) -> SampledPoses:
         """Sample what of the poses is independent of the errors; the covariance of these, and by these, is left."""
         left = (self.covariance + transpose(self.covariance)) / 2  # what is never drawn adds up its rounding, too
         whole = left[:, :3, :3].copy()
@@ -117,6 +117,7 @@ class BiasProposal(PoseProposal):
         own = whole - left[:, :3, :3] + _ROUNDING * np.eye(3) * whole
         self.mean[:, :3] = draw_poses(self.mean[:, :3], own, rng)
         self.covariance = left
+        return SampledPoses(self.poses)
 
     def _jacobian(self, seen: Innovation) -> FloatArray:
         return seen.by_pose @ self._errors_seen_from(seen.rows, seen.columns)
