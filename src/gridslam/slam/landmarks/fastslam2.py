@@ -99,9 +99,9 @@ class FastSlam2:
 
     Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The table
     has one observation in each step, draws a pose for each landmark it might be of and takes the one of greatest
-    likelihood; here there are several, or none, and the correspondence is chosen by p(z_t | x_t-1, u_t, c_t), as in the
-    paper. Without observations no pose is sampled yet, and the Gaussian of the motion is carried on. The table
-    resamples at every step.
+    likelihood; here there are several, or none, and correspondences that are not known are judged by
+    p(z_t | x_t-1, u_t, c_t), as in the paper. Without observations no pose is sampled yet, and the Gaussian of the
+    motion is carried on. The table resamples at every step.
     """
 
     landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
@@ -125,13 +125,13 @@ class FastSlam2:
         state = state.take()
         mean, R = self._predict(state, motion, rng)  # predict pose: g(x_t-1, u_t), R_t
         if not len(observations):
-            state.predict_without_drawing(mean, R)
+            state.advance(mean, R)
             return state, state.report(np.empty((len(state), 0), np.int64))
         proposal = self._propose(state, mean, R)
         log_weights = np.zeros(len(state))
         columns = np.full((len(state), len(observations)), NEW)
         for k in self.landmarks.order(state, observations, proposal.poses).tolist():
-            # Predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j. Correspondence.
+            # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
             columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
             log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
             proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
@@ -139,9 +139,8 @@ class FastSlam2:
         state.advance(proposal.mean, proposal.covariance, log_weights)
         for k in range(len(observations)):  # update Kalman filters
             rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
-            self.landmarks.correct(
-                state, self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
-            )
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
+            self.landmarks.correct(state, seen)
             self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
         self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)

@@ -185,16 +185,25 @@ class LandmarkParticles:
         self.names[column] = name
         return np.full(len(particles), column)
 
-    def advance(self, known: FloatArray, spread: FloatArray, log_weights: FloatArray) -> None:
-        """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,)."""
-        self._extend_ancestry(known, spread, drawn=True)
-        self.log_weights = normalize(self.log_weights + log_weights)
-        accumulated = self.log_ancestry + log_weights
-        self.log_ancestry = accumulated - accumulated.max()
+    def advance(self, known: FloatArray, spread: FloatArray, log_weights: FloatArray | None = None) -> None:
+        """Give every particle its pose and errors (N, 3 + B), their covariance, and its weight (N,), if it was drawn.
 
-    def predict_without_drawing(self, known: FloatArray, spread: FloatArray) -> None:
-        """Predict poses and errors (N, 3 + B) with covariance (N, 3 + B, 3 + B), without observations."""
-        self._extend_ancestry(known, spread, drawn=False)
+        Without observations, hence without weights, poses are not drawn.
+        """
+        self.state_means = known
+        self.state_covariances = spread
+        frames = self.replaced_local_frames
+        past = [self.poses, self._describe_local_frames() if frames is None else frames]
+        past.append(np.full(len(self), log_weights is not None))
+        self.replaced_local_frames = None
+        if self.pose_by_bias.size:
+            self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
+            past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
+        self.ancestry.extend(np.column_stack(past))
+        if log_weights is not None:
+            self.log_weights = normalize(self.log_weights + log_weights)
+            accumulated = self.log_ancestry + log_weights
+            self.log_ancestry = accumulated - accumulated.max()
 
     def open_local_frames(self, rows: IntArray, poses: FloatArray) -> None:
         """Open local frames at poses (R, 3) in particles `rows` (R,), with no landmark in them yet."""
@@ -208,17 +217,6 @@ class LandmarkParticles:
     def _describe_local_frames(self) -> FloatArray:
         """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
         return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
-
-    def _extend_ancestry(self, known: FloatArray, spread: FloatArray, drawn: bool) -> None:
-        self.state_means = known
-        self.state_covariances = spread
-        frames = self.replaced_local_frames
-        past = [self.poses, self._describe_local_frames() if frames is None else frames, np.full(len(self), drawn)]
-        self.replaced_local_frames = None
-        if self.pose_by_bias.size:
-            self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
-            past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
-        self.ancestry.extend(np.column_stack(past))
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
