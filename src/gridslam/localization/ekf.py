@@ -16,7 +16,7 @@ from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import lever_arm_jacobian
-from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence
+from gridslam.models.association import Association, KnownCorrespondence
 from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
@@ -148,7 +148,7 @@ class EkfLocalization:
         places = self._correspondences(belief, observations, noise)
         seen = np.flatnonzero(places >= 0)
         belief, log_likelihood = self._corrected(belief, places[seen], observations.values[seen], noise[seen])
-        told = np.where(places >= 0, self.landmarks.names[places], np.where(places == NEW, NEW, AMBIGUOUS))
+        told = np.where(places >= 0, self.landmarks.names[places], places)
         return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
 
     def _predicted(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
