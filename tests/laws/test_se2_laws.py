@@ -104,6 +104,12 @@ def test_motions_along_one_twist_add_up(xi: np.ndarray, first: float, second: fl
     assert_same_pose(se2.compose(se2.exp(first * xi), se2.exp(second * xi)), se2.exp((first + second) * xi))
 
 
+@given(small_poses, short_twists)
+def test_adjoint_moves_a_twist_across(pose: np.ndarray, xi: np.ndarray) -> None:
+    left = se2.compose(se2.exp(se2.adjoint(pose) @ xi), pose)
+    assert_same_pose(se2.compose(pose, se2.exp(xi)), left)
+
+
 def central_differences(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
     """Error: step^2 / 6 times a third derivative (<= ~20) is 3e-10; rounding 20 * 2^-52 / step is 5e-10."""
     columns = []

@@ -3,7 +3,8 @@
 With frames in the names, `compose(map_from_robot, robot_from_laser)` is `map_from_laser`. All functions broadcast
 over the leading dimensions, and what they return has theta in [-pi, pi). Jacobians of `compose` and `between` are
 partial derivatives of the coordinates [x, y, theta], and covariances are by x and y in m and theta in rad (Smith, Self
-and Cheeseman 1990).
+and Cheeseman 1990); `adjoint` belongs to the tangent space, of vectors [v_x, v_y, omega] (Sola, Deray and Atchuthan
+2018).
 
 A single pose takes the same formulas through Python floats, which is several times faster than arrays of one element.
 """
@@ -20,7 +21,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import normalize_weights, wrap
 
 __all__ = [
-    "between", "between_jacobians", "compose", "compose_jacobians", "compound_covariance", "exp",
+    "adjoint", "between", "between_jacobians", "compose", "compose_jacobians", "compound_covariance", "exp",
     "increment_covariance", "inverse", "lever_arm_jacobian", "log", "transform_points", "weighted_covariance",
     "weighted_mean",
 ]  # fmt: skip
@@ -167,6 +168,18 @@ def between_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArra
     x, y, _ = _components(between(a, b), "b")
     c, s = _cos_sin(theta)
     return _matrix(-c, -s, y, s, -c, -x, 0, 0, -1), _matrix(c, s, 0, -s, c, 0, 0, 0, 1)
+
+
+def adjoint(pose: ArrayLike) -> FloatArray:
+    """Return the adjoint (..., 3, 3) of poses: pose compose exp(xi) = exp(adjoint @ xi) compose pose.
+
+    Raises ArgumentError if the last dimension of `pose` is not 3.
+
+    Source: Sola et al., A micro Lie theory (2018), equation 159.
+    """
+    x, y, theta = _components(pose, "pose")
+    c, s = _cos_sin(theta)
+    return _matrix(c, -s, y, s, c, -x, 0, 0, 1)
 
 
 def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:

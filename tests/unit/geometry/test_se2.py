@@ -75,7 +75,7 @@ def test_mean_and_covariance_across_the_cut() -> None:
     np.testing.assert_allclose(batch, [np.outer(residual, residual), np.zeros((3, 3))], atol=1e-14)
 
 
-@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log])
+@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint])
 @pytest.mark.parametrize("bad", [np.zeros(2), np.zeros((3, 4)), 1.0])
 def test_wrong_width_is_refused(function, bad: object) -> None:
     with pytest.raises(ArgumentError, match=r"shape \(..., 3\)"):
