@@ -19,7 +19,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
 from gridslam.io.tables import Row, parse_tagged, read_rows, read_table, symmetric_of_upper
 from gridslam.io.text import read_head, read_numbered_lines
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, final, runtime_checkable
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.compounding import compound_covariance
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compound_covariance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, Odometry

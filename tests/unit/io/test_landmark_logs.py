@@ -11,7 +11,7 @@ import pytest
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import compose
 from gridslam.io.landmark_logs import LandmarkLog, MrclamLog, VictoriaParkLog, open_landmark_log
-from gridslam.models.landmark_observations import LandmarkObservations, ObservationKind
+from gridslam.models.landmark import LandmarkObservations, ObservationKind
 
 ODOMETRY = "# Time v omega\n10.0 1.0 0.0\n10.1 1.0 0.0\n10.2 0.0 2.0\n10.3 0.0 0.0\n10.9 0.0 0.0\n"
 MEASUREMENT = "# Time barcode range bearing\n10.05 14 1.5 0.25\n10.05 63 2.0 -0.5\n10.25 7 3.0 0.5\n10.25 99 3.0 0.5\n"

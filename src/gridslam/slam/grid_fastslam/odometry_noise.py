@@ -13,8 +13,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.compounding import compound_covariance
-from gridslam.geometry.se2 import between, compose, compose_jacobians
+from gridslam.geometry.se2 import between, compose, compose_jacobians, compound_covariance
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
