@@ -15,8 +15,7 @@ from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.localization.belief import PoseEstimate, is_in_cluster
-from gridslam.localization.pose_hypotheses import NO_HYPOTHESES, PoseHypotheses
+from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
 from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
