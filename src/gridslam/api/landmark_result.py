@@ -206,7 +206,7 @@ class LandmarkResult:
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""
-        from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
+        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
 
         compared, known, way, points = self._compared(), self.log.truth, None, None
         if compared is not None and known is not None:

@@ -17,8 +17,8 @@ from gridslam.geometry.se2 import compose
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
+from gridslam.viz.canvas import CLOSURE, FAINT, TIME_ENDS, TRUTH
 from gridslam.viz.cloud import select_representatives
-from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH
 
 __all__ = ["RerunRecording"]
 
