@@ -13,8 +13,8 @@ from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
 from gridslam.api.landmark_result import LandmarkEstimate, LandmarkResult
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
-from gridslam.io.digest import compute_digest
-from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.text import compute_digest
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel
 from gridslam.models.landmark_observations import LandmarkStep

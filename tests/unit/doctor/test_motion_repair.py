@@ -18,7 +18,7 @@ from gridslam.doctor.repair import (
 )
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder
