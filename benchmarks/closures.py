@@ -65,7 +65,7 @@ def _driven(drive: Drive) -> _Run:
     stream, slam = drive.stream(), build(Configuration())
     state = run(stream.measurements, slam, rng=np.random.default_rng(0), observers=[recorder])
     said = full_slam(
-        state, recorder.keys, recorder.key_from_base, config.mapper, config.closure, config.final_refinement
+        state, recorder.keys, recorder.key_from_base, config.mapper, config.loop_closure, config.final_refinement
     )
     cpu_s, truth = time.process_time() - began, np.asarray(stream.truth.poses)
     keys = np.flatnonzero(np.diff(recorder.keys, prepend=-1))

@@ -31,7 +31,7 @@ __all__ = ["LOOSE", "main", "revisits"]
 
 _ROOT = Path(__file__).resolve().parent.parent
 _LOOSE = {
-    "closure.recognition": (
+    "loop_closure.recognition": (
         "inlier_ratio=0.4",
         "ambiguity_ratio=1.0",
         "min_confirmations=1",

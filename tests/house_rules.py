@@ -19,6 +19,7 @@ ONLY_IN = {
     "tomli": {"config"},
     "tomli_w": {"config"},
     "pydantic": set(RANKS),
+    "pydantic_core": {"models", "config"},
     "numpy": set(RANKS),
     "scipy": {"slam"},
     "qdldl": {"slam"},

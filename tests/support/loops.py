@@ -9,8 +9,8 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, 
 
 PROVOKED = override(
     Configuration(), "particles=4",  # and hardly any way is short enough
-    "closure.recognition.certain_sigma_m=0.02", "closure.recognition.min_confirmations=1",
-    "closure.disagree_m=0.001", "closure.disagree_rad=0.001",  # what is recognized is corrected
+    "loop_closure.recognition.certain_sigma_m=0.02", "loop_closure.recognition.min_confirmations=1",
+    "loop_closure.disagree_m=0.001", "loop_closure.disagree_rad=0.001",  # what is recognized is corrected
 )  # fmt: skip
 
 

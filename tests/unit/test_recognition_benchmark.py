@@ -120,12 +120,12 @@ def test_a_constraint_that_the_answer_contradicts_is_thrown_away():
 def test_one_command_writes_the_report_and_a_curve(tmp_path, capsys, monkeypatch):
     out, cache = tmp_path / "recognition.md", str(tmp_path / "cache")
     given = ["--only", "a", "--kinds", "rooms", "--drives", "1", "--cache", cache]
-    recognition.main([*given, "--sweep", "closure.recognition.inlier_ratio=0.9", "-o", str(out)])
+    recognition.main([*given, "--sweep", "loop_closure.recognition.inlier_ratio=0.9", "-o", str(out)])
     text = out.read_text(encoding="utf-8")
     for part in (
         "commit",
         "Simulated drives: as it is",
-        "closure.recognition.inlier_ratio=0.9",
+        "loop_closure.recognition.inlier_ratio=0.9",
         "## Curve",
         "| honest |",
     ):
@@ -138,7 +138,7 @@ def test_one_command_writes_the_report_and_a_curve(tmp_path, capsys, monkeypatch
 def test_a_parameter_that_does_not_exist_is_told_before_any_work(monkeypatch):
     monkeypatch.setattr(recognition, "simulated", lambda *_: pytest.fail("began to work"))
     with pytest.raises(SystemExit, match="no such parameter"):
-        recognition.main(["--only", "a", "--sweep", "closure.recognition.shaer=0.6"])
+        recognition.main(["--only", "a", "--sweep", "loop_closure.recognition.shaer=0.6"])
 
 
 def test_logs_are_thinned_and_begun_anew(rooms):

@@ -1,19 +1,19 @@
-"""AMCL's parameters, by the names of ROS 1 and of nav2, as parts of Monte Carlo localization."""
+"""Parameters of localization by name: AMCL's, of ROS 1 and of nav2, and gridslam's own."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
-from gridslam.config.tables import Table, replace_parameters, suggest_names, to_table
+from gridslam.config.tables import Table, nest, read_assignments, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.types import FloatArray
 
-__all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl"]
+__all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration"]
 
 AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "amcl": {
@@ -119,6 +119,20 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | Non
     return AmclParameters(configuration, pose, np.diag(list(variances)), tuple(ignored))
 
 
+def override_configuration(configuration: MonteCarloConfiguration, assignments: Iterable[str]) -> AmclParameters:
+    """Change parameters by ``name=value``, AMCL's first and then gridslam's own (see `MonteCarloConfiguration`).
+
+    Raises
+    ------
+    ConfigurationError
+        An assignment is malformed, or a parameter is unknown, of a wrong type or out of range.
+    """
+    own = read_assignments(assignments)
+    amcl = {name: own.pop(name) for name in AMCL_NAMES - to_table(configuration).keys() if name in own}
+    read = from_amcl(amcl, configuration)
+    return read._replace(configuration=replace_parameters(read.configuration, nest(own), AMCL_NAMES))
+
+
 _AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
 
 
@@ -136,18 +150,14 @@ def _check_numbers(parameters: Mapping[str, Any]) -> None:
 
 def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
     """Nested changes to the parts."""
-    changes: Table = {"sensor": _sensor(given, configuration), "motion": _motion(given)}
+    changes = _sensor(given, configuration) | _motion(given)
     for name, value in given.items():
         if name in _PLACES and not (name.endswith("_range") and value == -1):  # -1: the sensor's own
-            *above, last = _PLACES[name].split(".")
-            table = changes
-            for key in above:
-                table = table.setdefault(key, {})
-            table[last] = value
+            changes[_PLACES[name]] = value
     if "selective_resampling" in given:
         selective = given["selective_resampling"]
-        changes["when_to_resample"] = {"kind": "EffectiveSampleSizeBelow" if selective else "AlwaysResample"}
-    return {name: value for name, value in changes.items() if value != {}}
+        changes["when_to_resample.kind"] = "EffectiveSampleSizeBelow" if selective else "AlwaysResample"
+    return nest(changes)
 
 
 def _motion(given: Mapping[str, Any]) -> Table:
@@ -155,7 +165,7 @@ def _motion(given: Mapping[str, Any]) -> Table:
     if "omni" in model.lower():
         raise ConfigurationError(f"odom_model_type: expected a differential drive, got {model}")
     named = "odom_model_type" in given or any(name.startswith("odom_alpha") for name in given)
-    return {"kind": "OdometryMotion"} if named else {}
+    return {"motion.kind": "OdometryMotion"} if named else {}
 
 
 def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
@@ -165,7 +175,7 @@ def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) ->
         raise ConfigurationError(f"laser_model_type: expected likelihood_field or beam, got {model!r}")
     now = type(configuration.sensor).__name__
     kind = now if model is None else "BeamRangeFinder" if model == "beam" else "LikelihoodField"
-    table: Table = {"kind": kind} if kind != now else {}
+    changes: Table = {"sensor.kind": kind} if kind != now else {}
     if any(name in given for name in _SHARES):
         before = to_table(configuration.sensor) if kind == now else {}
         used = ("z_hit", "z_short", "z_max", "z_rand") if kind == "BeamRangeFinder" else ("z_hit", "z_rand")
@@ -174,9 +184,10 @@ def _sensor(given: Mapping[str, Any], configuration: MonteCarloConfiguration) ->
         total = sum(shares[place] for place in used)
         if not total:
             raise ConfigurationError(f"{' and '.join(used)}: expected a sum above 0, got none")
-        table |= {place: shares[place] / total for place in used} | ({} if "z_max" in used else {"z_max": 0.0})
+        changes |= {f"sensor.{place}": shares[place] / total for place in used}
+        changes.setdefault("sensor.z_max", 0.0)
     if "laser_lambda_short" in given and kind == "BeamRangeFinder":
-        table["lambda_short_per_m"] = given["laser_lambda_short"]
+        changes["sensor.lambda_short_per_m"] = given["laser_lambda_short"]
     if given.get("laser_max_range", -1) != -1:
-        table["range_max_m"] = given["laser_max_range"]
-    return table
+        changes["sensor.range_max_m"] = given["laser_max_range"]
+    return changes

@@ -99,13 +99,12 @@ def _tracker(result: MapResult) -> dict[str, Any] | None:
     tracker, state = result.configuration.tracker, result.state.tracker
     if not isinstance(tracker, Tracker):
         return None
-    deskew = tracker.deskew
-    timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order_sums[0]} if deskew else {}
+    timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order.scans}
     return {
         "odometry": _learned(state) if result.log.without_odometry < result.log.scan_count else None,
         "odometry_rejected": state.rejected_odometry,
         "stamps_reliable": not state.stamps_unreliable,
-        "beam_order": {sensor: _ORDERS[deskew.find_order(track)] for sensor, track in timed.items()} if deskew else {},
+        "beam_order": {sensor: _ORDERS[track.best_order] for sensor, track in timed.items()},
     }
 
 

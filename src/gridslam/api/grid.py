@@ -18,8 +18,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.trajectories.trajectory import read_tum
-from gridslam.mapping.beam_counts import BeamCounts
-from gridslam.mapping.counted_map import bayes_map, counting_map
+from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, LaserScan, Trajectory

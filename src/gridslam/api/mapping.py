@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from gridslam.api.result import MapResult
 from gridslam.arguments import require_instance, require_seed, require_threads
-from gridslam.config import Configuration, apply_laser, build, override
+from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import RepairedLog, open_repaired
@@ -95,7 +96,7 @@ def map_log(
     _check(seed, threads, particles if laser is None else laser, configuration)
     config = configuration or preset_of(preset, particles)
     config = config if laser is None else apply_laser(config, laser)
-    config = config if loop_closure else override(config, "loop_closure=false")
+    config = config if loop_closure else replace(config, loop_closure=None)
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
     trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
@@ -107,7 +108,7 @@ def map_log(
     if not keep_particles:
         state.keep_best()
     full = full_slam(
-        state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement,
+        state, trajectory.keys, trajectory.key_from_base, config.mapper, config.loop_closure, config.final_refinement,
         on_progress,
     )  # fmt: skip
     watch.lap("final refinement")

@@ -13,7 +13,7 @@ from gridslam.api.document import run_document
 from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.doctor.repair import Repair
-from gridslam.grid.tiled_grid import TiledGrid
+from gridslam.grid.tiles import TiledGrid
 from gridslam.io.graphs.g2o import write_g2o
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps.map_server import write_map

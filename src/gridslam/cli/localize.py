@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 import numpy as np
 
-from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl
+from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration
 from gridslam.api.localization import localize
-from gridslam.api.localization_parameters import override_configuration
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.cli import STARTED_S
 from gridslam.cli.doctor import check_log

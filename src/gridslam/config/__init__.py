@@ -1,8 +1,7 @@
 """The configuration of a run: presets, TOML in and out, single parameters by name, and the filter built from it."""
 
 from gridslam.config.configuration import PARAMETERS, Configuration, build, dumps, load, loads, override
-from gridslam.config.lasers import LASERS, apply_laser
-from gridslam.config.presets import PRESETS, preset
+from gridslam.config.presets import LASERS, PRESETS, apply_laser, preset
 
 __all__ = [
     "LASERS",

@@ -5,29 +5,29 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final, Literal, final
+from typing import Annotated, Final, Literal, final
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.config.tables import Table, names, replace_parameters, suggest_names, to_table
+from gridslam.config.tables import nest, read_assignments, replace_parameters, to_table
 from gridslam.errors import ConfigurationError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
+from gridslam.models.parameters import Kind
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
-from gridslam.scan.thinning import Thinning
+from gridslam.scan import Thinning
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.odometry_tracker import OdometryTracker
-from gridslam.slam.tracking.tracker import Tracker
+from gridslam.slam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
 
 if sys.version_info >= (3, 11):
@@ -82,12 +82,10 @@ class Configuration:
         "systematic" (the least variance), "stratified", "residual", "multinomial" or "wheel".
     tracker, motion, sensor, proposal, mapper, when_to_update, when_to_resample, map_limit, reports
         The parts of `GridFastSlam`.
-    loop_closure : bool
-        Whether loop closures are detected and the trajectory is corrected; False for the filter only.
-    closure : LoopClosure
-        How, while the robot drives.
+    loop_closure : LoopClosure or None
+        How loop closures are detected and the trajectory is corrected while the robot drives; None for the filter only.
     final_refinement : GlobalScanRefinement
-        How, at the end of the log.
+        How the trajectory is refined at the end of the log; without loop closure it is not.
     """
 
     particles: int = Field(default=30, ge=1, le=100_000)
@@ -95,17 +93,18 @@ class Configuration:
     range_max_m: float = Field(default=30.0, gt=0)
     thinning: Thinning = Thinning()
     resampler: Literal["systematic", "stratified", "residual", "multinomial", "wheel"] = "systematic"
-    tracker: Tracker | OdometryTracker = Tracker()
-    motion: DiffusionMotion | OdometryMotion | GMappingMotion = DiffusionMotion()
-    sensor: CauchyEndPoint | GMappingEndPoint | LikelihoodField | BeamRangeFinder = CauchyEndPoint()
-    proposal: ScanMatchedProposal | MotionModelProposal | ImprovedProposal = ScanMatchedProposal()
+    tracker: Annotated[Tracker | OdometryTracker, Kind()] = Tracker()
+    motion: Annotated[DiffusionMotion | OdometryMotion | GMappingMotion, Kind()] = DiffusionMotion()
+    sensor: Annotated[CauchyEndPoint | GMappingEndPoint | LikelihoodField | BeamRangeFinder, Kind()] = CauchyEndPoint()
+    proposal: Annotated[ScanMatchedProposal | MotionModelProposal | ImprovedProposal, Kind()] = ScanMatchedProposal()
     mapper: OccupancyGridMapping = OccupancyGridMapping()
     when_to_update: MotionThreshold = MotionThreshold()
-    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample | NeverResample = EffectiveSampleSizeBelow()
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample | NeverResample, Kind()] = (
+        EffectiveSampleSizeBelow()
+    )
     map_limit: MapLimit = MapLimit()
     reports: ReportBuilder = ReportBuilder()
-    loop_closure: bool = True
-    closure: LoopClosure = LoopClosure()
+    loop_closure: Annotated[LoopClosure | None, Kind()] = LoopClosure()
     final_refinement: GlobalScanRefinement = GlobalScanRefinement()
 
 
@@ -122,7 +121,7 @@ def build(config: Configuration, threads: int = 1) -> GridFastSlam:
         when_to_resample=config.when_to_resample,
         map_limit=config.map_limit,
         reports=config.reports,
-        loop_closure=config.closure if config.loop_closure else None,
+        loop_closure=config.loop_closure,
         range_min_m=config.range_min_m,
         range_max_m=config.range_max_m,
         thinning=config.thinning,
@@ -173,27 +172,7 @@ def override(config: Configuration, *assignments: str) -> Configuration:
     ConfigurationError
         An assignment is malformed, or a parameter is unknown, of a wrong type or out of range.
     """
-    changes: Table = {}
-    for assignment in assignments:
-        name, equals, text = (part.strip() for part in assignment.partition("="))
-        if not (name and equals and text):
-            raise ConfigurationError(f"expected name=value, got {assignment!r}")
-        *above, last = PARAMETERS.get(name, (name,))[0].split(".")
-        if [*above, last][0] not in to_table(config):
-            raise ConfigurationError(f"{name}: no such parameter{suggest_names(name, [*PARAMETERS, *names(config)])}")
-        table = changes
-        for key in above:
-            table = table.setdefault(key, {})
-            if not isinstance(table, dict):
-                raise ConfigurationError(f"{name}: {key} was given as {table!r} before")
-        table[last] = _value(text)
-    return replace_parameters(config, changes)
-
-
-def _value(text: str) -> object:
-    """A TOML value, or the text itself where it is none, so that words need no quotes."""
-    try:
-        value: object = tomllib.loads(f"value = {text}")["value"]
-        return value
-    except tomllib.TOMLDecodeError:
-        return text
+    values = read_assignments(assignments)
+    return replace_parameters(
+        config, nest({PARAMETERS.get(name, (name,))[0]: value for name, value in values.items()}), PARAMETERS
+    )

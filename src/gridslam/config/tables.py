@@ -1,61 +1,89 @@
 """Trees of parameters as nested tables, and changes to them with errors that name the parameter.
 
-Works on any pydantic dataclass. Where a field allows several classes its table has the key ``kind``, the class's name;
-None, where the field allows that, is the kind "none".
+Works on any pydantic dataclass. Fields of several classes are annotated with `gridslam.models.parameters.Kind`.
 """
 
 from __future__ import annotations
 
 import difflib
 import functools
-import math
-import types
+import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import is_dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
-from pydantic.fields import FieldInfo
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails, to_json
 
 from gridslam.errors import ConfigurationError
 
-__all__ = ["Table", "names", "replace_parameters", "suggest_names", "to_table", "value_of"]
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = [
+    "Table", "describe_error", "names", "nest", "read_assignments", "replace_parameters", "suggest_names", "to_table",
+    "value_of",
+]  # fmt: skip
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")
 
-_BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-_NOUNS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-
 
 def to_table(part: object) -> Table:
     """Parameters of a part; those of its own parts are tables in it."""
-    table: Table = {}
-    for name, field in _fields(type(part)).items():
-        value, kinds = getattr(part, name), _kinds(field)
-        kind = {"kind": _name(type(value))} if len(kinds) > 1 else {}
-        table[name] = kind | to_table(value) if kinds else value
+    table: Table = TypeAdapter(type(part)).dump_python(part)
     return table
 
 
 def value_of(part: object, name: str) -> object:
-    """Value of the parameter of that dotted name."""
-    return functools.reduce(getattr, name.split("."), part)
+    """Value of the parameter of that dotted name; of a part that may be None, whether it is there."""
+    value = functools.reduce(getattr, name.split("."), part)
+    return value is not None if value is None or is_dataclass(value) else value
 
 
-def names(part: object, where: str = "") -> Iterator[str]:
+def names(part: object) -> Iterator[str]:
     """Dotted names of all parameters of a part."""
-    for name, field in _fields(type(part)).items():
-        kinds = _kinds(field)
-        if len(kinds) > 1:
-            yield f"{where}{name}.kind"
-        if kinds:
-            yield from names(getattr(part, name), f"{where}{name}.")
-        else:
-            yield where + name
+    return _names(to_table(part))
 
 
-def replace_parameters(part: _Part, changes: Mapping[str, Any], where: str = "") -> _Part:
+def nest(values: Mapping[str, Any]) -> Table:
+    """Nested tables of values by dotted names.
+
+    Raises ConfigurationError where a name is given a value and is a table, too.
+    """
+    tree: Table = {}
+    for name, value in values.items():
+        *above, last = name.split(".")
+        table = tree
+        for key in above:
+            table = table.setdefault(key, {})
+            if not isinstance(table, dict):
+                raise ConfigurationError(f"{name}: {key} was given as {table!r} before")
+        table[last] = value
+    return tree
+
+
+def read_assignments(assignments: Iterable[str]) -> Table:
+    """Values by name of texts ``name=value``; a value is one of TOML, or a text without quotes.
+
+    Raises ConfigurationError for a text of another form.
+    """
+    values: Table = {}
+    for assignment in assignments:
+        name, equals, text = (part.strip() for part in assignment.partition("="))
+        if not (name and equals and text):
+            raise ConfigurationError(f"expected name=value, got {assignment!r}")
+        try:
+            values[name] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[name] = text
+    return values
+
+
+def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[str] = ()) -> _Part:
     """Return the part with other parameters, checked.
 
     Parameters
@@ -64,105 +92,71 @@ def replace_parameters(part: _Part, changes: Mapping[str, Any], where: str = "")
         Values of parameters that `changes` do not contain. A change of kind starts from that kind's defaults.
     changes : mapping
         Nested as `to_table` gives it.
-    where : str
-        Dotted name of the part itself, with a dot at its end; empty for the root.
+    also : iterable of str
+        Further names that a message may suggest.
 
     Raises
     ------
     ConfigurationError
         A parameter is unknown, of a wrong type or out of range.
     """
-    fields = _fields(type(part))
-    values = {name: getattr(part, name) for name in fields}
-    for name, value in changes.items():
-        if name not in fields:
-            close = suggest_names(name, names(part, where), where)
-            raise ConfigurationError(f"{where}{name}: {_name(type(part))} has no such parameter{close}")
-        field = fields[name]
-        if _kinds(field):
-            value = _changed_part(field, values[name], value, where + name)
-        else:
-            _check_type(field, value, where + name)
-        values[name] = value
+    table = _merge(to_table(part), changes)
     try:
-        return type(part)(**values)
+        # as JSON, which strictly has tables for parts, but no number for a text; infinities are no numbers there
+        text = to_json(table, inf_nan_mode="null", fallback=repr)
+        return TypeAdapter(type(part)).validate_json(text, strict=True)
     except ValidationError as error:
-        raise _refused(error, fields, where) from None
+        raise ConfigurationError(describe_error(error.errors()[0], table, [*also, *names(part)])) from None
 
 
-def suggest_names(name: str, known: Iterable[str], where: str = "") -> str:
+def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterable[str] = ()) -> str:
+    """One line: which parameter of a table, what was expected, and what came, with names that look like it."""
+    path = list[str]()
+    value: Any = table
+    for key in error["loc"]:
+        if isinstance(value, Mapping) and key in value:  # others are names of kinds
+            path.append(str(key))
+            value = value[key]
+    name = ".".join(path)
+    match error["type"]:
+        case "union_tag_invalid":
+            tag = error["ctx"]["tag"]
+            kinds = error["ctx"]["expected_tags"].replace("'", "")
+            return f"{name}.kind: expected one of {kinds}, got {tag!r}{suggest_names(tag, kinds.split(', '))}"
+        case "union_tag_not_found" | "dataclass_type":
+            return f"{name}: expected a table of parameters, got {value!r}"
+        case "unexpected_keyword_argument" | "extra_forbidden":
+            return f"{name}: no such parameter{suggest_names(name, known)}"
+        case "value_error":
+            return f"{name or 'configuration'}: {error['msg'].removeprefix('Value error, ')}"
+    expected = re.sub("^Input should be (?=greater|less)", "a number ", error["msg"])
+    return f"{name}: expected {expected.removeprefix('Input should be ')}, got {value!r}"
+
+
+def suggest_names(name: str, known: Iterable[str]) -> str:
     """Ask after names that look like this one; empty where none does."""
     candidates = list(known)
-    close = [known for known in candidates if known.rpartition(".")[2] == name]
-    close += [known for known in difflib.get_close_matches(where + name, candidates) if known not in close]
+    last = name.rpartition(".")[2]
+    close = [candidate for candidate in candidates if candidate.rpartition(".")[2] == last]
+    close += [candidate for candidate in difflib.get_close_matches(name, candidates) if candidate not in close]
     return f"; did you mean {' or '.join(close[:3])}?" if close else ""
 
 
-def _fields(cls: type) -> dict[str, FieldInfo]:
-    fields: dict[str, FieldInfo] = getattr(cls, "__pydantic_fields__", {})  # None has none
-    return fields
+def _names(table: Table) -> Iterator[str]:
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from (f"{name}.{below}" for below in _names(value))
+        else:
+            yield name
 
 
-def _kinds(field: FieldInfo) -> tuple[type, ...]:
-    """Classes that a field's part may be of, that of None among them; none for a plain value."""
-    union = get_origin(field.annotation) in (Union, types.UnionType)
-    options = get_args(field.annotation) if union else (field.annotation,)
-    kinds = tuple(option for option in options if isinstance(option, type) and is_dataclass(option))
-    return (*kinds, types.NoneType) if kinds and types.NoneType in options else kinds
-
-
-def _name(kind: type) -> str:
-    return "none" if kind is types.NoneType else kind.__name__
-
-
-def _changed_part(field: FieldInfo, part: object, changes: object, where: str) -> object:
-    if not isinstance(changes, Mapping):
-        raise ConfigurationError(f"{where}: expected a table of parameters, got {changes!r}")
-    kinds = {_name(kind): kind for kind in _kinds(field)}
-    if len(kinds) > 1 and "kind" in changes:
-        kind = changes["kind"]
-        if kind not in kinds:
-            raise ConfigurationError(
-                f"{where}.kind: expected {_either(kinds)}, got {kind!r}{suggest_names(str(kind), kinds)}"
-            )
-        part = part if type(part) is kinds[kind] else kinds[kind]()
-        changes = {name: value for name, value in changes.items() if name != "kind"}
-    return replace_parameters(part, changes, where + ".")
-
-
-def _check_type(field: FieldInfo, value: object, where: str) -> None:
-    """Refuse what pydantic would convert: it checks ranges, but takes "1", 1.0 and true for 1, and infinity."""
-    wanted = field.annotation
-    if wanted is float:
-        fits = isinstance(value, int | float) and math.isfinite(value)
-    else:
-        fits = wanted not in _NOUNS or isinstance(value, wanted)
-    if not fits or (isinstance(value, bool) and wanted is not bool):
-        raise ConfigurationError(f"{where}: expected {_range(field)}, got {value!r}")
-
-
-def _range(field: FieldInfo) -> str:
-    """What a plain field takes, in words."""
-    if field.annotation not in _NOUNS:
-        return _either(str(choice) for choice in get_args(field.annotation))
-    bounds = [
-        f"{sign} {getattr(item, name):g}"
-        for item in field.metadata
-        for name, sign in _BOUNDS.items()
-        if hasattr(item, name)
-    ]
-    return f"{_NOUNS[field.annotation]} {' and '.join(bounds)}".strip()
-
-
-def _either(choices: Iterable[str]) -> str:
-    *others, last = choices
-    return f"{', '.join(others)} or {last}" if others else last
-
-
-def _refused(error: ValidationError, fields: Mapping[str, FieldInfo], where: str) -> ConfigurationError:
-    first = error.errors()[0]
-    name = str(first["loc"][0]) if first["loc"] else ""
-    if name not in fields:
-        problem = first["msg"].removeprefix("Value error, ")
-        return ConfigurationError(f"{where.rstrip('.') or 'configuration'}: {problem}")
-    return ConfigurationError(f"{where}{name}: expected {_range(fields[name])}, got {first['input']!r}")
+def _merge(table: Any, changes: Any) -> Any:  # noqa: ANN401
+    """Lay changes over a table; what is of another kind, or no table, replaces it."""
+    if not isinstance(table, dict):
+        return changes
+    kind = table.get("kind")
+    if changes is True and kind not in (None, "none"):  # it is there
+        return table
+    if not isinstance(changes, Mapping) or changes.get("kind", kind) != kind:
+        return changes
+    return table | {name: _merge(table.get(name), change) for name, change in changes.items()}

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import Annotated, final
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.pose_hypotheses import HypothesisTracker
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
@@ -15,7 +14,7 @@ from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.likelihood_field import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
-from gridslam.models.parameters import STRICT
+from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 
 __all__ = ["MonteCarloConfiguration"]
@@ -56,8 +55,9 @@ class MonteCarloConfiguration:
     matcher : GaussNewton
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL.
-    deskew : LocalizationDeskew
-        Deskewing of scans with beam times.
+    beam_order_margin : float, [0, 1]
+        Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
+        times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
     kld : KldSampling
         How many particles survive.
     when_to_update : MotionThreshold
@@ -92,16 +92,18 @@ class MonteCarloConfiguration:
         A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
     """
 
-    motion: GMappingMotion | OdometryMotion | DiffusionMotion = Field(default_factory=GMappingMotion)
-    sensor: LikelihoodField | BeamRangeFinder = Field(default_factory=_sensor)
+    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
+    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(default_factory=_sensor)
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     matcher: GaussNewton = Field(default_factory=_matcher)
-    deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
+    beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=_when_to_update)
-    when_to_resample: EffectiveSampleSizeBelow | AlwaysResample = Field(default_factory=EffectiveSampleSizeBelow)
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
+        default_factory=EffectiveSampleSizeBelow
+    )
     resample_interval: int = Field(default=1, ge=1)
     max_beams: int = Field(default=120, ge=1)
     range_min_m: float = Field(default=0.05, ge=0)

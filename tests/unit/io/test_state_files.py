@@ -76,8 +76,8 @@ def file(measurements, tmp_path_factory):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/3, got gridslam.saved_run/1"),
-        ("configuration", "particles = 0", "particles: expected a whole number"),
+        ("schema", "gridslam.saved_run/1", "expected schema gridslam.saved_run/4, got gridslam.saved_run/1"),
+        ("configuration", "particles = 0", "particles: expected a number greater than or equal to 1"),
         ("configuration", None, "a text named configuration"),
         ("generator", "{}", "generator: expected the state of PCG64"),
         ("generator", json.dumps({"bit_generator": "MT19937"}), "generator: expected the state of PCG64"),

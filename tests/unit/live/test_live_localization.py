@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from gridslam.api.amcl import override_configuration
 from gridslam.api.localization import localize
-from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.control import Control

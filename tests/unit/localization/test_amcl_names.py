@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl
-from gridslam.api.localization_parameters import override_configuration
+from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl, override_configuration
 from gridslam.errors import ConfigurationError
 from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.beam import BeamRangeFinder
@@ -95,7 +94,7 @@ def test_what_means_nothing_here_is_named():
     ("parameters", "said"),
     [
         ({"min_particle": 3}, "did you mean min_particles"),
-        ({"min_particles": 0}, "kld.particles_min: expected a whole number >= 1, got 0"),
+        ({"min_particles": 0}, "kld.particles_min: expected a number greater than or equal to 1, got 0"),
         ({"odom_model_type": "omni"}, "differential"),
         ({"laser_model_type": "magic"}, "likelihood_field or beam"),
         ({"laser_sigma_hit": -1.0}, "sensor.sigma_hit_m"),

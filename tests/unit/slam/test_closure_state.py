@@ -13,7 +13,7 @@ from gridslam.pipeline import run
 from gridslam.slam.full_slam.full_slam import full_slam
 from support.loops import PROVOKED, loop_drive
 
-CONFIG = override(PROVOKED, "particles=3", "closure.scans_per_step=5", "closure.poses_per_scan=1")
+CONFIG = override(PROVOKED, "particles=3", "loop_closure.scans_per_step=5", "loop_closure.poses_per_scan=1")
 """The graph is solved and the correction drawn slowly."""
 
 SLAM = build(CONFIG)
@@ -87,7 +87,7 @@ def test_final_refinement_changes_nothing_and_is_the_same_after_reading(loop, co
             first.trajectory.keys,
             first.trajectory.key_from_base,
             CONFIG.mapper,
-            CONFIG.closure,
+            CONFIG.loop_closure,
             CONFIG.final_refinement,
         )
         for s in (state, state, read.state)

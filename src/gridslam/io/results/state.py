@@ -19,7 +19,7 @@ from gridslam.slam.grid_fastslam.state import GridFastSlamState
 
 __all__ = ["SavedRun", "read_state", "write_state"]
 
-_SCHEMA = "gridslam.saved_run/3"
+_SCHEMA = "gridslam.saved_run/4"
 
 
 @final

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from gridslam.api.amcl import AMCL_NAMES, from_amcl
+from gridslam.api.amcl import AMCL_NAMES, from_amcl, override_configuration
 from gridslam.api.localization import known_map
-from gridslam.api.localization_parameters import override_configuration
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.ros.node.localization import Localization
 

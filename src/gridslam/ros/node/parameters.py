@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from gridslam.api.amcl import AMCL_NAMES
 from gridslam.config import Configuration, load, override, preset
-from gridslam.config.tables import names, replace_parameters, suggest_names
+from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
 from gridslam.errors import ConfigurationError
 from gridslam.ros.node.localization import Localization
 from gridslam.ros.node.localization_parameters import NODE_NAMES, read_localization
@@ -143,8 +143,8 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
     current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
     try:
-        config = replace_parameters(base, _nest(_direct_values(base, current)))
-        config = replace_parameters(config, _nest(_derived_values(base, given, current)))
+        config = replace_parameters(base, nest(_direct_values(base, current)))
+        config = replace_parameters(config, nest(_derived_values(base, given, current)))
     except ConfigurationError as error:
         raise _with_ros_name(error) from None
     if node_values["config"]:
@@ -227,18 +227,6 @@ def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapp
     return {path: value for path, value in values.items() if path in there}
 
 
-def _nest(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert values by dotted names to nested tables."""
-    tree: dict[str, Any] = {}
-    for path, value in values.items():
-        *above, last = path.split(".")
-        table = tree
-        for key in above:
-            table = table.setdefault(key, {})
-        table[last] = value
-    return tree
-
-
 def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
     values = {field: given[name] for name, field in _NODE.items() if name in given}
     if "tf_delay" not in given and "transform_publish_period" in given:
@@ -246,10 +234,9 @@ def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
     try:
         return NodeSettings(**values)
     except ValidationError as error:
-        problem = error.errors()[0]
-        field = str(problem["loc"][0])
+        field, _, problem = describe_error(error.errors()[0], values).partition(": ")
         name = next((name for name, known in _NODE.items() if known == field), field)
-        raise ConfigurationError(f"{name}: {problem['msg']}, got {problem['input']!r}") from None
+        raise ConfigurationError(f"{name}: {problem}") from None
 
 
 def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:

@@ -143,7 +143,12 @@ class SessionCopy:
         for report, seconds in self.keys:
             record.add(report, seconds)
         full = full_slam(
-            state, trajectory.keys, trajectory.key_from_base, config.mapper, config.closure, config.final_refinement
+            state,
+            trajectory.keys,
+            trajectory.key_from_base,
+            config.mapper,
+            config.loop_closure,
+            config.final_refinement,
         )
         watch.lap("final refinement")
         online = trajectory.online_trajectory()

@@ -11,8 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import between
-from gridslam.grid.tiled_grid import TiledGrid
-from gridslam.grid.tiles import TileMaps
+from gridslam.grid.tiles import TiledGrid, TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
@@ -110,7 +109,7 @@ def full_slam(
     keys: IntArray,
     key_from_base: FloatArray,
     mapper: OccupancyGridMapping,
-    closure: LoopClosure,
+    loop_closure: LoopClosure | None,
     final_refinement: GlobalScanRefinement,
     on_progress: Callable[[], None] = lambda: None,
 ) -> FullSlam:
@@ -124,11 +123,12 @@ def full_slam(
         The filter after the last scan.
     keys, key_from_base : (N,) int64, (N, 3) float64
         For each scan the key scan at or before it, and the tracked motion (see `full_trajectory`).
-    mapper, closure, final_refinement
-        Components of the run; without loop closure only the drift model of `closure` is used, for covariances.
+    mapper, loop_closure, final_refinement
+        Components of the run. Without loop closure the covariances are those of the default drift model.
     on_progress
         Called periodically during the final refinement.
     """
+    closure = loop_closure or LoopClosure()
     trajectory = state.ancestry.trajectory(state.best)
     if state.closure_state is None:
         graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol, final
+from typing import Annotated, Protocol, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -20,6 +20,7 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton
 from gridslam.matching.hill_climbing import HillClimbing
+from gridslam.models.parameters import Kind
 from gridslam.types import BeamEnds, FloatArray, Match, MotionSampler, ScanLikelihood
 
 __all__ = ["ImprovedProposal", "Matcher", "MotionModelProposal", "Proposal", "ProposedPoses", "ScanMatchedProposal"]
@@ -125,7 +126,7 @@ class ScanMatchedProposal:
     Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
     """
 
-    matcher: GaussNewton | HillClimbing = GaussNewton()
+    matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
     beam_sigma_m: float = Field(default=1.6e-4, gt=0)
     standstill_m: float = Field(default=0.02, ge=0)
     standstill_rad: float = Field(default=0.02, ge=0)

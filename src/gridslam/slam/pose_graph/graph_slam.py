@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, final
+from typing import Annotated, Literal, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
+from gridslam.models.parameters import Kind
 from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.descent import DescentResult, descend, squared_mahalanobis
 from gridslam.slam.pose_graph.incremental import Computation, run_to_completion
@@ -88,7 +89,7 @@ class GraphSlam:
     """
 
     first_guess: Literal["given", "computed", "either"] = "either"
-    robust: GraduatedNonConvexity | CauchyEstimator | None = None
+    robust: Annotated[GraduatedNonConvexity | CauchyEstimator | None, Kind()] = None
     max_iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-6, gt=0, lt=1)
 
