@@ -14,8 +14,8 @@ from gridslam.cli.rerun import rerun_recording
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.localization import Localization
-from gridslam.ros.node.services import ViewerOpener
+from gridslam.ros.node.session import Localization
+from gridslam.ros.node.transport import ViewerOpener
 
 __all__ = ["collect_parameters", "make_viewer_opener", "ros1", "ros2"]
 

@@ -15,11 +15,13 @@ __all__ = ["view"]
 
 def view(out: Path, live: LiveOptions) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
-    from gridslam.live.replay import ReplayPage
+    from gridslam.live.replay import Replay
+    from gridslam.live.server import PageServer
 
-    with serve_page(ReplayPage(out, live)) as page:
-        if page.missing:
-            click.echo(f"gridslam: {out}: {page.missing}", err=True)
+    replay = Replay(out)
+    with serve_page(PageServer(replay, live)) as page:
+        if replay.results.missing:
+            click.echo(f"gridslam: {out}: {replay.results.missing}", err=True)
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
         try:
             threading.Event().wait()

@@ -82,8 +82,8 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
     document["input"]["map"] = str(tmp_path / "gone.yaml")
     replay = Replay(replace_parameters(folder / "out", tmp_path, "run.json", json.dumps(document)))
     _, client = looking(replay)
-    assert "gone.yaml" in replay.missing
-    assert client.status["message"] == replay.missing
+    assert "gone.yaml" in replay.results.missing
+    assert client.status["message"] == replay.results.missing
     assert "map" not in client.run_info["layers"]
     assert len(client.path)
     assert replay.channel_map(0) is None
