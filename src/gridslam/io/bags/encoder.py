@@ -29,7 +29,7 @@ class Field(NamedTuple):
 
 @final
 class MessageEncoder:
-    """Encodes messages as ROS 1 or ROS 2 does; types have their names of ROS 2, as in "sensor_msgs/msg/LaserScan".
+    """Encodes messages as ROS 1 or ROS 2 does; types are "sensor_msgs/LaserScan" or "sensor_msgs/msg/LaserScan".
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class MessageEncoder:
 
     def define(self, message_type: str, definition: str) -> None:
         """Add a type that rosbags does not have, by the text of its .msg file."""
-        self.store.register(get_types_from_msg(definition, message_type))
+        self.store.register(get_types_from_msg(definition, _full_name(message_type)))
 
     def header(self, topic: str, stamp_ns: int, frame: str) -> Values:
         """Return the values of the next header on a topic; raises ArgumentError for a stamp that has no place in it."""
@@ -67,20 +67,20 @@ class MessageEncoder:
     def encode(self, message_type: str, *values: Any) -> bytes:  # noqa: ANN401
         """Return the bytes of a message with a value for each field; arrays of numbers may be NumPy's."""
         serialize = self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr
-        return bytes(serialize(self._make(message_type, values), message_type))
+        return bytes(serialize(self._make(message_type, values), _full_name(message_type)))
 
     def decode(self, message_type: str, data: bytes) -> Any:  # noqa: ANN401
         """Return the message with these bytes; raises MessageError where they are none of this type."""
         deserialize = self.store.deserialize_ros1 if self.is_ros1 else self.store.deserialize_cdr
         try:
-            return deserialize(data, message_type)
+            return deserialize(data, _full_name(message_type))
         except SerdeError as error:
             raise MessageError(str(error)) from None
 
     def fields(self, message_type: str) -> list[Field]:
         """Return the fields of a type in their order."""
         if message_type not in self._fields:
-            described: Any = self.store.fielddefs[message_type][1]
+            described: Any = self.store.fielddefs[_full_name(message_type)][1]
             self._fields[message_type] = [_field(name, *description) for name, description in described]
         return self._fields[message_type]
 
@@ -93,7 +93,7 @@ class MessageEncoder:
                 made.append(self._make(kind, value))
             else:
                 made.append([self._make(kind, one) for one in value])
-        return self.store.types[message_type](*made)
+        return self.store.types[_full_name(message_type)](*made)
 
 
 def _field(name: str, kind: Nodetype, content: Any) -> Field:  # noqa: ANN401
@@ -101,3 +101,9 @@ def _field(name: str, kind: Nodetype, content: Any) -> Field:  # noqa: ANN401
     if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         (_, content), length = content
     return Field(name, content if isinstance(content, str) else content[0], length)
+
+
+def _full_name(message_type: str) -> str:
+    """Return the name that rosbags gives to a type."""
+    parts = message_type.split("/")
+    return f"{parts[0]}/msg/{parts[-1]}"

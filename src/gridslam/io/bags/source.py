@@ -101,7 +101,7 @@ def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Me
 
 
 def truncation_error(path: Path, problem: str) -> InputError:
-    """Return the error of a bag that is damaged or cut off, which says how to read it up to there."""
+    """Return the error of a bag that is damaged or cut off, with the way to read it up to there."""
     one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file among them
     return InputError(path, f"{one_line}; --keep-truncated reads what is there")
 
