@@ -20,7 +20,7 @@ from gridslam.api import convert_log, map_log
 from gridslam.config import Configuration
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 

@@ -12,12 +12,11 @@ import numpy as np
 from gridslam.api.grid_result import GridResult
 from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, apply_laser, override
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_tum
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch

@@ -13,10 +13,10 @@ from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
-from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
+from gridslam.io.text import compute_digest
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
 from gridslam.types import OccupancyGrid, Trajectory

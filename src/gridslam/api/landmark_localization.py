@@ -12,13 +12,12 @@ from gridslam.api.landmark_localization_result import LandmarkLocalizationResult
 from gridslam.api.landmark_models import MOTION, SENSORS
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import interpolate
-from gridslam.io.digest import compute_digest
-from gridslam.io.landmarks.files import read_landmarks
-from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks import read_landmarks
+from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import LandmarkModel
-from gridslam.models.landmark_observations import LandmarkStep
+from gridslam.models.landmark import LandmarkModel, LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel
 

@@ -14,9 +14,9 @@ from gridslam import __version__
 from gridslam.api.showing import describe_result, tabulate
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse
-from gridslam.io.landmarks.log import LandmarkLog
+from gridslam.io.landmark_logs import LandmarkLog
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.localization.ekf import EkfLocalizationReport, KnownLandmarks
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, IntArray, Trajectory

@@ -12,10 +12,10 @@ from gridslam.api.showing import describe_result, tabulate
 from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.landmarks.log import LandmarkLog
+from gridslam.io.landmark_logs import LandmarkLog
+from gridslam.io.landmarks import write_landmarks
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.landmarks.report import LandmarkMap
 from gridslam.types import FloatArray, IntArray, Trajectory

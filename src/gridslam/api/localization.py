@@ -13,16 +13,14 @@ from numpy.typing import ArrayLike
 
 from gridslam.api.localization_result import LocalizationResult
 from gridslam.arguments import require_instance, require_seed, require_threads
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
+from gridslam.io.text import compute_digest
 from gridslam.localization.known_map import KnownMap
-from gridslam.localization.monte_carlo import MonteCarloLocalization
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch, run
 from gridslam.types import FloatArray, OccupancyGrid, Odometry
@@ -72,7 +70,7 @@ def localize(
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
     strict_thresholds : bool
-        Read the thresholds of the map's file literally (see `gridslam.io.maps.map_server.read_map`).
+        Read the thresholds of the map's file literally (see `gridslam.io.maps.read_map`).
     repair : "needed", "all" or "none"
         As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver

@@ -12,13 +12,12 @@ from gridslam.api.result import MapResult
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog, open_repaired
+from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
 from gridslam.errors import ArgumentError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.measurement import Measurement
 from gridslam.io.results.record import RecordWriter
+from gridslam.io.text import compute_digest
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.slam.full_slam.full_slam import FullSlam, full_slam

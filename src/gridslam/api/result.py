@@ -14,12 +14,12 @@ from gridslam.api.showing import describe_result, tabulate
 from gridslam.config import Configuration
 from gridslam.doctor.repair import Repair
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.graphs.g2o import write_g2o
+from gridslam.io.g2o import write_g2o
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.results.record import RecordWriter
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.observers import RunStatistics
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.full_slam.full_slam import LoopClosureSummary

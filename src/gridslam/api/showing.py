@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.errors import MissingDependencyError
-from gridslam.io.trajectories.trajectory import columns_of_trajectory
+from gridslam.io.trajectories import columns_of_trajectory
 from gridslam.types import FloatArray, Trajectory
 
 if TYPE_CHECKING:

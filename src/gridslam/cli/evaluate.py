@@ -12,8 +12,7 @@ from gridslam.cli.output import print_json
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.relations import RelationErrors, relation_errors
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, relative_errors_by_distance
-from gridslam.io.trajectories.relations import read_relations
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
 
 __all__ = ["EVALUATION_SCHEMA", "evaluate", "format_scores", "score_against_truth"]

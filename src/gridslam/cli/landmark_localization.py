@@ -12,7 +12,7 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_json
-from gridslam.io.landmarks.log import open_landmark_log
+from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["localize_to_folder"]

@@ -13,7 +13,7 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.interrupt import stop_if_interrupted
 from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.landmarks.log import open_landmark_log
+from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["landmarks_to_folder"]

@@ -23,9 +23,9 @@ from gridslam.cli.output import open_output, print_json
 from gridslam.cli.progress import reading_progress
 from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.live.options import LiveOptions
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray

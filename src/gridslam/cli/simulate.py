@@ -12,7 +12,7 @@ import numpy as np
 from gridslam.cli.output import open_output, print_json
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.sim import (
     LidarConfig,
     OdometryNoise,

@@ -11,12 +11,12 @@ from typing import Any, final
 import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.graphs.g2o import read_g2o
-from gridslam.io.landmarks.files import read_landmarks
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.g2o import read_g2o
+from gridslam.io.landmarks import read_landmarks
+from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.io.text import read_text
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.control import check_particle, check_speed
 from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
 from gridslam.live.scene import Scene, SentState, make_run_info

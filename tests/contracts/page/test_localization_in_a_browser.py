@@ -12,9 +12,9 @@ from gridslam.api import map_log
 from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.maps.map_server import write_map
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.maps import write_map
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
 from gridslam.live.replay import Replay

@@ -13,9 +13,9 @@ from gridslam.api.localization import localize
 from gridslam.api.localization_result import BELIEF_HEADER
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.maps.map_server import read_map, write_map
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.maps import read_map, write_map
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.live.monitor import LOST
 from gridslam.live.replay import Replay
 from gridslam.sim import OdometryNoise

@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from gridslam.config import build
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.live import server
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage

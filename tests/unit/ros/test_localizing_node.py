@@ -11,7 +11,7 @@ from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import MessageError, wire_of_cdr, wire_of_ros1
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.ros import NodeCore
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters

@@ -16,7 +16,7 @@ from gridslam.api import map_log
 from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.rendering import map_cells

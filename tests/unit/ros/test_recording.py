@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gridslam.errors import OutputError
 from gridslam.geometry import rigid
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.csv.reader import CsvLog
+from gridslam.io.csv import CsvLog
 from gridslam.ros.node.accepted_scan import MeasurementBuilder, ScanRecorder, find_refusal_reason
 from gridslam.types import Odometry
 

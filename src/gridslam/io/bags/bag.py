@@ -87,7 +87,8 @@ class BagLog:
             raise InputError(self.path, f"there are no scans on {', '.join(self.choice.scans)}")
 
     def _new_statistics(self) -> LogStatistics:
-        source, choice = self._source, self.choice
+        source = self._source
+        choice = self.choice
         statistics = LogStatistics(total_bytes=source.total_bytes, topics=dict(source.topics))
         statistics.truncated = source.is_truncated
         if choice.odometry_frame:

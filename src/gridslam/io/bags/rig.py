@@ -13,9 +13,8 @@ from gridslam.arguments import is_covariance
 from gridslam.errors import ArgumentError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.compounding import compound_covariance, increment_covariance
 from gridslam.geometry.rigid import Rigid
-from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.geometry.se2 import between, compose, compound_covariance, exp, increment_covariance, log
 from gridslam.io.bags.ros_messages import OdometryMessage, StampedTransform, Triangle
 from gridslam.io.bags.survey import Choice, Step, Survey, differs
 from gridslam.io.log_statistics import Mounting
@@ -89,7 +88,8 @@ class MountedLaser:
         try:
             x, y, yaw = rigid.planar(self._last)
         except ArgumentError:
-            x, y, yaw = *self._last[:2], 0.0
+            x, y = self._last[:2]
+            yaw = 0.0
         return Mounting(np.array((x, y, wrap(yaw))), self._source)
 
     def _composed(self) -> Rigid:
@@ -120,7 +120,8 @@ class Rig:
     """
 
     def __init__(self, choice: Choice, seen: Survey) -> None:
-        self._seen, self._base = seen, choice.base_frame
+        self._seen = seen
+        self._base = choice.base_frame
         self._frame = _ODOMETRY if choice.odometry else choice.odometry_frame
         self._child = choice.odometry_child
         self.latest_ns = -1 if self._frame else 1 << 63  # nothing to wait for
@@ -183,9 +184,10 @@ class Rig:
         except MissingTransform as missing:
             return missing.coverage, None
         pose.flags.writeable = False
-        covariance, last_ns, self._told_ns = None, self._told_ns, stamp_ns
-        if self._covariances is not None and last_ns is not None:
-            covariance = self._covariances.between(last_ns, stamp_ns)
+        covariance = None
+        if self._covariances is not None and self._told_ns is not None:
+            covariance = self._covariances.between(self._told_ns, stamp_ns)
+        self._told_ns = stamp_ns
         return Coverage.KNOWN, Odometry(stamp_ns, pose, covariance)
 
     def laser(self, frame: str) -> MountedLaser:
@@ -258,11 +260,13 @@ class PoseCovariances:
         stamps = self._stamps_ns
         if not stamps or not stamps[0] <= begin_ns < end_ns <= stamps[-1]:
             return None
-        moved, covariance = np.zeros(3), np.zeros((3, 3))
+        moved = np.zeros(3)
+        covariance = np.zeros((3, 3))
         for k in range(bisect_right(stamps, begin_ns), len(stamps)):
-            start, stop, noise = stamps[k - 1], stamps[k], self._noises[k]
+            noise = self._noises[k]
             if noise is None:
                 return None
+            start, stop = stamps[k - 1 : k + 1]
             share = (min(stop, end_ns) - max(start, begin_ns)) / (stop - start)
             increment = exp(share * log(between(self._poses[k - 1], self._poses[k])))
             covariance = compound_covariance(moved, covariance, increment, share * noise)

@@ -285,7 +285,8 @@ def choose(source: BagSource, seen: Survey, options: LogOptions) -> Choice:
     odometry = "" if options.no_odometry else _odometry_topic(source, seen, options, scans, remarks)
     above = [seen.ancestors(seen.scans[name].frame) for name in scans]
     if odometry:
-        frame, child = seen.odometry[odometry].frame, _child(seen, odometry, above, remarks)
+        frame = seen.odometry[odometry].frame
+        child = _child(seen, odometry, above, remarks)
     else:
         frame = "" if options.no_odometry else (options.odometry_frame or _odometry_frame(seen, above)).lstrip("/")
         child = _below(seen, frame, above) or _base_above(seen, above[0][0]) or "base_link"

@@ -16,9 +16,9 @@ import numpy as np
 
 from gridslam.errors import OutputError
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.carmen.lines import format_stamp_ns
-from gridslam.io.csv.columns import COLUMNS, angles_of_rotation, rotation_of_angles
+from gridslam.io.csv import COLUMNS, angles_of_rotation, rotation_of_angles
 from gridslam.io.measurement import Measurement
+from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["AcceptedScan", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
@@ -67,7 +67,8 @@ def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) ->
         return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
     if message.range_min == math.inf:
         return "range_min is infinite, so no range is valid"
-    start, step = message.angle_min, message.angle_increment
+    start = message.angle_min
+    step = message.angle_increment
     span = abs(step) * (beams - 1)
     if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
         return f"expected beams within one turn, got {beams} from {start:g} rad in steps of {step:g} rad"
@@ -174,7 +175,8 @@ class ScanRecorder:
         self._file.close()
 
     def _write(self, line: str) -> None:
-        rest, begin = memoryview(line.encode() + b"\n"), self._file.tell()
+        rest = memoryview(line.encode() + b"\n")
+        begin = self._file.tell()
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]

@@ -10,7 +10,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.io.maps.map_yaml import FREE_THRESH, OCCUPIED_THRESH
+from gridslam.io.maps import FREE_THRESH, OCCUPIED_THRESH
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.parameters import NodeSettings

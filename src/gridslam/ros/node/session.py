@@ -16,10 +16,10 @@ from gridslam.api.result import MapResult
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.results.record import RecordWriter
+from gridslam.io.text import compute_digest
 from gridslam.localization import (
     KnownMap,
     LocalizationReport,

@@ -213,9 +213,11 @@ class DdsParticipant:
         return self._types[kind]
 
     def _qos(self, *, reliable: bool, latched: bool, depth: int) -> Any:  # noqa: ANN401
-        policy, duration = self._dds.qos.Policy, self._dds.util.duration
+        policy = self._dds.qos.Policy
         return self._dds.qos.Qos(
-            policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else policy.Reliability.BestEffort,
+            policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100))
+            if reliable
+            else policy.Reliability.BestEffort,
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             policy.History.KeepLast(depth),
             policy.DataRepresentation(use_cdrv0_representation=True),
