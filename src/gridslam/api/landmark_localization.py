@@ -17,8 +17,7 @@ from gridslam.io.landmarks import read_landmarks
 from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import LandmarkModel
-from gridslam.models.landmark_observations import LandmarkStep
+from gridslam.models.landmark import LandmarkModel, LandmarkStep
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, MotionModel
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import ObservationKind
+from gridslam.models.landmark import DepthBearing, LandmarkModel, ObservationKind, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion
 
 __all__ = ["MOTION", "SENSORS", "WIDE_MOTION"]

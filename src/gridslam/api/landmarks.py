@@ -16,16 +16,17 @@ from gridslam.errors import ArgumentError
 from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
 from gridslam.io.text import compute_digest
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import LandmarkModel
-from gridslam.models.landmark_observations import LandmarkStep
-from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.landmark import LandmarkModel, LandmarkStep
+from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
 from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
-from gridslam.slam.landmarks.path import smooth_trajectory
+from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
+from gridslam.slam.landmarks.odometry_bias import FastSlam2WithOdometryBias
+from gridslam.slam.landmarks.particles import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkReport
 from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
@@ -119,9 +120,9 @@ def map_landmarks(
             models["bias"] = EXACT_ODOMETRY if unknown else _BIAS
             estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
         else:
-            slam = _particle_filter(method, LandmarkFilters(model, association), _has_own_noise(steps))
-            models |= {"bias": slam.bias} if isinstance(slam, FastSlam2) else {}
-            estimate = _by_particles(shown, slam, particles or 0, seed, motion, on_progress)
+            slam, bias = _particle_filter(method, LandmarkFilters(model, association), _has_own_noise(steps))
+            models |= {"bias": bias} if method == "fastslam2" else {}
+            estimate = _by_particles(shown, slam, bias, particles or 0, seed, motion, on_progress)
     watch.lap("solve")
     return LandmarkResult(
         method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
@@ -145,8 +146,8 @@ def _by_ekf(
 
 
 def _by_particles(
-    steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, particles: int, seed: int, motion: MotionModel,
-    on_progress: Callable[[], None],
+    steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, bias: OdometryBias, particles: int, seed: int,
+    motion: MotionModel, on_progress: Callable[[], None],
 ) -> LandmarkEstimate:  # fmt: skip
     rng, state, reports = np.random.default_rng(seed), slam.init(particles), list[LandmarkReport]()
     for step in steps:
@@ -157,7 +158,6 @@ def _by_particles(
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),
     }
-    bias = slam.bias if isinstance(slam, FastSlam2) else EXACT_ODOMETRY
     full = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
     landmarks = slam.landmark_map(state)
     return LandmarkEstimate(full, _poses(reports), _covariances(reports), landmarks, _count_outliers(reports), figures)
@@ -190,10 +190,15 @@ def _known_correspondence(steps: Sequence[LandmarkStep], method: LandmarkMethod)
     return _WIDE_GATE if method == "ekf" else _NO_GATE
 
 
-def _particle_filter(method: LandmarkMethod, landmarks: LandmarkFilters, told: bool) -> FastSlam1 | FastSlam2:
+def _particle_filter(
+    method: LandmarkMethod, landmarks: LandmarkFilters, told: bool
+) -> tuple[FastSlam1 | FastSlam2, OdometryBias]:
+    """Choose the filter, and the errors of the odometry that it learns: of 2.0 the variant that suits the log."""
     if method == "fastslam1":
-        return FastSlam1(landmarks)
-    return FastSlam2(landmarks, bias=_BIAS if told else EXACT_ODOMETRY)
+        return FastSlam1(landmarks), EXACT_ODOMETRY
+    if told:
+        return FastSlam2WithOdometryBias(landmarks, bias=_BIAS), _BIAS
+    return FastSlam2WithLocalFrames(landmarks), EXACT_ODOMETRY
 
 
 def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:

@@ -20,8 +20,7 @@ from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.text import compute_digest
 from gridslam.localization.known_map import KnownMap
-from gridslam.localization.monte_carlo import MonteCarloLocalization
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch, run
 from gridslam.types import FloatArray, OccupancyGrid, Odometry

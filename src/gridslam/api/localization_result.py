@@ -18,7 +18,7 @@ from gridslam.doctor.repair import Repair
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectories import write_trajectory_csv, write_tum
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory

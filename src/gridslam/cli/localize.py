@@ -25,7 +25,7 @@ from gridslam.cli.rerun import rerun_recording
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.maps import read_map
 from gridslam.live.options import LiveOptions
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray

@@ -8,8 +8,7 @@ from typing import final
 import numpy as np
 
 from gridslam.arguments import is_covariance
-from gridslam.geometry.compounding import compound_covariance, increment_covariance
-from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.geometry.se2 import between, compose, compound_covariance, exp, increment_covariance, log
 from gridslam.io.bags.ros_messages import Triangle
 from gridslam.types import FloatArray
 
