@@ -113,6 +113,11 @@ def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
         assert path in known or f"{path}.kind" in known
 
 
+def test_the_tracker_has_at_most_twenty_parameters_beside_those_of_its_matcher():
+    own = [name for name in names(Configuration()) if name.startswith("tracker.") and not name.endswith(".kind")]
+    assert len([name for name in own if not name.startswith("tracker.matcher.")]) <= 20
+
+
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_short_name_means_the_dotted_one(name):
     path = PARAMETERS[name][0]

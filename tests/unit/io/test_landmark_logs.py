@@ -161,9 +161,12 @@ def test_steps_of_victoria_park(park):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("ODOMETRY 0 1 1 0 0 1 0 0 1 0\n", r"line 1: ODOMETRY: expected 11 numbers \(from to .*\), got 10"),
-        ("LANDMARK 0 1 1 0 1 0 1 2\n", "line 1: LANDMARK: expected 7 numbers"),
-        ("LANDMARK 0 x 1 0 1 0 1\n", "line 1: LANDMARK: expected numbers"),
+        (
+            "ODOMETRY 0 1 1 0 0 1 0 0 1 0\n",
+            "line 1: expected 'ODOMETRY from to x_m .* tt', got 'ODOMETRY 0 .*'",
+        ),
+        ("LANDMARK 0 1 1 0 1 0 1 2\n", "line 1: expected 'LANDMARK pose landmark x_m y_m xx xy yy', got"),
+        ("LANDMARK 0 x 1 0 1 0 1\n", "line 1: expected 'LANDMARK pose .*', got 'LANDMARK 0 x 1 0 1 0 1'"),
         ("LANDMARK 0 1 nan 0 1 0 1\n", "line 1: LANDMARK: expected finite numbers"),
         ("LANDMARK 0 1 1 0 1 2 1\n", "line 1: .* positive definite covariance"),
         ("LANDMARK 0 1 1 0 1 0 1\nEDGE 0 1\n", "line 2: expected ODOMETRY or LANDMARK, got 'EDGE'"),

@@ -141,7 +141,7 @@ class Session:
         """Count a measurement before the filter processes it."""
         scan = accepted.measurement.scan
         if scan.sensor not in self._log.mountings:
-            pose = np.append(scan.geometry.origin, accepted.laser.mounting[5])
+            pose = np.append(scan.geometry.origin, accepted.mounting[5])
             self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
         self._log.count(accepted.measurement)
 

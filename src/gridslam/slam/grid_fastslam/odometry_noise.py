@@ -73,7 +73,8 @@ class OdometryNoise:
         before = np.zeros((3, 3)) if begins else state.odometry_covariance
         if before is None:
             return None
-        moved, increment = between(base, tracker.pose), between(tracker.odometry, odometry.pose)
+        moved = between(base, tracker.pose)
+        increment = between(tracker.odometry, odometry.pose)
         moves = bool(increment.any())  # one reading may serve several scans
         covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
         since = between(tracker.matched_odometry, odometry.pose)
