@@ -78,7 +78,7 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
     assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
     assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
     source, shown = gridslam.CarmenLog(log), gridslam.Configuration(particles=3)
-    assert len(map_with_progress(source, shown, 0, 1, False, Stopwatch()).state.poses) == 1
+    assert len(map_with_progress(source, shown, Stopwatch(), shown=False).state.poses) == 1
 
 
 def test_ones_own_loop_gives_the_same(log):

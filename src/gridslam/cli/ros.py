@@ -8,9 +8,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.live import node_page
-from gridslam.cli.rerun import rerun_recording
+from gridslam.cli.live import node_page, rerun_recording
+from gridslam.cli.output import stop_if_interrupted
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
@@ -45,8 +44,8 @@ def ros1(
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 1", live, rerun)
-    run_ros1(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    open_viewers = make_viewer_opener("ROS 1", live, rerun)
+    run_ros1(arguments, given=collect_parameters(**options), open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
 def ros2(
@@ -59,7 +58,8 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
-    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 2", live, rerun)
+    given = collect_parameters(**options)
+    open_viewers = make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2.ros2_dds import run_dds
 

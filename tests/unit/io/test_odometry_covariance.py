@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import convert_log
+from gridslam.api.conversion import convert_log
 from gridslam.geometry.compounding import compound_covariance, increment_covariance
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.bags.bag import BagLog

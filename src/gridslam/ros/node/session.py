@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.api.result import MapResult
+from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, OutputError
@@ -24,9 +24,8 @@ from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
 from gridslam.ros.node.recording import ScanRecorder
-from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import StepReport, Trajectory
+from gridslam.types import StepReport
 
 __all__ = ["Session", "SessionCopy"]
 
@@ -136,40 +135,16 @@ class SessionCopy:
 
     def result(self) -> MapResult:
         """Compute the full result, as `gridslam map` does at the end of a log."""
-        config, watch, record = self.configuration, Stopwatch(), RecordWriter()
+        watch = Stopwatch()
         watch.stages = self.stages
-        state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)
+        record = RecordWriter()
+        state = GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads)
         trajectory = TrajectoryRecorder.from_arrays(self.trajectory)
         for report, seconds in self.keys:
             record.add(report, seconds)
-        full = full_slam(
-            state,
-            trajectory.keys,
-            trajectory.key_from_base,
-            config.mapper,
-            config.loop_closure,
-            config.final_refinement,
-        )
-        watch.lap("final refinement")
-        online = trajectory.online_trajectory()
-        return MapResult(
-            trajectory=Trajectory(online.stamps_ns, full.poses),
-            covariances=full.covariances,
-            online_trajectory=online,
-            tiled_map=full.tiled_map,
-            graph=full.graph,
-            loop_summary=full.loop_summary,
-            key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
-            state=state,
-            maps_bytes=state.maps.nbytes,
-            statistics=StatisticsRecorder.from_arrays(self.statistics).summary(),
-            log=self.log,
-            configuration=config,
-            seed=self.seed,
-            threads=self.threads,
+        return finish_mapping(
+            state, trajectory, StatisticsRecorder.from_arrays(self.statistics), record, self.configuration,
+            seed=self.seed, threads=self.threads, log=self.log, repair=Repair(), stopwatch=watch,
             source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
             digest="" if self.record is None else compute_digest(self.record),
-            record=record,
-            stopwatch=watch,
-            repair=Repair(),
-        )
+        )  # fmt: skip
