@@ -13,8 +13,7 @@ from gridslam import Trajectory
 from gridslam.errors import ArgumentError
 from gridslam.evaluation import false_closures
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedStream, World, make_world, simulate_stream
-from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
-from gridslam.sim.equal_rooms import EQUAL_ROOMS
+from gridslam.sim.aliasing import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["DECEPTIVE", "Drive", "Verdict", "campus", "deceptive", "fleet", "judge", "returns"]

@@ -18,7 +18,7 @@ from closure_worlds import Drive
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World
 from gridslam.sim.floor_plan import box, clearance, furniture, join, pillar
-from gridslam.sim.routes import tour, wander
+from gridslam.sim.world import tour, wander
 from gridslam.types import FloatArray
 from measure import map_timed
 from report import table

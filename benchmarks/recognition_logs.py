@@ -18,7 +18,7 @@ from closure_worlds import campus
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.io.measurement import Measurement
-from gridslam.sim.odometry_faults import odometry_drift, odometry_scale, wheel_slip
+from gridslam.sim.faults import odometry_drift, odometry_scale, wheel_slip
 from gridslam.types import FloatArray, IntArray, Odometry
 
 __all__ = ["LOGS", "PARTS", "SPARSE", "Variant", "measurements_of", "sparse_campus", "variant", "variants"]

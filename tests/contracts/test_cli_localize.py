@@ -18,8 +18,8 @@ from gridslam.io.log import LogOptions, open_log
 from gridslam.io.maps.map_server import write_map
 from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
+from gridslam.sim.faults import reflected_laser
 from gridslam.sim.floor_plan import box
-from gridslam.sim.scan_faults import reflected_laser
 from gridslam.types import OccupancyGrid
 from support.localization_world import drive, flat_map
 

@@ -70,13 +70,6 @@ def test_parts_of_several_classes_are_given_as_such_in_python():
     assert Configuration(loop_closure=None, motion={"kind": "OdometryMotion", "alpha1": 0.5}).motion.alpha1 == 0.5
 
 
-def test_a_list_of_numbers_is_read():
-    config = loads("tracker.search.gate_sigmas = [1, 2.5]")
-    assert config.tracker.search.gate_sigmas == (1.0, 2.5)
-    with pytest.raises(ConfigurationError, match=r"tracker.search.gate_sigmas: expected a valid array, got 'far'"):
-        override(config, "tracker.search.gate_sigmas=far")
-
-
 def test_loop_closure_is_built_as_configured():
     config = override(Configuration(), "loop_closure.recognition.recent_submaps=5", "loop_closure.scans_per_step=7")
     assert build(config).loop_closure == LoopClosure(PlaceRecognition(recent_submaps=5), scans_per_step=7)
@@ -163,7 +156,7 @@ def test_parameters_that_belong_together_are_checked_when_all_are_set():
         ("resampler=3", "resampler: expected 'systematic', 'stratified', 'residual', 'multinomial' or 'wheel', got 3"),
         ("motion=3", "motion: expected a table of parameters, got 3"),
         ("tracker.insrt_m=1", "tracker.insrt_m: no such parameter; did you mean tracker.insert_m"),
-        ("jump_m=1", "jump_m: no such parameter; did you mean tracker.jump_m?"),
+        ("slip_m=1", "slip_m: no such parameter; did you mean tracker.slip_m?"),
         ("particels=1", "particels: no such parameter; did you mean particles"),
         ("nothing.like.it=1", "nothing: no such parameter"),
         ("tracker.matcher.kind=GaussNewton", "tracker.matcher.kind: no such parameter"),

@@ -25,8 +25,7 @@ from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps.map_server import write_map
 from gridslam.io.output import OutputFolder
 from gridslam.io.trajectories.trajectory import read_tum
-from gridslam.mapping.beam_counts import BeamCounts
-from gridslam.mapping.counted_map import bayes_map, counting_map
+from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, OccupancyGrid, Trajectory

@@ -20,7 +20,7 @@ from gridslam.config.tables import to_table
 from gridslam.doctor.repair import Repair
 from gridslam.doctor.repaired_log import open_repaired
 from gridslam.errors import ArgumentError
-from gridslam.grid.tiled_grid import TiledGrid
+from gridslam.grid.tiles import TiledGrid
 from gridslam.io.digest import compute_digest
 from gridslam.io.graphs.g2o import write_g2o
 from gridslam.io.log import LogOptions, LogSource
@@ -229,16 +229,13 @@ class MapResult(Result):
         if not isinstance(tracker, Tracker):
             return None
         state = self.state.tracker
-        orders = {}
-        if tracker.deskew is not None:
-            timed = ((sensor, track) for sensor, track in state.sensors.items() if track.beam_order_sums[0])
-            orders = {sensor: _ORDERS[tracker.deskew.find_order(track)] for sensor, track in timed}
+        timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order.scans}
         has_odometry = self.log.without_odometry < self.log.scan_count
         return {
             "odometry": _describe_odometry_errors(state) if has_odometry else None,
             "odometry_rejected": state.rejected_odometry,
             "stamps_reliable": not state.stamps_unreliable,
-            "beam_order": orders,
+            "beam_order": {sensor: _ORDERS[track.best_order] for sensor, track in timed.items()},
         }
 
     def _describe_filter(self) -> dict[str, Any]:

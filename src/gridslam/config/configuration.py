@@ -20,15 +20,14 @@ from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMoti
 from gridslam.models.parameters import Kind
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample
 from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
-from gridslam.scan.thinning import Thinning
+from gridslam.scan import Thinning
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement
 from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.proposals import ImprovedProposal, MotionModelProposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.odometry_tracker import OdometryTracker
-from gridslam.slam.tracking.tracker import Tracker
+from gridslam.slam.tracking.tracker import OdometryTracker, Tracker
 from gridslam.types import Resampler
 
 if sys.version_info >= (3, 11):

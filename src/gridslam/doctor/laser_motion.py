@@ -10,7 +10,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.beam_order import BeamTimes
+from gridslam.doctor.beam_times import BeamTimes
 from gridslam.doctor.laser_odometry import LaserOdometry
 from gridslam.io.measurement import Measurement
 from gridslam.matching.gauss_newton import MIN_INFORMATION
@@ -150,7 +150,7 @@ class LaserMotionEstimator:
         if share and times_s is not None:
             turned_rad = self._odometry.turn_rate * float(np.ptp(times_s))
             if self.times.is_informative(turned_rad):
-                self.times.order.add(self._odometry.score_orders(ends, times_s))
+                self.times.order = self.times.order.add(*self._odometry.score_orders(ends, times_s))
         return information, share
 
     def _ends(self, scan: LaserScan) -> tuple[FloatArray, IntArray]:

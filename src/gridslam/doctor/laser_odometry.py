@@ -7,12 +7,14 @@ A laser whose beams are read in the wrong direction sees the mirrored world, and
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import final
 
 import numpy as np
 
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.beam_order import ORDERS
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import FloatArray, Match, StoredScan
@@ -103,14 +105,14 @@ class LaserOdometry:
             self._due = ends
         return match.information[0], share
 
-    def score_orders(self, ends: FloatArray, times_s: FloatArray) -> FloatArray:
-        """Shares (3,) of a scan's ends (K, 2) that agree with the map where the last `step` found it.
+    def score_orders(self, ends: FloatArray, times_s: FloatArray) -> Iterator[float]:
+        """Inlier ratios of a scan's ends (K, 2), measured at `times_s` (K,), where the last `step` found it.
 
-        If they were measured at once, at `times_s` (K,), and at the reverse of these.
+        One for each of `gridslam.matching.beam_order.ORDERS`.
         """
         moved = self._deskew(ends, times_s)
-        scores = [float(self._match(_FINE, self.pose[None], ends + by * moved).score[0]) for by in (0, 1, -1)]
-        return np.array(scores) / len(ends)
+        for order in ORDERS:
+            yield float(self._match(_FINE, self.pose[None], ends + order * moved).score[0]) / len(ends)
 
     @property
     def turn_rate(self) -> float:

@@ -1,84 +1,16 @@
-"""What every log offers whatever its format, and the choice of the reader that a file needs."""
+"""Logs of any format: the reader that a file needs, of the part that is asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeAlias, final, runtime_checkable
+from typing import TypeAlias
 
 from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.measurement import Measurement
+from gridslam.io.selection import Log, LogOptions, select
 
 __all__ = ["Log", "LogOptions", "LogSource", "open_if_path", "open_log"]
-
-
-@runtime_checkable
-class Log(Protocol):
-    """A stream of measurements that can be read again from its start."""
-
-    @property
-    def path(self) -> Path:
-        """The file or folder."""
-
-    @property
-    def statistics(self) -> LogStatistics:
-        """What the latest iteration has met so far."""
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """Read the log from its start; raises InputError where it cannot be read on."""
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class LogOptions:
-    """What to read of a log, and how.
-
-    Attributes
-    ----------
-    scan_topics : tuple of str
-        Topics (bags) or sensors (other logs) whose scans are read; empty: all that are unambiguous.
-    odometry_topic : str or None
-        Topic of the odometry of a bag; found by its type if not given.
-    odometry_frame, base_frame : str or None
-        Take the odometry of a bag from the transforms between these frames; found by their names if not given.
-    no_odometry : bool
-        Give every scan without odometry, whatever the log has.
-    keep_truncated : bool
-        Read a log that is cut off as far as it goes instead of refusing it.
-    start_s : float, >= 0
-        Skip the scans less than this many seconds after the first.
-    duration_s : float or None, > 0
-        Skip the scans this many seconds or more after the start.
-    every : int, >= 1
-        Use only every n-th of the remaining scans of each sensor, from the first on.
-
-    Raises
-    ------
-    ArgumentError
-        A number is out of its range.
-    """
-
-    scan_topics: tuple[str, ...] = ()
-    odometry_topic: str | None = None
-    odometry_frame: str | None = None
-    base_frame: str | None = None
-    no_odometry: bool = False
-    keep_truncated: bool = False
-    start_s: float = 0.0
-    duration_s: float | None = None
-    every: int = 1
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if not 0 <= self.start_s < float("inf"):
-            raise ArgumentError("start_s", "a time >= 0 s", self.start_s)
-        if self.duration_s is not None and not self.duration_s > 0:
-            raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
-        if self.every < 1:
-            raise ArgumentError("every", "a number >= 1", self.every)
 
 
 LogSource: TypeAlias = str | Path | Log
@@ -103,7 +35,6 @@ def open_log(path: str | Path, options: LogOptions = _ALL) -> Log:
         There is no such file, or it is no log: names what it looks like; or an option does not fit its format.
     """
     from gridslam.io.log_format import LogFormat, detect_log_format
-    from gridslam.io.selection import select
 
     form = detect_log_format(path)
     if form is LogFormat.BAG:

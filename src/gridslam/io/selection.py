@@ -1,21 +1,89 @@
-"""A part of a log: a time span, some of its sensors, every n-th scan, with or without odometry."""
+"""What every log offers, and a part of one: a time span, some of its sensors, every n-th scan, with odometry or not."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Protocol, final, runtime_checkable
 
-from gridslam.errors import InputError
-from gridslam.io.bags.odometry_covariance import CovarianceSum
-from gridslam.io.log import Log, LogOptions
+from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.compounding import compound_covariance
+from gridslam.geometry.se2 import between
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray, Odometry
 
-__all__ = ["SelectedLog", "select"]
+__all__ = ["CovarianceSum", "Log", "LogOptions", "SelectedLog", "select"]
 
 _CHOOSING = "scan_topics", "no_odometry", "start_s", "duration_s", "every"
+
+
+@runtime_checkable
+class Log(Protocol):
+    """A stream of measurements that can be read again from its start."""
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start; raises InputError where it cannot be read on."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LogOptions:
+    """What to read of a log, and how.
+
+    Attributes
+    ----------
+    scan_topics : tuple of str
+        Topics (bags) or sensors (other logs) whose scans are read; empty: all that are unambiguous.
+    odometry_topic : str or None
+        Topic of the odometry of a bag; found by its type if not given.
+    odometry_frame, base_frame : str or None
+        Take the odometry of a bag from the transforms between these frames; found by their names if not given.
+    no_odometry : bool
+        Give every scan without odometry, whatever the log has.
+    keep_truncated : bool
+        Read a log that is cut off as far as it goes instead of refusing it.
+    start_s : float, >= 0
+        Skip the scans less than this many seconds after the first.
+    duration_s : float or None, > 0
+        Skip the scans this many seconds or more after the start.
+    every : int, >= 1
+        Use only every n-th of the remaining scans of each sensor, from the first on.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of its range.
+    """
+
+    scan_topics: tuple[str, ...] = ()
+    odometry_topic: str | None = None
+    odometry_frame: str | None = None
+    base_frame: str | None = None
+    no_odometry: bool = False
+    keep_truncated: bool = False
+    start_s: float = 0.0
+    duration_s: float | None = None
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not 0 <= self.start_s < float("inf"):
+            raise ArgumentError("start_s", "a time >= 0 s", self.start_s)
+        if self.duration_s is not None and not self.duration_s > 0:
+            raise ArgumentError("duration_s", "a time > 0 s", self.duration_s)
+        if self.every < 1:
+            raise ArgumentError("every", "a number >= 1", self.every)
 
 
 def select(log: Log, options: LogOptions) -> Log:
@@ -116,6 +184,35 @@ class SelectedLog:
 
     def _lasts_s(self) -> float:
         return self._log.statistics.duration_s
+
+
+@final
+class CovarianceSum:
+    """Covariance of the odometry's motion since the last reading that was given on, of a log of which not all is."""
+
+    def __init__(self) -> None:
+        self._begin: Odometry | None = None
+        self._last: Odometry | None = None
+        self._covariance: FloatArray | None = None
+
+    def add(self, odometry: Odometry | None) -> Odometry | None:
+        """Take the next reading; give it with the covariance since the last one that was `given`."""
+        if odometry is None:
+            return None
+        last, before, covariance = self._last, self._covariance, odometry.covariance
+        if self._begin is not None and last is not None and last is not self._begin:
+            if before is None or covariance is None:
+                covariance = None
+            else:
+                moved, increment = between(self._begin.pose, last.pose), between(last.pose, odometry.pose)
+                covariance = compound_covariance(moved, before, increment, covariance)
+        self._last, self._covariance = odometry, covariance
+        told = covariance is odometry.covariance
+        return odometry if told else Odometry(odometry.stamp_ns, odometry.pose, covariance)
+
+    def given(self) -> None:
+        """Restart: the last reading was passed on."""
+        self._begin = self._last
 
 
 def _timed(log: Log) -> Iterator[tuple[int, Measurement]]:

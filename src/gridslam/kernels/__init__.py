@@ -11,11 +11,9 @@ import os
 import warnings
 from typing import Any
 
-__all__ = ["PAGE", "TILE", "UNKNOWN", "backend", "compiled"]
+from gridslam.kernels.reference_update import PAGE, TILE, UNKNOWN
 
-TILE = 32
-PAGE = 16
-UNKNOWN = -(2**15)
+__all__ = ["PAGE", "TILE", "UNKNOWN", "backend", "compiled"]
 
 
 def _load() -> tuple[Any, bool]:

@@ -21,13 +21,23 @@ of the map of each pose, each map at most once where the kernel writes. `threads
 
 from __future__ import annotations
 
-from gridslam.kernels.reference_correlate import correlate, max_pyramid
-from gridslam.kernels.reference_likelihood import sum_at_ends
-from gridslam.kernels.reference_lookup import cast_rays, distances, match
+import math
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
 from gridslam.kernels.reference_update import (
+    OCCUPIED,
+    UNKNOWN,
+    FloatArray,
+    Int32Array,
+    IntArray,
+    cell_addresses,
     make_tiles_writable,
     tiles_near_cells,
     tiles_on_rays,
+    transform_to_world,
     update_field,
     update_log_odds,
 )
@@ -44,4 +54,374 @@ __all__ = [
     "tiles_on_rays",
     "update_field",
     "update_log_odds",
-]  # fmt: skip
+]
+
+
+FloatMap = NDArray[np.float32]
+
+_PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
+_BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
+_ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
+_BEYOND = 3.0  # the gradient leans 55 degrees from the normal of the wall: there its mapped part ends
+
+
+@final
+class _Field(NamedTuple):
+    """Reads the distance fields of maps `rows` (K,)."""
+
+    roots: Int32Array
+    first: tuple[int, int]
+    pages: Int32Array
+    values: NDArray[np.uint8]
+    rows: Int32Array
+
+    def cell_addresses(self, y: IntArray, x: IntArray) -> IntArray:
+        """Positions (K, B) of cells y, x (K, B) in the flattened tiles."""
+        return cell_addresses(self.roots, self.first, self.pages, self.rows[:, None], y, x)
+
+    def at(self, y: IntArray, x: IntArray) -> NDArray[np.uint8]:
+        """Values (K, B) at cells y, x (K, B)."""
+        return self.values.reshape(-1)[self.cell_addresses(y, x)]
+
+    def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
+        """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
+        fu, fv = np.floor(u - 0.5), np.floor(v - 0.5)
+        x, y = fu.astype(np.int64), fv.astype(np.int64)
+        a, b = (u - 0.5 - fu).astype(np.float32), (v - 0.5 - fv).astype(np.float32)
+        f00, f01 = self.at(y, x).astype(np.float32), self.at(y, x + 1).astype(np.float32)
+        f10, f11 = self.at(y + 1, x).astype(np.float32), self.at(y + 1, x + 1).astype(np.float32)
+        low, high = f00 + a * (f01 - f00), f10 + a * (f11 - f10)
+        return low + b * (high - low), (1 - b) * (f01 - f00) + b * (f11 - f10), high - low
+
+
+def distances(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, poses: FloatArray, ends: FloatArray, resolution: float, reach_cells: float, threads: int,
+) -> FloatMap:  # fmt: skip
+    """Distance in m (K, B) float32 from points (B, 2) at poses (K, 3) to the nearest occupied cell's centre.
+
+    Interpolated between cells; the field's reach where nothing is nearer.
+    """
+    scale, reach_m = 1.0 / resolution, reach_cells * resolution
+    x, y = transform_to_world(poses, ends)
+    value, _, _ = _Field(roots, first, pages, field, rows).sample(x * scale, y * scale)
+    return (reach_m - reach_m / 255.0 * value.astype(np.float64)).astype(np.float32)
+
+
+def cast_rays(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, resolution: float, max_m: float,
+    threads: int,
+) -> FloatMap:  # fmt: skip
+    """Range in m (K, B) float32 from `origin` (2,) along unit `directions` (B, 2) to the first occupied cell.
+
+    The range is where the ray passes the cell's centre, in [0, `max_m`]; `max_m` where it meets none.
+
+    Source: Amanatides and Woo, A fast voxel traversal algorithm for ray tracing (1987).
+    """
+    place = np.concatenate(transform_to_world(poses, origin[None]), axis=1)[:, None]
+    turned = np.stack(transform_to_world(poses * [0, 0, 1], directions), axis=-1)
+    lookup = _Field(roots, first, pages, field, rows)
+    cell = np.broadcast_to(np.floor(place * (1.0 / resolution)), turned.shape).astype(np.int64)
+    forward = np.where(turned > 0, 1, -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        stride = np.where(turned != 0, resolution / np.abs(turned), np.inf)
+        border = np.where(turned != 0, ((cell + (forward > 0)) * resolution - place) / turned, np.inf)
+    ranges = np.full(turned.shape[:2], max_m)
+    k, b = np.nonzero(ranges > 0)
+    while len(k):
+        here = cell[k, b]
+        met = lookup._replace(rows=rows[k]).at(here[:, None, 1], here[:, None, 0])[:, 0] == OCCUPIED
+        passes = np.sum(((here + 0.5) * resolution - place[k, 0]) * turned[k, b], axis=1)
+        ranges[k[met], b[met]] = np.clip(passes[met], 0.0, max_m)
+        k, b = k[~met], b[~met]
+        axis = np.where(border[k, b, 0] < border[k, b, 1], 0, 1)
+        inside = border[k, b, axis] < max_m
+        k, b, axis = k[inside], b[inside], axis[inside]
+        border[k, b, axis] += stride[k, b, axis]
+        cell[k, b, axis] += forward[k, b, axis]
+    return ranges.astype(np.float32)
+
+
+def match(
+    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
+    rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, resolution: float,
+    max_iterations: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
+    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, dense_spacing_cells: float,
+    threads: int,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
+
+    Minimizes sum_b c^2 log(1 + (d_b / c)^2) + e^T P e with d_b the distance and c = `cauchy_cells` in cells, e the way
+    from the guess and P its information, in m and rad, by the weights w_b = 1 / (1 + (d_b / c)^2). A step is clipped to
+    `max_step_cells` and `max_step_rad`; one below both `stop_cells` and `stop_rad` is the last. Along a direction with
+    less information than `min_information` per agreeing beam the guess is held. Ends on a straight wall
+    `dense_spacing_cells` or more apart are ignored along it, and those in unknown cells whose nearest obstacle lies
+    along their wall rather than across are ignored entirely (0: all are used).
+
+    Returns
+    -------
+    poses : (K, 3) float64
+    information : (K, 3, 3) float64
+        Of the measurement alone at `poses`: the normal matrix of residuals in m, over m and rad.
+    score : (K,) float64
+        Sum of the weights at `poses`.
+
+    Source: Kohlbrecher et al. 2011, with the residual a distance.
+    """
+    unit = np.array([resolution, resolution, 1.0])
+    prior = priors * unit[:, None] * unit / resolution**2
+    guess = guesses / unit
+    pose, going = guess.copy(), np.arange(len(guesses))
+    settings = ends / resolution, _walls(ends * (1 / resolution), dense_spacing_cells), cauchy_cells, reach_cells
+    for _ in range(max_iterations):
+        lookup = _Field(roots, first, pages, field, rows[going])
+        h, g, score = _linearize(lookup, log_odds, pose[going], *settings)
+        held = prior[going] + _pin_degenerate(h, min_information * score)
+        step, solved = _solve(h + held, g + np.einsum("kij,kj->ki", held, pose[going] - guess[going]))
+        step, going = step[solved], going[solved]
+        length = np.hypot(step[:, 0], step[:, 1])
+        shorter = max_step_cells / np.maximum(length, max_step_cells)
+        pose[going, :2] -= shorter[:, None] * step[:, :2]
+        pose[going, 2] -= np.clip(step[:, 2], -max_step_rad, max_step_rad)
+        going = going[(length >= stop_cells) | (np.abs(step[:, 2]) >= stop_rad)]
+        if not len(going):
+            break
+    h, _, score = _linearize(_Field(roots, first, pages, field, rows), log_odds, pose, *settings)
+    pose[:, 2] -= 2 * np.pi * np.floor((pose[:, 2] + np.pi) / (2 * np.pi))
+    return pose * unit, h * resolution**2 / (unit[:, None] * unit), score
+
+
+def _linearize(
+    lookup: _Field, log_odds: NDArray[np.int16], poses: FloatArray, ends: FloatArray, walls: tuple[FloatMap, FloatMap],
+    cauchy_cells: float, reach_cells: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
+    u, v = transform_to_world(poses, ends)
+    value, du, dv = lookup.sample(u, v)
+    to_cells = reach_cells / 255.0
+    d = reach_cells - to_cells * value.astype(np.float64)
+    gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    own, along = walls
+    normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    slope = (gradient * normals).sum(axis=-1, keepdims=True)
+    beyond = (normals**2).sum(axis=-1) * (gradient**2).sum(axis=-1) > _BEYOND * slope[..., 0] ** 2
+    beyond &= log_odds.reshape(-1)[lookup.cell_addresses(*np.floor([v, u]).astype(np.int64))] == UNKNOWN
+    across = slope * normals
+    constraining = across + along[:, None] * (gradient - across)
+    ju, jv = np.moveaxis(np.where(beyond[..., None], 0.0, constraining), -1, 0)
+    jacobian = np.stack([ju, jv, jv * (u - poses[:, :1]) - ju * (v - poses[:, 1:2])], axis=-1)
+    weight = 1.0 / (1.0 + (d / cauchy_cells) ** 2)
+    weighted = jacobian.transpose(0, 2, 1) * weight[:, None]
+    return weighted @ jacobian, (weighted @ d[..., None])[..., 0], weight.sum(axis=1)
+
+
+def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
+    """Normals (B, 2) of the straight walls on which ends (B, 2) lie, in cells, 0 on none; 0 in (B,) for sparse ones.
+
+    An end lies sparsely where the farther of its two neighbours in the scan is `sparse` or more away. It lies on a wall
+    where three ends that are equally many beams apart, such that `_BASE` cells would lie between them were all as
+    sparse as here, follow one another along a line to a cell. The end is the middle one of the three; else, at the end
+    of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
+    """
+    at = ends.astype(np.float32)
+    normals, along = np.zeros_like(at), np.ones(len(at), np.float32)
+    if not np.float32(sparse) > 0 or len(ends) < 3:
+        return normals, along
+    steps = np.diff(at, axis=0)
+    between = np.sqrt((steps * steps).sum(axis=1))
+    apart = np.maximum(np.append(np.float32(0), between), np.append(between, np.float32(0)))
+    left = np.arange(len(at))
+    for first in (-1, -2, 0):
+        with np.errstate(divide="ignore", over="ignore"):
+            stride = np.ceil(np.minimum(_BASE / apart[left], np.float32(len(ends)))).astype(np.int64)
+        a, m, b = (left + (first + k) * stride for k in range(3))
+        inside = (a >= 0) & (b < len(ends))
+        i, a, m, b = left[inside], a[inside], m[inside], b[inside]
+        u, v = at[m] - at[a], at[b] - at[m]
+        chord = u + v
+        length = np.sqrt((chord * chord).sum(axis=1))
+        straight = (u * v).sum(axis=1) > 0
+        straight &= np.abs(u[:, 0] * chord[:, 1] - u[:, 1] * chord[:, 0]) <= _ASIDE * length
+        normals[i[straight]] = np.stack([-chord[:, 1], chord[:, 0]], axis=1)[straight] / length[straight, None]
+        along[i[straight]] = apart[i[straight]] < np.float32(sparse)
+        left = np.setdiff1d(left, i[straight])
+    return normals, along
+
+
+def _pin_degenerate(h: FloatArray, least: FloatArray) -> FloatArray:
+    """Information (K, 3, 3) that pins the position where its own, the heading marginalized, is below `least` (K,)."""
+    turn = h[:, 2, 2]
+    known = np.where(turn > 0, 1.0 / np.where(turn > 0, turn, 1.0), 0.0)
+    a, b, c = (h[:, i, j] - h[:, i, 2] * h[:, j, 2] * known for i, j in ((0, 0), (0, 1), (1, 1)))
+    mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
+    angle = 0.5 * np.arctan2(2 * b, a - c)
+    weakest = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    held = np.zeros_like(h)
+    one, both = mean - half < least, mean + half < least
+    held[one, :2, :2] = _PIN * weakest[one, :, None] * weakest[one, None, :]
+    held[both, :2, :2] = _PIN * np.eye(2)
+    return held
+
+
+def _solve(h: FloatArray, g: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Steps (K, 3) that solve h step = g by Cholesky, and whether each h (K, 3, 3) is positive definite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        l00 = np.sqrt(h[:, 0, 0])
+        l10, l20 = h[:, 1, 0] / l00, h[:, 2, 0] / l00
+        l11 = np.sqrt(h[:, 1, 1] - l10**2)
+        l21 = (h[:, 2, 1] - l20 * l10) / l11
+        l22 = np.sqrt(h[:, 2, 2] - l20**2 - l21**2)
+        y0 = g[:, 0] / l00
+        y1 = (g[:, 1] - l10 * y0) / l11
+        turn = (g[:, 2] - l20 * y0 - l21 * y1) / l22**2
+        y = (y1 - l21 * turn) / l11
+        step = np.stack([(y0 - l10 * y - l20 * turn) / l00, y, turn], axis=1)
+    return step, (l00 > 1e-9) & (l11 > 1e-9) & (l22 > 1e-9)
+
+
+_AT_ONCE = 1 << 20  # look-ups: some 50 MB of intermediate arrays
+
+
+def sum_at_ends(
+    patches: NDArray[np.uint32], corner: FloatArray, resolution: float, poses: FloatArray, ends: FloatArray,
+    threads: int,
+) -> FloatArray:  # fmt: skip
+    """Sum over beams of a field at their ends (B, 2), seen from poses (K, 3): (K,) float64.
+
+    The field, 0 to 255, is known at the centres of cells, the first of which has its lower left corner at `corner`
+    (2,), and bilinear between them. A patch (H, W) holds four of its values in a word: the cell's own, those of the
+    cells to its right, above, and above to the right, from the least significant byte on. What lies beyond takes the
+    value of the nearest cell at the border, so the caller puts there what is to hold outside.
+    """
+    some = max(_AT_ONCE // max(len(ends), 1), 1)
+    parts = [_sum_some(patches, corner, resolution, poses[k : k + some], ends) for k in range(0, len(poses), some)]
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _sum_some(
+    patches: NDArray[np.uint32], corner: FloatArray, resolution: float, poses: FloatArray, ends: FloatArray
+) -> FloatArray:
+    rows, columns = patches.shape
+    x, y = transform_to_world(poses, ends)
+    u = np.clip((x - corner[0]) / resolution - 0.5, 0, np.nextafter(columns, 0))
+    v = np.clip((y - corner[1]) / resolution - 0.5, 0, np.nextafter(rows, 0))
+    column, row = u.astype(np.int64), v.astype(np.int64)
+    a, b, patch = u - column, v - row, patches[row, column]
+    f00, f01, f10, f11 = ((patch >> shift & 255).astype(np.float64) for shift in (0, 8, 16, 24))
+    low, high = f00 + a * (f01 - f00), f10 + a * (f11 - f10)
+    sums: FloatArray = (low + b * (high - low)).sum(axis=1)
+    return sums
+
+
+Bytes = NDArray[np.uint8]
+
+_STRIP = 64  # zeros before each row of the top level
+
+
+def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
+    """For each level h the greatest value of the square of 2^h cells that begins at each cell of `likelihood` (H, W).
+
+    Returns
+    -------
+    fine : (levels, H + 2 s, W + 2 s) uint8
+        Levels 0 to `levels` - 1 in a frame of s = 2^levels cells; outside the map all is 0.
+    top : (s, s, Q + 1, 64 + P) uint8
+        Level `levels`, every s-th cell together: [y mod s, x mod s, y / s, 64 + x / s] of the framed cell (y, x). The
+        last row and the first 64 columns are 0.
+
+    Source: Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), precomputed grids.
+    """
+    side = 2**levels
+    fine = [np.pad(likelihood, side)]
+    for h in range(levels):
+        below, step = np.pad(fine[h], (0, 2**h)), 2**h
+        halves = np.maximum(below[:, :-step], below[:, step:])
+        fine.append(np.maximum(halves[:-step], halves[step:]))
+    rows, cols = fine[0].shape
+    whole = np.pad(fine.pop(), ((0, -rows % side), (0, -cols % side)))
+    split = whole.reshape(whole.shape[0] // side, side, whole.shape[1] // side, side).transpose(1, 3, 0, 2)
+    return np.stack(fine), np.ascontiguousarray(np.pad(split, ((0, 0), (0, 0), (0, 1), (_STRIP, 0))))
+
+
+def correlate(
+    fine: Bytes, top: Bytes, ends: FloatArray, headings: FloatArray, window: tuple[int, int, int, int],
+    centre: FloatArray, information: FloatArray, distance: float, count: int, min_sum: int, min_runner_up_ratio: float,
+    min_distance_cells: float, min_distance_rad: float,
+) -> Int32Array:  # fmt: skip
+    """The best lattice pose of a scan in a map, and the best ones that are other places.
+
+    A lattice pose is the centre of a cell (x, y) with x0 <= x < x1 and y0 <= y < y1, and one of `headings` (A,). Its
+    sum adds the likelihood of the cells that hold the scan's `ends`; of equal sums the first by (heading, y, x) is the
+    better. Only poses whose way d from `centre` (3,) has d^T `information` d <= `distance`^2 are tried.
+
+    Parameters
+    ----------
+    fine, top : arrays of `max_pyramid`
+    ends : (B, 2) float64, cells
+        From the scan's origin, B <= 256.
+    window : (int, int, int, int)
+        x0, x1, y0, y1: cells of the map.
+    centre, information : (3,), (3, 3) float64
+        In cells and rad, from the lower left corner of the map's cell (0, 0); headings are taken as they are given.
+    count, min_sum : int
+        How many places are wanted, and the least sum of each.
+    min_runner_up_ratio : float
+        Least part of the first place's sum that the others must have.
+    min_distance_cells, min_distance_rad : float
+        A pose within both of an earlier place is not another one.
+
+    Returns
+    -------
+    (N, 4) int32
+        [sum, heading's index, y, x] of at most `count` places, the best first.
+
+    Source: Olson, Real-time correlative scan matching (ICRA 2009); Hess et al. 2016, Algorithm 3, of which the
+    compiled twin is the best-first form.
+    """
+    poses = [np.zeros((0, 4), np.int64)]
+    for index, heading in enumerate(headings.tolist()):
+        sums = np.where(_within(window, heading, centre, information, distance), _sums(fine, ends, heading, window), -1)
+        y, x = np.nonzero(sums >= max(min_sum, 0))
+        poses.append(np.column_stack([sums[y, x], np.full(len(y), index), y + window[2], x + window[0]]))
+    left = np.concatenate(poses)
+    left = left[np.argsort(-left[:, 0], kind="stable")]
+    found: list[IntArray] = []
+    while len(left) and len(found) < count:
+        place = left[0]
+        found.append(place)
+        turns = np.array([abs(math.remainder(h - headings[place[1]], 2 * math.pi)) for h in headings.tolist()])
+        squared = ((left[:, 2:] - place[2:]) ** 2).sum(axis=1)
+        other = (turns[left[:, 1]] > min_distance_rad) | (squared > min_distance_cells**2)
+        left = left[other & (left[:, 0] >= min_runner_up_ratio * found[0][0])]
+    return np.array(found, dtype=np.int32).reshape(-1, 4)
+
+
+def _sums(fine: Bytes, ends: FloatArray, heading: float, window: tuple[int, int, int, int]) -> IntArray:
+    """Sums (y1 - y0, x1 - x0) of the window's poses with one heading."""
+    (x0, x1, y0, y1), border = window, 2 ** len(fine)
+    likelihood = fine[0, border:-border, border:-border]
+    height, width = likelihood.shape
+    c, s = math.cos(heading), math.sin(heading)
+    dx = np.floor(c * ends[:, 0] - s * ends[:, 1] + 0.5).astype(np.int64)
+    dy = np.floor(s * ends[:, 0] + c * ends[:, 1] + 0.5).astype(np.int64)
+    sums = np.zeros((y1 - y0, x1 - x0), np.int64)
+    for x, y in zip(dx.tolist(), dy.tolist(), strict=True):
+        # The poses from which this end lies inside the map
+        left, right, low, high = max(x0, -x), min(x1, width - x), max(y0, -y), min(y1, height - y)
+        if left < right and low < high:
+            sums[low - y0 : high - y0, left - x0 : right - x0] += likelihood[low + y : high + y, left + x : right + x]
+    return sums
+
+
+def _within(
+    window: tuple[int, int, int, int], heading: float, centre: FloatArray, information: FloatArray, distance: float
+) -> NDArray[np.bool_]:
+    """Which of the window's poses (y1 - y0, x1 - x0) with one heading are within `distance` of `centre`."""
+    x0, x1, y0, y1 = window
+    x, y = np.arange(x0, x1) + 0.5 - centre[0], (np.arange(y0, y1) + 0.5 - centre[1])[:, None]
+    t, m = heading - centre[2], information
+    form = x * (m[0, 0] * x + 2 * (m[0, 1] * y + m[0, 2] * t)) + y * (m[1, 1] * y + 2 * m[1, 2] * t) + m[2, 2] * t * t
+    inside: NDArray[np.bool_] = form <= distance * distance
+    return inside

@@ -1,4 +1,4 @@
-"""NumPy twins of the kernels that write maps; see `gridslam.kernels.reference` for the layout that all share."""
+"""NumPy twins of the kernels that write maps; see `gridslam.kernels.reference` for the maps' layout."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.kernels import PAGE, TILE, UNKNOWN
-
 __all__ = [
+    "OCCUPIED",
+    "PAGE",
+    "TILE",
+    "UNKNOWN",
     "cell_addresses",
     "make_tiles_writable",
     "ray_cells",
@@ -20,13 +22,24 @@ __all__ = [
     "update_log_odds",
 ]  # fmt: skip
 
+TILE = 32
+"""Rows and columns of cells in a tile."""
+
+PAGE = 16
+"""Rows and columns of tiles in a page."""
+
+UNKNOWN = -(2**15)
+"""Stored log-odds of a cell of which nothing is known."""
+
+OCCUPIED = 255
+"""Value of the distance field at an occupied cell."""
+
 FloatArray = NDArray[np.float64]
 Int32Array = NDArray[np.int32]
 IntArray = NDArray[np.int64]
 
 # Shifts and masks: NumPy's floor division of signed integers takes several times as long.
 _TILE_BITS, _PAGE_BITS = TILE.bit_length() - 1, PAGE.bit_length() - 1
-_OCCUPIED = 255
 _BLOCK = 512  # changed cells whose windows are in memory at once
 
 
@@ -226,10 +239,10 @@ def update_field(
         row, y, x = (part[:, c, None, None].astype(np.int64) for c in range(3))
         return cell_addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
 
-    values[windows(cells, 0)[:, 0, 0]] = np.where(cells[:, 3] != 0, _OCCUPIED, 0)
+    values[windows(cells, 0)[:, 0, 0]] = np.where(cells[:, 3] != 0, OCCUPIED, 0)
     freed, met = cells[cells[:, 3] == 0], cells[cells[:, 3] != 0]
     for part in (freed[i : i + _BLOCK] for i in range(0, len(freed), _BLOCK)):
-        occupied = (values[windows(part, 2 * reach)] == _OCCUPIED).astype(np.uint8)
+        occupied = (values[windows(part, 2 * reach)] == OCCUPIED).astype(np.uint8)
         dilated = np.zeros((len(part), side, side), np.uint8)
         for (dy, dx), height in np.ndenumerate(cone):
             if height:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.grid.evidence import LOG_ODDS_UNIT
+from gridslam.grid.cells import LOG_ODDS_UNIT
 from gridslam.kernels import TILE, UNKNOWN
 
 __all__ = ["STEP_NATS", "decode", "encode", "levels", "pack_tiles", "unpack_tiles"]

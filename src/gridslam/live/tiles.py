@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.grid.arena import Int32Array
-from gridslam.grid.evidence import LOG_ODDS_UNIT
-from gridslam.grid.frame import cell_corner
+from gridslam.grid.cells import LOG_ODDS_UNIT, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels
@@ -51,7 +50,7 @@ class TileChanges:
     at : (K, 2) int32
         Their rows and columns, in tiles; cell (0, 0) of tile (0, 0) has its corner at the map's origin.
     log_odds : (K, 32, 32) int16
-        Their current cells, in units of `gridslam.grid.evidence.LOG_ODDS_UNIT`, or `UNKNOWN`.
+        Their current cells, in units of `gridslam.grid.cells.LOG_ODDS_UNIT`, or `UNKNOWN`.
     """
 
     at: Int32Array

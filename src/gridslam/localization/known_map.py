@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.grid.evidence import Evidence
+from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.localization.distance_transform import distance_transform

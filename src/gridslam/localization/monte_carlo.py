@@ -19,10 +19,10 @@ from gridslam.localization.belief import PoseEstimate, estimate_pose, propagate_
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.models.endpoint import CauchyEndPoint
 from gridslam.particles.initial import sample_gaussian
-from gridslam.particles.resampling import Systematic
-from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
 from gridslam.types import (
     Beams,
     FloatArray,
@@ -138,7 +138,8 @@ class MonteCarloLocalization:
             pose = self._match(guess, state.estimate.covariance, beams)
             return float(self._inlier_ratio(beams)(pose[None])[0])
 
-        return self.configuration.deskew(beams, twist, share)
+        order = BeamOrder().learn(beams, twist, share).best(self.configuration.beam_order_margin)
+        return beams.deskew(order * twist)
 
     def _skip_reason(
         self, state: MonteCarloState, odometry: Odometry | None, moved: FloatArray, beams: Beams

@@ -7,7 +7,6 @@ from typing import Annotated, final
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.localization.deskew import LocalizationDeskew
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.pose_hypotheses import HypothesisTracker
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
@@ -56,8 +55,9 @@ class MonteCarloConfiguration:
     matcher : GaussNewton
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL.
-    deskew : LocalizationDeskew
-        Deskewing of scans with beam times.
+    beam_order_margin : float, [0, 1]
+        Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
+        times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
     kld : KldSampling
         How many particles survive.
     when_to_update : MotionThreshold
@@ -98,7 +98,7 @@ class MonteCarloConfiguration:
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     matcher: GaussNewton = Field(default_factory=_matcher)
-    deskew: LocalizationDeskew = Field(default_factory=LocalizationDeskew)
+    beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=_when_to_update)
     when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(

@@ -1,4 +1,4 @@
-"""Beam counts per cell: number of beams that end in it, and that pass through it."""
+"""Beam counts per cell, and the maps made of them: binary Bayes filter in closed form, and counting model."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import math
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.grid.evidence import LOG_ODDS_UNIT, Evidence
+from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.types import BeamEnds, FloatArray, IntArray
+from gridslam.models.inverse_sensor import InverseSensorModel
+from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["BeamCounts"]
+__all__ = ["BeamCounts", "bayes_map", "counting_map"]
 
 # A map in which a hit is +1, a miss -1 and nothing is occupied: after one scan it holds that scan's counts, because a
 # cell in which a beam of the scan ends is not missed by the others.
@@ -108,3 +110,45 @@ class BeamCounts:
             self._hits = np.concatenate([self._hits, np.zeros_like(self._hits)])
             self._net = np.concatenate([self._net, np.zeros_like(self._net)])
         return slots
+
+
+_CERTAIN: Final = math.log(1e7)  # what was always or never reflected gets a probability 1e-7 off 1 or 0
+
+
+def bayes_map(counts: BeamCounts, inverse_sensor: InverseSensorModel) -> OccupancyGrid:
+    """Give the occupancy that the binary Bayes filter ends with, from even odds.
+
+    Each beam that ends in a cell adds the sensor's evidence of a hit to its log-odds, each that passes through it that
+    of a miss. The clamps, which let a map that is being made unlearn, hold for the sum: so the order of the scans does
+    not matter, and where no clamp is met it is the filter of SLAM.
+
+    Source: Probabilistic Robotics, Tables 4.2 (`binary_bayes_filter`), 9.1 (`occupancy_grid_mapping`) and 9.2
+    (`inverse_range_sensor_model`, of which a cell is hit or missed by its ray alone).
+    """
+    hits, misses, corner = counts.rectangle()
+    log_odds = hits * inverse_sensor.log_odds_hit + misses * inverse_sensor.log_odds_miss
+    clamped = np.clip(log_odds, inverse_sensor.log_odds_min, inverse_sensor.log_odds_max).astype(np.float32)
+    return _grid(counts, clamped, hits + misses > 0, corner)
+
+
+def counting_map(counts: BeamCounts) -> OccupancyGrid:
+    """Compute the reflection probability of each cell: hits / (hits + misses).
+
+    It is the maximum-likelihood estimate of how often the cell reflects a beam. That is no probability of being
+    occupied: a railing that every second beam passes has 0.5, however long it was looked at, while the Bayes filter
+    becomes certain of one or the other.
+
+    Source: D. Haehnel, Mapping with Mobile Robots (2004), reflection probability maps.
+    """
+    hits, misses, corner = counts.rectangle()
+    known = hits + misses > 0
+    odds = np.divide(hits, misses, out=np.full(hits.shape, np.inf), where=misses > 0)
+    with np.errstate(divide="ignore"):  # never hit: log 0
+        log_odds = np.clip(np.log(odds), -_CERTAIN, _CERTAIN)
+    return _grid(counts, np.where(known, log_odds, 0.0).astype(np.float32), known, corner)
+
+
+def _grid(
+    counts: BeamCounts, log_odds: NDArray[np.float32], known: NDArray[np.bool_], corner: tuple[int, int]
+) -> OccupancyGrid:
+    return OccupancyGrid(log_odds, known, counts.resolution_m, cell_corner(*corner, counts.resolution_m))

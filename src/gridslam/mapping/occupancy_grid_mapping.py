@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
-from gridslam.grid.evidence import Evidence
+from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.models.inverse_sensor import InverseSensorModel
 from gridslam.types import Beams, FloatArray

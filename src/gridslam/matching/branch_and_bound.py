@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.grid.frame import cell_centres, cells_of
+from gridslam.grid.cells import cell_centres, cells_of
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import backend
 from gridslam.types import FloatArray, IntArray

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import NoneType
-from typing import Annotated, Any, TypeAlias, final, get_args
+from typing import Any, final, get_args
 
-from pydantic import BeforeValidator, ConfigDict, GetCoreSchemaHandler
+from pydantic import ConfigDict, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-__all__ = ["STRICT", "Kind", "Numbers"]
+__all__ = ["STRICT", "Kind"]
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-Numbers: TypeAlias = Annotated[
-    tuple[float, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
-]
-"""Some numbers, in a table a list."""
 
 
 @final

@@ -10,8 +10,16 @@ from gridslam.particles.policies import (
     ResamplingPolicy,
     UpdatePolicy,
 )
-from gridslam.particles.resampling import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
-from gridslam.particles.weights import effective_sample_size, entropy, normalize
+from gridslam.particles.resampling import (
+    Multinomial,
+    ResamplingWheel,
+    Residual,
+    Stratified,
+    Systematic,
+    effective_sample_size,
+    entropy,
+    normalize,
+)
 
 __all__ = [
     "AlwaysResample",

@@ -7,9 +7,8 @@ buildings drawn from a seed: `random`; four kinds with perceptual aliasing, `equ
 """
 
 from gridslam.sim.lidar import LidarConfig
-from gridslam.sim.people import PeopleConfig
 from gridslam.sim.robot import OdometryNoise, RobotConfig
-from gridslam.sim.simulate import SimulatedLog, SimulatedStream, simulate, simulate_stream
+from gridslam.sim.simulate import PeopleConfig, SimulatedLog, SimulatedStream, simulate, simulate_stream
 from gridslam.sim.world import Change, World
 from gridslam.sim.worlds import DRAWN_WORLDS, WORLDS, make_world
 

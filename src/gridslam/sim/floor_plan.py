@@ -117,12 +117,13 @@ def carve(spaces: ArrayLike) -> FloatArray:
     corners = np.array(spaces, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1] != 4:
         raise ArgumentError("spaces", "shape (R, 4)", corners.shape)
-    corners = np.round(corners, 6).reshape(-1, 2, 2)
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    xs, ys = np.unique(corners[..., 0]), np.unique(corners[..., 1])
+    corners = np.sort(np.round(corners, 6).reshape(-1, 2, 2), axis=1)
+    xs = np.unique(corners[..., 0])
+    ys = np.unique(corners[..., 1])
     free = np.zeros((len(ys) + 1, len(xs) + 1), np.bool_)  # cells between the lines, with a border of solid ones
-    columns, rows = (np.searchsorted(line, [low[:, k], high[:, k]]) + 1 for k, line in enumerate((xs, ys)))
-    for left, right, bottom, top in zip(*columns, *rows, strict=True):
+    columns = np.searchsorted(xs, corners[..., 0]) + 1
+    rows = np.searchsorted(ys, corners[..., 1]) + 1
+    for (left, right), (bottom, top) in zip(columns, rows, strict=True):
         free[bottom:top, left:right] = True
     line, first, last = _runs(free[1:] != free[:-1])
     level = np.stack([xs[first], ys[line], xs[last], ys[line]], axis=1)
@@ -158,8 +159,10 @@ def clearance(walls: FloatArray, points: FloatArray) -> FloatArray:
     """Distance in m (N,) from points (N, 2) to the nearest of walls (S, 4); infinite where there are none."""
     distances = np.full(len(points), np.inf)
     for x0, y0, x1, y1 in walls.tolist():
-        dx, dy = x1 - x0, y1 - y0
-        px, py = points[:, 0] - x0, points[:, 1] - y0
+        dx = x1 - x0
+        dy = y1 - y0
+        px = points[:, 0] - x0
+        py = points[:, 1] - y0
         along = np.clip((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-300), 0.0, 1.0)
         np.minimum(distances, np.hypot(px - along * dx, py - along * dy), out=distances)
     return distances
@@ -170,7 +173,8 @@ def near(walls: FloatArray, points: FloatArray, reach_m: float) -> FloatArray:
 
     Uses upright boxes around each wall and around all points: no near wall is left out, some far ones are kept.
     """
-    low, high = points.min(axis=0) - reach_m, points.max(axis=0) + reach_m
+    low = points.min(axis=0) - reach_m
+    high = points.max(axis=0) + reach_m
     ends = walls.reshape(-1, 2, 2)
     found: FloatArray = walls[((ends.max(axis=1) >= low) & (ends.min(axis=1) <= high)).all(axis=1)]
     return found

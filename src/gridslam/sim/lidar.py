@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.models.parameters import STRICT
 from gridslam.sim.floor_plan import near
-from gridslam.types import FloatArray, IntArray, ScanGeometry
+from gridslam.types import FloatArray, IntArray
 
 __all__ = ["LidarConfig", "cast_rays", "cast_single_rays", "disc_ranges", "measure"]
 
@@ -121,11 +121,6 @@ class LidarConfig:
         """Range in m beyond which a wall is not seen, whatever the noise: eight of its standard deviations."""
         return self.range_max_m + 8 * (self.sigma_range_m + self.sigma_range_share * self.range_max_m)
 
-    @property
-    def geometry(self) -> ScanGeometry:
-        """Bearings and mounting as scans of all beams carry them."""
-        return ScanGeometry.planar(self.bearings, self.mounting)
-
 
 def cast_rays(walls: FloatArray, lasers: FloatArray, bearings: FloatArray, reach_m: float = math.inf) -> FloatArray:
     """Distance along each beam to the first wall.
@@ -204,11 +199,16 @@ def cast_single_rays(walls: FloatArray, rays: FloatArray, reach_m: float = math.
     for first in range(0, len(rays) if len(walls) else 0, rows):
         some = rays[first : first + rows]
         x0, y0, x1, y1 = near(walls, some[:, :2], reach_m).T
-        c, s = np.cos(some[:, 2:]), np.sin(some[:, 2:])
-        dx, dy, along_x, along_y = x0 - some[:, :1], y0 - some[:, 1:2], x1 - x0, y1 - y0
+        c = np.cos(some[:, 2:])
+        s = np.sin(some[:, 2:])
+        dx = x0 - some[:, :1]
+        dy = y0 - some[:, 1:2]
+        along_x = x1 - x0
+        along_y = y1 - y0
         normal_part = c * along_y - s * along_x
         normal_part[np.abs(normal_part) <= _EDGE_RAD * np.hypot(along_x, along_y)] = np.nan  # end-on
-        reach, place = (dx * along_y - dy * along_x) / normal_part, (dx * s - dy * c) / normal_part
+        reach = (dx * along_y - dy * along_x) / normal_part
+        place = (dx * s - dy * c) / normal_part
         hit = (reach > 0) & (place >= -_EDGE_RAD) & (place <= 1 + _EDGE_RAD)
         ranges[first : first + rows] = np.where(hit, reach, np.inf).min(axis=1, initial=np.inf)
     return ranges
@@ -221,11 +221,14 @@ def disc_ranges(centres: FloatArray, radius_m: float, lasers: FloatArray, bearin
     around the laser itself is not seen.
     """
     angles = lasers[..., 2] + bearings
-    cos, sin = np.cos(angles), np.sin(angles)
+    cos = np.cos(angles)
+    sin = np.sin(angles)
     ranges = np.full(angles.shape, np.inf)
     for centre in centres.transpose(1, 2, 0)[..., None]:
-        dx, dy = centre[0] - lasers[..., 0], centre[1] - lasers[..., 1]
-        along, aside = cos * dx + sin * dy, cos * dy - sin * dx
+        dx = centre[0] - lasers[..., 0]
+        dy = centre[1] - lasers[..., 1]
+        along = cos * dx + sin * dy
+        aside = cos * dy - sin * dx
         depth = np.sqrt(np.maximum(radius_m**2 - aside**2, 0.0))
         hit = (np.abs(aside) < radius_m) & (along > depth)
         np.minimum(ranges, along - depth, out=ranges, where=hit)

@@ -14,7 +14,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import STRICT
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Drive", "OdometryNoise", "RobotConfig", "drive", "follow", "simulate_odometry"]
+__all__ = ["Drive", "OdometryNoise", "RobotConfig", "simulate_odometry"]
 
 _STEP_M = 0.01  # speed is planned at this spacing along the path
 _SPOT_TURN_RAD = 2.2  # a sharper corner is turned on the spot
@@ -139,23 +139,13 @@ class Drive:
         return np.asarray(np.minimum(driven, self._nodes[-1]))
 
 
-def drive(route: FloatArray, robot: RobotConfig, period_s: float) -> FloatArray:
-    """Poses (N, 3), one each `period_s`, of a robot on its `Drive` along the waypoints `route` (K, 2) in m."""
-    return follow(route, robot, period_s)[0]
-
-
-def follow(route: FloatArray, robot: RobotConfig, period_s: float) -> tuple[FloatArray, IntArray]:
-    """Poses (N, 3) as `drive` gives them, and the leg of the route (N,) int64 that each is on."""
-    way = Drive(route, robot)
-    return way.at(period_s * np.arange(math.floor(way.duration_s / period_s + 1e-9) + 1, dtype=np.float64))
-
-
 def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
     legs = np.diff(route, axis=0)
     lengths = np.hypot(legs[:, 0], legs[:, 1])
     turns = wrap(np.diff(np.arctan2(legs[:, 1], legs[:, 0])))
     metres_per_radian = robot.v_max_m_s / robot.omega_max_rad_s
-    pieces, cut = [], 0.0
+    pieces = []
+    cut = 0.0
     for leg, length in enumerate(lengths.tolist()):
         turn = float(turns[leg]) if leg < len(turns) else 0.0
         tangent = 0.0
@@ -177,7 +167,9 @@ def _pieces(route: FloatArray, robot: RobotConfig) -> list[_Piece]:
 
 def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tuple[FloatArray, FloatArray]:
     """Nodes along the path in metres, ascending, and the greatest speed that all limits allow there."""
-    nodes, limits, before = [], [], 0.0
+    nodes = []
+    limits = []
+    before = 0.0
     for piece, begin in zip(pieces, begins[:-1].tolist(), strict=True):
         count = max(2, math.ceil(piece.length_m / _STEP_M))
         nodes.append(begin + piece.length_m * np.arange(count) / count)
@@ -196,7 +188,8 @@ def _speeds(pieces: list[_Piece], begins: FloatArray, acceleration: float) -> tu
 def simulate_odometry(truth: FloatArray, noise: OdometryNoise, rng: np.random.Generator) -> FloatArray:
     """Poses (N, 3) that odometry reports for true poses (N, 3); the first is the true one."""
     twists = se2.log(se2.between(truth[:-1], truth[1:]))
-    distance, turn = np.hypot(twists[:, 0], twists[:, 1]), np.abs(twists[:, 2])
+    distance = np.hypot(twists[:, 0], twists[:, 1])
+    turn = np.abs(twists[:, 2])
     scores = rng.standard_normal((2, len(twists)))
     twists[:, :2] *= noise.distance_scale
     twists[:, 0] += scores[0] * np.sqrt(noise.alpha3 * distance + noise.alpha4 * turn)

@@ -2,24 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache
 from typing import final
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
+from gridslam.geometry import se2
 from gridslam.io.measurement import Measurement
+from gridslam.models.parameters import STRICT
 from gridslam.sim.floor_plan import clearance, near
-from gridslam.sim.lidar import LidarConfig
-from gridslam.sim.people import PeopleConfig, simulate_walkers
+from gridslam.sim.lidar import LidarConfig, cast_rays, cast_single_rays, disc_ranges, measure
 from gridslam.sim.robot import Drive, OdometryNoise, RobotConfig, simulate_odometry
-from gridslam.sim.scanner import TOGETHER, Scanner
 from gridslam.sim.world import World
-from gridslam.types import FloatArray, IntArray, Odometry, Trajectory
+from gridslam.types import FloatArray, IntArray, LaserScan, Odometry, ScanGeometry, Trajectory
 
-__all__ = ["SimulatedLog", "SimulatedStream", "simulate", "simulate_stream"]
+__all__ = ["PeopleConfig", "SimulatedLog", "SimulatedStream", "simulate", "simulate_stream"]
+
+_TOGETHER = 256  # scans made at a time: 40 m of way at the most, and some MB of arrays
+_Crowd = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray]
+"""Robot (N, 3) at times (N,), lasers (N, 1 or B, 3) and bearings (B,) to the ranges (N, B) of the nearest people, m."""
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class PeopleConfig:
+    """People who walk up and down the robot's route, each at a pace of their own; they make way for the robot.
+
+    Parameters
+    ----------
+    count : int, >= 0
+    radius_m : float, m, > 0
+        Of the disc a beam meets: a body at the height of a lidar.
+    speed_m_s : float, m/s, > 0
+        Mean pace; individual ones are between half and one and a half of it.
+    distance_m : float, m, > 0
+        Least distance kept from the robot's centre.
+    """
+
+    count: int = Field(default=0, ge=0)
+    radius_m: float = Field(default=0.2, gt=0)
+    speed_m_s: float = Field(default=1.0, gt=0)
+    distance_m: float = Field(default=0.8, gt=0)
 
 
 @final
@@ -126,13 +156,12 @@ def simulate_stream(
     truth, legs = way.at(seconds)
     _check_clearance(world, truth, legs, robot)
     measured = simulate_odometry(truth, odometry, rng)
-    crowd = (people, simulate_walkers(world.route, people, rng)) if people is not None and people.count else None
-    scanners = [Scanner(one, way, world, rng) for one in lidars]
+    crowd = _walk(world.route, people or PeopleConfig(), rng)
     of = np.repeat(np.arange(len(lidars)), [len(some) for some in times])[order]
+    scans = [_record(one, way, world, (truth[of == k], legs[of == k]), crowd, rng) for k, one in enumerate(lidars)]
     stamps = np.round(1e9 * seconds).astype(np.int64)
 
     def measurements() -> Iterator[Measurement]:
-        scans = [one.scans(truth[of == k], legs[of == k], crowd) for k, one in enumerate(scanners)]
         for k, stamp, pose in zip(of.tolist(), stamps.tolist(), measured, strict=True):
             yield Measurement(Odometry.at(stamp, pose), next(scans[k]))
 
@@ -141,10 +170,93 @@ def simulate_stream(
 
 def _check_clearance(world: World, truth: FloatArray, legs: IntArray, robot: RobotConfig) -> None:
     room = np.full(len(truth), np.inf)
-    for part, walls in world.stretches(legs, TOGETHER):
+    for part, walls in world.stretches(legs, _TOGETHER):
         points = truth[part, :2]
         room[part] = clearance(near(walls, points, robot.radius_m), points)
     if room.min() < robot.radius_m:
         x, y, _ = truth[room.argmin()]
         expected = f"a route that keeps {robot.radius_m} m from walls"
         raise ArgumentError("world", expected, f"{room.min():.3f} m at ({x:.2f}, {y:.2f})")
+
+
+def _walk(route: FloatArray, people: PeopleConfig, rng: np.random.Generator) -> _Crowd:
+    """Let people walk along the route (K, 2) and back for ever."""
+    steps = np.diff(route, axis=0)
+    nodes = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    length = nodes[-1]
+    begin = rng.uniform(0.0, 2 * length, people.count)
+    pace = people.speed_m_s * rng.uniform(0.5, 1.5, people.count)
+
+    def ranges(robot: FloatArray, seconds: FloatArray, lasers: FloatArray, bearings: FloatArray) -> FloatArray:
+        at = np.abs(np.mod(begin + pace * seconds[:, None], 2 * length) - length)
+        wanted = np.stack([np.interp(at, nodes, route[:, k]) for k in range(2)], axis=-1)
+        away = wanted - robot[:, None, :2]
+        distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-9)[..., None]
+        kept = robot[:, None, :2] + away * np.maximum(1.0, people.distance_m / distance)
+        return disc_ranges(kept, people.radius_m, lasers, bearings)
+
+    return ranges
+
+
+def _record(
+    lidar: LidarConfig, way: Drive, world: World, drive: tuple[FloatArray, IntArray], crowd: _Crowd,
+    rng: np.random.Generator,
+) -> Iterator[LaserScan]:  # fmt: skip
+    """Scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route.
+
+    `rng` is left as after the whole drive, at once: the scans draw from copies of it.
+    """
+    truth, legs = drive
+    seconds = lidar.times(way.duration_s)
+    noise = _taken(rng, lambda rows: rng.standard_normal((rows, lidar.beams)), len(seconds))
+    losses = _taken(rng, lambda rows: rng.random((rows, lidar.beams)), len(seconds))
+    counts = np.full(len(seconds), lidar.beams)
+    if lidar.fewest_beams:
+        counts = rng.integers(lidar.fewest_beams, lidar.beams, len(seconds), endpoint=True)
+
+    @cache
+    def geometry(beams: int) -> ScanGeometry:
+        return ScanGeometry.planar(lidar.spread(beams), lidar.mounting)
+
+    def scans() -> Iterator[LaserScan]:
+        for part, walls in world.stretches(legs, _TOGETHER):
+            ranges = np.full((len(seconds[part]), lidar.beams), np.inf)
+            for count in np.unique(counts[part]).tolist():
+                some = counts[part] == count
+                at = (truth[part][some], seconds[part][some])
+                bearings = lidar.spread(count)
+                lasers, to_walls = _cast(lidar, way, walls, *at, bearings)
+                ranges[some, :count] = np.minimum(to_walls, crowd(*at, lasers, bearings))
+            rows = measure(ranges, lidar, noise, losses)
+            for stamp_s, count, row in zip(seconds[part].tolist(), counts[part].tolist(), rows, strict=True):
+                yield LaserScan.from_ranges(
+                    round(1e9 * stamp_s), row[:count], geometry(count), range_max_m=lidar.range_max_m,
+                    sensor=lidar.sensor, frame=lidar.sensor,
+                    beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.tells_beam_times else None,
+                )  # fmt: skip
+
+    return scans()
+
+
+def _cast(
+    lidar: LidarConfig, way: Drive, walls: FloatArray, poses: FloatArray, seconds: FloatArray, bearings: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where the laser is, (N, 1, 3), or (N, B, 3) at each beam of scans that take time; and the ranges (N, B)."""
+    if not lidar.scan_time_s:
+        lasers = se2.compose(poses, lidar.mounting)
+        ascending = slice(None, None, -1 if lidar.clockwise else 1)
+        return lasers[:, None], cast_rays(walls, lasers, bearings[ascending], lidar.reach_m)[:, ascending]
+    times = seconds[:, None] + lidar.beam_times(len(bearings))
+    moving, _ = way.at(times.ravel())
+    lasers = se2.compose(moving, lidar.mounting)
+    rays = lasers.copy()
+    rays[:, 2] += np.tile(bearings, len(seconds))
+    return lasers.reshape(*times.shape, 3), cast_single_rays(walls, rays, lidar.reach_m).reshape(times.shape)
+
+
+def _taken(rng: np.random.Generator, draw: Callable[[int], FloatArray], count: int) -> np.random.Generator:
+    """Copy `rng`, and let it pass over `count` rows that `draw` takes from it: the copy will draw the same."""
+    copy = deepcopy(rng)
+    for first in range(0, count, _TOGETHER):
+        draw(min(_TOGETHER, count - first))
+    return copy

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
 
 from gridslam.arguments import require_generator
 from gridslam.errors import ArgumentError
-from gridslam.sim.deceptive import bare_corridors, symmetric
-from gridslam.sim.equal_rooms import equal_rooms
-from gridslam.sim.floor_plan import box, furniture, join, pillar, polyline, room, wall
-from gridslam.sim.large import campus, fleet
-from gridslam.sim.moved_furniture import moved_furniture
-from gridslam.sim.random_building import random_building
-from gridslam.sim.world import World
+from gridslam.geometry import se2
+from gridslam.sim.aliasing import bare_corridors, equal_rooms, moved_furniture, symmetric
+from gridslam.sim.floor_plan import box, carve, clearance, furniture, join, pillar, place, polyline, room, wall
+from gridslam.sim.world import World, tour, wander
 from gridslam.types import FloatArray
 
-__all__ = ["DRAWN_WORLDS", "WORLDS", "corridor", "demo", "hall", "loop", "make_world", "rooms"]
+__all__ = [
+    "DRAWN_WORLDS", "WORLDS", "campus", "corridor", "demo", "fleet", "hall", "loop", "make_world", "random_building",
+    "rooms",
+]  # fmt: skip
+
+_ROOM_M = 4.2  # what the width of a room is about
+_LANE_M = 0.5  # furniture stays this far from the robot's way
+_APART_M = 1.7  # between the middles of two pieces
+_VISIT_PROBABILITY = 0.5
+_SOLID_M = 0.15  # of the walls between carved spaces
+_Space = tuple[float, float, float, float]
 
 
 def demo() -> World:
@@ -107,16 +116,191 @@ def hall() -> World:
 def corridor() -> World:
     """Build a straight corridor of 40 m x 2.2 m with niches at unequal distances; the route goes there and back."""
     niches = [(3.0, 1.2), (9.5, 0.9), (13.2, 1.6), (21.0, 1.0), (24.4, 0.9), (33.0, 1.4)]
-    south, deep = wall((0, 0), (40, 0), niches), [box(x - w / 2, -0.7, x + w / 2, -0.06) for x, w in niches]
+    south = wall((0, 0), (40, 0), niches)
+    deep = [box(x - w / 2, -0.7, x + w / 2, -0.06) for x, w in niches]
     north = wall((0, 2.2), (40, 2.2), [(6.0, 1.0), (17.5, 1.3), (29.0, 0.9)])
     rooms = [box(4.5, 2.26, 7.5, 5.0), box(15.5, 2.26, 19.5, 6.0), box(27.6, 2.26, 30.4, 4.6)]
     doors = join(*(piece[[1, 2, 3]] for piece in rooms), *(piece[[0, 1, 3]] for piece in deep))
-    ends = polyline([(0, 0), (0, 2.2)]), polyline([(40, 0), (40, 2.2)])
+    ends = [polyline([(x, 0), (x, 2.2)]) for x in (0, 40)]
     return World.of("corridor", join(south, north, doors, *ends), [(1.0, 1.1), (38.8, 1.1), (20.0, 1.1), (1.4, 1.1)])
 
 
-def _random(rng: np.random.Generator) -> World:
-    return World.of("random", *random_building(rng))
+def random_building(rng: np.random.Generator) -> World:
+    """Draw a building: rooms of varied sizes outside of a ring of corridors and inside of it.
+
+    The robot goes around once, visits about half of the rooms, and goes half around again, so that it closes a loop
+    and then drives on in what it knows.
+    """
+    corridor = rng.uniform(1.8, 2.6)
+    inside = rng.uniform((8.0, 5.0), (15.0, 9.0))
+    width, height = (inside + 2 * corridor).tolist()
+    middle = corridor / 2
+    right = width - middle
+    top = height - middle
+    corners = np.array([(right, middle), (right, top), (middle, top), (middle, middle)])
+    sides = [(0.0, 0.0, 0.0), (width, 0.0, math.pi / 2), (width, height, math.pi), (0.0, height, -math.pi / 2)]
+    walls = [_core(corridor, inside, rng)]
+    route = [np.array([[middle, height / 2]]), corners[3:]]
+    for side, length, corner in zip(sides, (width, height, width, height), corners, strict=True):
+        rooms, visits = _row(length, rng.uniform(3.5, 6.0), corridor, rng)
+        walls.append(place(rooms, side))
+        route += [*(se2.transform_points(side, visit) for visit in visits), corner[None]]
+    return World.of("random", join(*walls), np.concatenate([*route, corners[:2]]))
+
+
+def _row(length: float, depth: float, corridor: float, rng: np.random.Generator) -> tuple[FloatArray, list[FloatArray]]:
+    """Rooms of a depth below the x axis from 0 to `length`, the corridor above it; and the ways into some of them."""
+    count = max(1, round(length / _ROOM_M))
+    shares = rng.uniform(0.7, 1.3, count)
+    edges = length * np.concatenate([[0.0], np.cumsum(shares) / shares.sum()])
+    door_widths = rng.uniform(0.9, 1.3, count)
+    doors = rng.uniform(edges[:-1] + 0.9, edges[1:] - 0.9).tolist()
+    walls = [wall((0, 0), (length, 0), list(zip(doors, door_widths.tolist(), strict=True)))]
+    walls += [wall((0, -depth), (length, -depth)), *(wall((x, 0), (x, -depth)) for x in edges.tolist())]
+    visits = []
+    for (left, right), door in zip(pairwise(edges.tolist()), doors, strict=True):
+        end = (0.5 * (left + right) + rng.uniform(-0.4, 0.4), -depth * rng.uniform(0.4, 0.6))
+        way = np.array([(door, corridor / 2), (door, -0.9), end])
+        if rng.random() < _VISIT_PROBABILITY:
+            visits.append(np.concatenate([way, way[1::-1]]))
+        walls += _furnish(left, right, depth, way, rng)
+    return join(*walls), visits
+
+
+def _furnish(left: float, right: float, depth: float, way: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
+    """Up to four pieces of furniture, mostly along the walls, that leave the way free."""
+    lane = np.concatenate([np.linspace(a, b, 12) for a, b in pairwise(way)])
+    pieces: list[FloatArray] = []
+    centres = np.full((1, 2), np.inf)
+    for _ in range(rng.integers(1, 5)):
+        width, deep = rng.uniform((0.8, 0.5), (2.0, 0.9)).tolist()
+        margin = rng.uniform(0.55, 0.9)
+        x, y = rng.uniform((left + margin, margin - depth), (right - margin, -margin))
+        if rng.random() < 0.6:
+            x = np.clip(x, left + 1.1, right - 1.1)
+            y = margin - depth
+            heading = 0.0
+        else:
+            heading = rng.choice([math.pi / 2, rng.uniform(0, math.pi)])
+        piece = furniture(x, y, width, deep, heading)
+        apart = np.hypot(*(centres - [x, y]).T).min()
+        if clearance(piece, lane).min() > _LANE_M and apart > _APART_M:
+            pieces.append(piece)
+            centres = np.concatenate([centres, [[x, y]]])
+    return pieces
+
+
+def _core(corridor: float, inside: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Two rooms inside of the ring, one with a door to the south, one with a door to the north."""
+    x0 = y0 = corridor
+    x1, y1 = (corridor + inside).tolist()
+    split = inside[0] * rng.uniform(0.35, 0.65)
+    return join(
+        wall((x0, y0), (x1, y0), [(0.5 * split, 1.1)]),
+        wall((x0, y1), (x1, y1), [(0.5 * (split + inside[0]), 1.1)]),
+        *(wall((x, y0), (x, y1)) for x in (x0, x0 + split, x1)),
+    )
+
+
+def campus(rng: np.random.Generator, length_m: float = 2000.0) -> World:
+    """Draw a university: a main corridor of 200 m, and side corridors that close rings of 100 m to 400 m with it.
+
+    Niches, shut doors, open rooms and cabinets stand at unequal distances, up to 10 m apart. The robot drives about
+    for `length_m`, and passes each place about three times.
+    """
+    a, b, c, d = rng.uniform((18, 70, 118, 172), (30, 88, 140, 184)).tolist()
+    north = rng.uniform(24, 45)
+    south = -rng.uniform(25, 50)
+    main = [(x, 0.0) for x in (0.0, a, b, c, d, 200.0)]
+    junctions = np.array([*main, (a, north), (b, north), (c, north), (b, south), (c, south), (d, south)])
+    passages = [*pairwise(range(6)), (1, 6), (6, 7), (7, 8), (2, 7), (3, 8)]
+    passages += [(2, 9), (3, 10), (4, 11), (9, 10), (10, 11)]
+    route, _ = wander(tour(junctions, passages, length_m, rng), rng, aside_m=0.25)
+    widths = np.where(np.arange(len(passages)) < 5, rng.uniform(2.8, 3.4), rng.uniform(1.9, 2.5, len(passages)))
+    spaces: list[_Space] = []
+    cabinets: list[FloatArray] = []
+    for (start, end), width in zip(passages, widths.tolist(), strict=True):
+        recesses, boxes = _corridor(junctions[start], junctions[end], width / 2, rng)
+        spaces += recesses
+        cabinets += boxes
+    lane = junctions[np.array(passages)].reshape(-1, 4)
+    free = [piece for piece in cabinets if clearance(lane, piece.reshape(-1, 2)).min() > 0.65]
+    return World.of("campus", join(carve(spaces), *free), route)
+
+
+def _corridor(
+    start: FloatArray, end: FloatArray, half: float, rng: np.random.Generator
+) -> tuple[list[_Space], list[FloatArray]]:
+    """Spaces along a corridor, level or upright, of half width `half`, and cabinets on its walls."""
+    length = float(np.abs(end - start).sum())
+    level = start[1] == end[1]
+    x, y = np.minimum(start, end).tolist()
+
+    def at(s0: float, t0: float, s1: float, t1: float) -> _Space:
+        return (x + s0, y + t0, x + s1, y + t1) if level else (x + t0, y + s0, x + t1, y + s1)
+
+    spaces = [at(-half, -half, length + half, half)]
+    cabinets = []
+    for side in (-1, 1):
+        s = rng.uniform(3, 8)
+        while s < length - 4:
+            kind = rng.random()
+            wide = rng.uniform(0.8, 1.2)
+            wall = side * half
+            if kind < 0.15:
+                cabinets.append(box(*at(s, wall, s + wide, wall - side * rng.uniform(0.2, 0.4))))
+            elif kind < 0.3:
+                room = rng.uniform(2.6, 4.5)
+                inner = wall + side * _SOLID_M
+                spaces.append(at(s, wall, s + wide, inner))
+                spaces.append(at(s - 0.8, inner, s + room - 0.8, wall + side * rng.uniform(2.5, 5.0)))
+            else:
+                spaces.append(at(s, wall, s + wide, wall + side * rng.uniform(0.08, 0.3 if kind < 0.85 else 1.2)))
+            s += wide + rng.uniform(1.5, 10.0)
+    return spaces, cabinets
+
+
+def fleet(rng: np.random.Generator, length_m: float = 10_000.0) -> World:
+    """Draw a warehouse of 100 m x 60 m with nine rows of racks, and stores along its north wall.
+
+    The robot drives about in it for `length_m`, each lap by another way. Best simulated as a stream.
+    """
+    aisles = np.concatenate([[3.0], 8.0 + 5.5 * np.arange(9) + 2.75]).tolist()
+    stores = [10.0 + 16.0 * k + rng.uniform(0, 6) for k in range(5)]
+    spaces: list[_Space] = [(0.0, 0.0, 100.0, 60.0)]
+    for x in stores:
+        spaces += [(x - 0.8, 60.0, x + 0.8, 60.2), (x - 4.0, 60.2, x + 4.0, 60.2 + rng.uniform(5, 8))]
+    loads = [load for row in range(9) for load in _rack(8.0 + 5.5 * row, rng)]
+    route, _ = wander(tour(*_warehouse_net(aisles, [3.0, 50.0, 97.0], stores), length_m, rng), rng, aside_m=0.25)
+    return World.of("fleet", join(carve(spaces), *loads), route)
+
+
+def _rack(y: float, rng: np.random.Generator) -> list[FloatArray]:
+    """Two racks in a row along the x axis, loaded with pallets of unequal sizes; a few places are empty."""
+    loads = []
+    for x in [*np.arange(6.0, 46.0, 2.7), *np.arange(53.5, 93.0, 2.7)]:
+        if rng.random() < 0.88:
+            wide, deep, aside = rng.uniform((1.2, 1.0, -0.15), (2.4, 2.0, 0.15)).tolist()
+            loads.append(furniture(x + 1.2, y + aside, wide, deep, rng.uniform(-0.05, 0.05)))
+    return loads
+
+
+def _warehouse_net(
+    aisles: list[float], crossings: list[float], stores: list[float]
+) -> tuple[FloatArray, list[tuple[int, int]]]:
+    """Junctions of aisles and crossings; on the last aisle also those of the ways into the stores."""
+    junctions = [(x, y) for y in aisles[:-1] for x in crossings]
+    across = len(crossings)
+    passages = [(k, k + 1) for k in range(len(junctions)) if k % across < across - 1]
+    passages += [(k, k + across) for k in range(len(junctions) - across)]
+    top = len(junctions)
+    last = aisles[-1] + 0.5
+    along = sorted([*crossings, *stores])
+    junctions += [(x, last) for x in along] + [(x, 62.5) for x in stores]
+    passages += [(top + k, top + k + 1) for k in range(len(along) - 1)]
+    passages += [(top - across + k, top + along.index(x)) for k, x in enumerate(crossings)]
+    passages += [(top + along.index(x), top + len(along) + k) for k, x in enumerate(stores)]
+    return np.array(junctions), passages
 
 
 WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
@@ -125,7 +309,7 @@ WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
 """The worlds that are always the same, by name."""
 
 DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProxyType({
-    "random": _random, "equal_rooms": equal_rooms, "symmetric": symmetric, "bare_corridors": bare_corridors,
+    "random": random_building, "equal_rooms": equal_rooms, "symmetric": symmetric, "bare_corridors": bare_corridors,
     "moved_furniture": moved_furniture, "campus": campus, "fleet": fleet,
 })  # fmt: skip
 """Kinds of worlds of which each seed draws another, by name."""

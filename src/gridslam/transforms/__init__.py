@@ -1,7 +1,6 @@
 """Which frame lies where, and when: the tree of links that a robot publishes."""
 
-from gridslam.transforms.buffer import TransformBuffer
-from gridslam.transforms.link import LinkStatistics
-from gridslam.transforms.missing import Coverage, MissingTransform
+from gridslam.transforms.buffer import MissingTransform, TransformBuffer
+from gridslam.transforms.link import Coverage
 
-__all__ = ["Coverage", "LinkStatistics", "MissingTransform", "TransformBuffer"]
+__all__ = ["Coverage", "MissingTransform", "TransformBuffer"]

@@ -5,26 +5,39 @@ It never extrapolates; the error names the missing link.
 
 from __future__ import annotations
 
-from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, GridslamError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.rigid import Rigid
-from gridslam.transforms.chain import Chain
-from gridslam.transforms.link import Link, LinkStatistics
-from gridslam.transforms.missing import Coverage, MissingTransform, named
+from gridslam.transforms.link import Chain, Coverage, Link
 
-__all__ = ["TransformBuffer"]
+__all__ = ["MissingTransform", "TransformBuffer"]
 
 FloatArray = NDArray[np.float64]
 
-_CHAINS_KEPT = 1000
+_MAX_CHAINS = 1000
+_MAX_NAMES = 8
+
+
+@final
+class MissingTransform(GridslamError):  # noqa: N818 - the name states what is missing
+    """A transform that was asked for is not known at its stamp.
+
+    Attributes
+    ----------
+    coverage : Coverage
+        Why; never KNOWN.
+    """
+
+    def __init__(self, target: str, source: str, stamp_ns: int, coverage: Coverage, reason: str) -> None:
+        super().__init__(f"no transform from '{source}' to '{target}' at {stamp_ns / 1e9:.3f} s: {reason}")
+        self.coverage = coverage
 
 
 @final
@@ -32,9 +45,9 @@ class TransformBuffer:
     """Links between frames, each over its last `keep_s` seconds; a frame with a leading "/" is the one without.
 
     Between two readings a link is interpolated, however far they are apart within `keep_s`. A static link holds at
-    every stamp; one that comes as static and as dynamic is dynamic. Readings may come late and twice: see
-    `LinkStatistics`. Where the stamps of a link jump back by more than `keep_s` and stay there, as in a log that was
-    played twice, it restarts; a shorter jump leads to stamps that are known, and the first value there stays.
+    every stamp; one that comes as static and as dynamic is dynamic. Readings may come late and twice: the first one of
+    a stamp stays, and of a static link the last. Where the stamps of a link jump back by more than `keep_s` and stay
+    there, as in a log that was played twice, it restarts; a shorter jump leads to stamps that are known.
 
     Frames may form several trees, one for each robot. A frame may have several parents, by error or because it was
     handed over: all links stand side by side, and of several ways the one of fewest links is taken, and of those the
@@ -45,56 +58,16 @@ class TransformBuffer:
     ----------
     keep_s : float, s
         Finite and > 0. Bounds the memory, and how long a reader can wait for a reading that comes late.
-
-    Attributes
-    ----------
-    refused : Counter of str
-        Links that no tree can hold, left out: of a frame to itself, of a frame without a name.
-    ambiguous : list of (str, str)
-        Parent and child of links that joined frames which were joined already: cycles and second parents.
     """
 
     def __init__(self, keep_s: float = 10.0) -> None:
         if not 0.0 < keep_s < np.inf:
             raise ArgumentError("keep_s", "a finite time > 0 s", keep_s)
-        self.refused: Counter[str] = Counter()
-        self.ambiguous: list[tuple[str, str]] = []
         self._keep_ns = round(keep_s * 1e9)
         self._links: dict[tuple[str, str], Link] = {}
         self._around: dict[str, list[Link]] = {}
-        self._spelled: dict[tuple[str, str], Link] = {}  # by the names as they were given
         self._chains: dict[tuple[str, str], Chain | None] = {}
-
-    def add(
-        self,
-        parent: str,
-        child: str,
-        stamp_ns: int,
-        parent_from_child: ArrayLike,
-        static: bool = False,
-        publisher: str = "",
-    ) -> None:
-        """Take one reading of a link.
-
-        Parameters
-        ----------
-        parent, child : str
-            Frames.
-        stamp_ns : int
-            When, ns; of no matter for a static link.
-        parent_from_child : (4, 4) float64
-            Homogeneous transform, m.
-        static : bool
-            Whether it holds at all times.
-        publisher : str, optional
-            Name of the publisher, for the statistics.
-
-        Raises
-        ------
-        ArgumentError
-            If the transform is not rigid.
-        """
-        self._add(parent, child, stamp_ns, rigid.from_matrix(parent_from_child), static, publisher)
+        self._has_cycles = False
 
     def add_quaternion(
         self,
@@ -104,189 +77,144 @@ class TransformBuffer:
         translation: Sequence[float],
         xyzw: Sequence[float],
         static: bool = False,
-        publisher: str = "",
     ) -> None:
-        """Take a reading as `add` does, of a translation (3,) in m and a quaternion (4,) as they stand in a message.
+        """Take one reading of a link.
 
-        Five times faster than by way of a matrix. Raises ArgumentError if a value is not finite or the quaternion is
-        not of norm 1.
+        Parameters
+        ----------
+        parent, child : str
+            Frames.
+        stamp_ns : int
+            When, ns; of no matter for a static link.
+        translation : (3,), m
+            Position of the child in the parent.
+        xyzw : (4,)
+            Its orientation, a quaternion of norm 1.
+        static : bool
+            Whether it holds at all times.
+
+        Raises
+        ------
+        ArgumentError
+            A value is not finite, the quaternion is not of norm 1, or no tree can hold the link: of a frame to itself,
+            or of a frame without a name.
         """
-        self._add(parent, child, stamp_ns, rigid.from_quaternion(translation, xyzw), static, publisher)
+        motion = rigid.from_quaternion(translation, xyzw)
+        link = self._link(_bare(parent), _bare(child))
+        changed = link.fix(motion) if static else link.add(stamp_ns, motion)
+        if changed:
+            self._chains.clear()
 
     def lookup(self, target: str, source: str, stamp_ns: int) -> FloatArray:
         """Transform target_from_source (4, 4) at a stamp in ns; raises MissingTransform where it is not known."""
-        return rigid.to_matrix(self._motion(target, source, stamp_ns))
+        return rigid.to_matrix(self._motion(_bare(target), _bare(source), stamp_ns))
 
     def planar(self, target: str, source: str, stamp_ns: int) -> FloatArray:
         """Pose (3,) = [x m, y m, yaw rad] of `source` in `target` seen from above, as `se3.to_planar` of `lookup`.
 
         Raises MissingTransform where it is not known, ArgumentError where the x axis of `source` is vertical.
         """
-        x, y, yaw = rigid.planar(self._motion(target, source, stamp_ns))
+        x, y, yaw = rigid.planar(self._motion(_bare(target), _bare(source), stamp_ns))
         return np.array((x, y, wrap(yaw)))
-
-    def covers(self, target: str, source: str, stamp_ns: int) -> Coverage:
-        """Whether `lookup` knows the transform, or a reader may wait for it."""
-        chain = self._chain_at(target, source, stamp_ns)
-        return Coverage.NOT_CONNECTED if chain is None else chain.lacking(stamp_ns)[0]
-
-    def is_static(self, target: str, source: str) -> bool:
-        """Whether the frames are joined, and by static links alone: the transform is then the same at every stamp."""
-        chain = self._chain(target, source)
-        return chain is not None and chain.fixed
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of all frames, in the order in which they came."""
-        return tuple(self._around)
-
-    @property
-    def links(self) -> dict[tuple[str, str], LinkStatistics]:
-        """What was met at each link, by its parent and child."""
-        return {ends: link.statistics for ends, link in self._links.items()}
-
-    @property
-    def several_parents(self) -> dict[str, tuple[str, ...]]:
-        """Parents of each frame that has more than one."""
-        parents: dict[str, list[str]] = {}
-        for parent, child in self._links:
-            parents.setdefault(child, []).append(parent)
-        return {child: tuple(names) for child, names in parents.items() if len(names) > 1}
 
     def __len__(self) -> int:
         """Return the number of readings kept, a static link counting as one."""
         return sum(len(link) for link in self._links.values())
 
-    def _add(self, parent: str, child: str, stamp_ns: int, motion: Rigid, static: bool, publisher: str) -> None:
-        link = self._spelled.get((parent, child)) or self._link(parent, child)
+    def _link(self, parent: str, child: str) -> Link:
+        """Link between two frames, a new one where there is none."""
+        link = self._links.get((parent, child))
         if link is None:
-            return
-        if publisher:
-            link.statistics.publishers.add(publisher)
-        if static:
-            if link.fix(motion):
-                self._chains.clear()
-            return
-        if link.fixed is not None:  # it moves after all
-            link.fixed = None
-            link.statistics.contradicted += 1
-            self._chains.clear()
-        link.add(stamp_ns, motion)
-
-    def _link(self, parent: str, child: str) -> Link | None:
-        """Link between frames as they are spelled, a new one where there is none; None where there cannot be one."""
-        above, below = _bare(parent), _bare(child)
-        if above == below or not above or not below:
-            self.refused[f"'{below}' in '{above}'"] += 1
-            return None
-        link = self._links.get((above, below))
-        if link is None:
-            if above in self._around and below in self._around and self._way(above, below) is not None:
-                self.ambiguous.append((above, below))
-            link = self._links[above, below] = Link(above, below, self._keep_ns)
-            for frame in (above, below):
+            if parent == child or not parent or not child:
+                raise ArgumentError("child", "two frames, each with a name", f"'{child}' in '{parent}'")
+            self._has_cycles |= child in self._reach(parent)
+            link = self._links[parent, child] = Link(parent, child, self._keep_ns)
+            for frame in (parent, child):
                 self._around.setdefault(frame, []).append(link)
             self._chains.clear()
-        self._spelled[parent, child] = link
         return link
 
     def _motion(self, target: str, source: str, stamp_ns: int) -> Rigid:
         chain = self._chain_at(target, source, stamp_ns)
-        motion = None if chain is None else chain.at(stamp_ns)
-        if motion is None:
-            raise self._missing(_bare(target), _bare(source), stamp_ns, chain)
-        return motion
-
-    def _chain(self, target: str, source: str) -> Chain | None:
-        """Shortest chain, made once until a link is added."""
-        key = target, source
-        if key not in self._chains:
-            if len(self._chains) >= _CHAINS_KEPT:
-                self._chains.clear()
-            links = self._way(_bare(target), _bare(source))
-            self._chains[key] = None if links is None else Chain(_bare(target), links)
-        return self._chains[key]
+        if chain is None:
+            unknown = [frame for frame in (source, target) if frame not in self._around]
+            if unknown:
+                reason = f"no link names {_list(unknown)}; the frames are {_list(list(self._around))}"
+            else:
+                source_tree = _list(list(self._reach(source)))
+                target_tree = _list(list(self._reach(target)))
+                reason = f"the frames are not connected: {source_tree} are one tree, {target_tree} another"
+            raise MissingTransform(target, source, stamp_ns, Coverage.NOT_CONNECTED, reason)
+        coverage, link = chain.lacking(stamp_ns)
+        if link is None:
+            return chain.at(stamp_ns)
+        late = coverage is Coverage.NOT_YET
+        known_ns = link.stamps_ns[-1 if late else 0]
+        apart = f"{abs(known_ns - stamp_ns) / 1e9:.3g} s {'before' if late else 'after'}"
+        raise MissingTransform(
+            target,
+            source,
+            stamp_ns,
+            coverage,
+            f"of the chain {' <- '.join(chain.frames)} the link {link.parent} <- {link.child} "
+            f"is known only {'until' if late else 'from'} {known_ns / 1e9:.3f} s, {apart}",
+        )
 
     def _chain_at(self, target: str, source: str, stamp_ns: int) -> Chain | None:
-        """Shortest chain, or the one that replaced it at this stamp."""
-        chain = self._chain(target, source)
-        if chain is None or not self.ambiguous or chain.lacking(stamp_ns)[0] is Coverage.KNOWN:
+        """Chain of fewest links, or the one that replaced it at this stamp; None where the frames are not connected."""
+        key = target, source
+        if key not in self._chains:
+            if len(self._chains) >= _MAX_CHAINS:
+                self._chains.clear()
+            self._chains[key] = self._find_chain(target, source)
+        chain = self._chains[key]
+        if chain is None or not self._has_cycles or chain.lacking(stamp_ns)[0] is Coverage.KNOWN:
             return chain
         latest = max((link.stamps_ns[-1] for link in self._links.values() if link.stamps_ns), default=stamp_ns)
 
-        def alive(link: Link) -> bool:
+        def is_alive(link: Link) -> bool:
             coverage = link.coverage(stamp_ns)
             silent = coverage is Coverage.NOT_YET and link.stamps_ns[-1] < latest - self._keep_ns
             return coverage is not Coverage.TOO_EARLY and not silent
 
-        links = self._way(_bare(target), _bare(source), alive)
-        return chain if links is None else Chain(_bare(target), links)
+        return self._find_chain(target, source, is_alive) or chain
 
-    def _way(self, target: str, source: str, alive: Callable[[Link], bool] | None = None) -> list[Link] | None:
-        """Fewest links from one frame to another, breadth first; None where they are not connected."""
-        if target == source:
-            return []
-        if target > source:  # of several ways the same one, there and back
-            back = self._way(source, target, alive)
-            return None if back is None else back[::-1]
+    def _find_chain(
+        self, target: str, source: str, is_alive: Callable[[Link], bool] = lambda link: True
+    ) -> Chain | None:
+        """Chain of fewest links; None where the frames are not connected."""
+        end, begin = sorted((target, source))  # of several ways the same one, there and back
+        reached = self._reach(begin, is_alive)
+        if end not in reached:
+            return None
+        links = []
+        frame = end
+        while (step := reached[frame]) is not None:
+            frame, link = step
+            links.append(link)
+        return Chain(target, links if target == end else links[::-1])
+
+    def _reach(
+        self, source: str, is_alive: Callable[[Link], bool] = lambda link: True
+    ) -> dict[str, tuple[str, Link] | None]:
+        """Frames connected with one, itself first, each with the one before and the link between, breadth first."""
         reached: dict[str, tuple[str, Link] | None] = {source: None}
-        queue = deque([source])
-        while queue:
-            frame = queue.popleft()
+        queue = [source]
+        for frame in queue:
             for link in self._around.get(frame, ()):
                 other = link.child if link.parent == frame else link.parent
-                if other in reached or not (alive is None or alive(link)):
-                    continue
-                reached[other] = frame, link
-                if other == target:
-                    return _traced(reached, target)
-                queue.append(other)
-        return None
-
-    def _tree(self, frame: str) -> list[str]:
-        """Frames connected with one, itself first."""
-        tree = {frame: None}
-        queue = deque([frame])
-        while queue:
-            for link in self._around[queue.popleft()]:
-                for other in (link.parent, link.child):
-                    if other not in tree:
-                        tree[other] = None
-                        queue.append(other)
-        return list(tree)
-
-    def _missing(self, target: str, source: str, stamp_ns: int, chain: Chain | None) -> MissingTransform:
-        coverage, link = (Coverage.NOT_CONNECTED, None) if chain is None else chain.lacking(stamp_ns)
-        if chain is None or link is None:
-            unknown = [frame for frame in (source, target) if frame not in self._around]
-            if unknown:
-                reason = f"no link names {named(unknown)}; the frames are {named(self.frames)}"
-            else:
-                trees = named(self._tree(source)), named(self._tree(target))
-                reason = f"the frames are not connected: {trees[0]} are one tree, {trees[1]} another"
-            return MissingTransform(target, source, stamp_ns, coverage, reason)
-        late = coverage is Coverage.NOT_YET
-        known_ns = link.stamps_ns[-1 if late else 0]
-        when = "until" if late else "from"
-        apart = f"{abs(known_ns - stamp_ns) / 1e9:.3g} s {'before' if late else 'after'}"
-        reason = (
-            f"of the chain {' <- '.join(chain.frames)} the link {link.parent} <- {link.child} "
-            f"is known only {when} {known_ns / 1e9:.3f} s, {apart}"
-        )
-        ends = link.parent, link.child
-        return MissingTransform(target, source, stamp_ns, coverage, reason, chain=chain.frames, link=ends)
+                if other not in reached and is_alive(link):
+                    reached[other] = frame, link
+                    queue.append(other)
+        return reached
 
 
 def _bare(frame: str) -> str:
     return frame.lstrip("/")
 
 
-def _traced(reached: dict[str, tuple[str, Link] | None], target: str) -> list[Link]:
-    """Links from the target back to where the search began."""
-    links: list[Link] = []
-    step = reached[target]
-    while step is not None:
-        frame, link = step
-        links.append(link)
-        step = reached[frame]
-    return links
+def _list(frames: Sequence[str]) -> str:
+    """List frames: quoted, and if there are many, the first ones and how many more."""
+    shown = ", ".join(f"'{frame}'" for frame in frames[:_MAX_NAMES])
+    more = len(frames) - _MAX_NAMES
+    return f"{shown} and {more} more" if more > 0 else shown or "none"

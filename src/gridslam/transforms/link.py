@@ -1,60 +1,29 @@
-"""One link of the tree of frames: where a child lies in its parent, at the stamps that are kept."""
+"""One link of the tree of frames, and chains of links: where a frame lies in another, at the stamps that are kept."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass, field
-from typing import final
+from collections.abc import Sequence
+from enum import Enum
+from functools import reduce
+from itertools import groupby
+from typing import NamedTuple, final
 
 from gridslam.geometry import rigid
 from gridslam.geometry.rigid import Rigid
-from gridslam.transforms.missing import Coverage
 
-__all__ = ["Link", "LinkStatistics"]
+__all__ = ["Chain", "Coverage", "Link"]
+
+_IDENTITY: Rigid = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-@final
-@dataclass(slots=True)
-class LinkStatistics:
-    """What was met at one link since the beginning.
+class Coverage(Enum):
+    """What is known of a transform at a stamp."""
 
-    Attributes
-    ----------
-    readings : int
-        All that came, the left-out ones too.
-    first_stamp_ns, last_stamp_ns : int or None
-        Least and greatest stamp of a dynamic reading that was taken; None where there is none.
-    repeated, contradicted : int
-        Readings at a stamp that was known: with the same value, or with another one. The first stays; of a static
-        link the last. Static readings of a link that moves contradict too. Contradictions indicate two publishers.
-    late : int
-        Readings that came after one of a later stamp, and were put in their place.
-    strays : int
-        Single readings from more than the time kept before the latest: left out.
-    restarts : int
-        Times that the stamps jumped back by more than the time kept and stayed there; the link was restarted.
-    publishers : set of str
-        Names of its publishers, if known.
-    """
-
-    readings: int = 0
-    first_stamp_ns: int | None = None
-    last_stamp_ns: int | None = None
-    repeated: int = 0
-    contradicted: int = 0
-    late: int = 0
-    strays: int = 0
-    restarts: int = 0
-    publishers: set[str] = field(default_factory=set)
-
-    def taken(self, stamp_ns: int) -> None:
-        """Note a reading that was taken."""
-        if self.first_stamp_ns is None or self.last_stamp_ns is None:
-            self.first_stamp_ns = self.last_stamp_ns = stamp_ns
-        elif stamp_ns > self.last_stamp_ns:
-            self.last_stamp_ns = stamp_ns
-        elif stamp_ns < self.first_stamp_ns:
-            self.first_stamp_ns = stamp_ns
+    KNOWN = "known"
+    NOT_YET = "after the last reading of a link: it may come"
+    TOO_EARLY = "before the first reading of a link that is kept: it will not come"
+    NOT_CONNECTED = "no chain of links joins the frames so far"
 
 
 @final
@@ -64,13 +33,13 @@ class Link:
     `fixed` is the value of a static link, None for a dynamic one.
     """
 
-    __slots__ = ("_keep_ns", "_motions", "_stray", "child", "fixed", "parent", "stamps_ns", "statistics")
+    __slots__ = ("_keep_ns", "_motions", "_stray", "child", "fixed", "parent", "stamps_ns")
 
     def __init__(self, parent: str, child: str, keep_ns: int) -> None:
-        self.parent, self.child = parent, child
+        self.parent = parent
+        self.child = child
         self.fixed: Rigid | None = None
         self.stamps_ns: list[int] = []
-        self.statistics = LinkStatistics()
         self._keep_ns = keep_ns
         self._motions: list[Rigid] = []
         self._stray: tuple[int, Rigid] | None = None
@@ -80,31 +49,34 @@ class Link:
         return len(self.stamps_ns) or 1
 
     def fix(self, motion: Rigid) -> bool:
-        """Add a static reading; return whether it changed the link; one that moves stays dynamic."""
-        self.statistics.readings += 1
-        changed = motion != self.fixed
-        self.statistics.repeated += not changed
-        self.statistics.contradicted += changed and (self.fixed is not None or bool(self.stamps_ns))
-        if changed and not self.stamps_ns:
-            self.fixed = motion
-            return True
-        return False
+        """Set the value of a static link, and return whether it changed; a link that moves stays dynamic."""
+        if self.stamps_ns or motion == self.fixed:
+            return False
+        self.fixed = motion
+        return True
 
-    def add(self, stamp_ns: int, motion: Rigid) -> None:
-        """Add a dynamic reading, or skip it as described in `LinkStatistics`."""
-        stamps, statistics = self.stamps_ns, self.statistics
-        statistics.readings += 1
-        if stamps and stamp_ns <= stamps[-1]:
-            self._add_back(stamp_ns, motion)
-            return
-        stamps.append(stamp_ns)
-        self._motions.append(motion)
-        self._stray = None
-        statistics.taken(stamp_ns)
-        oldest = stamp_ns - self._keep_ns
-        if stamps[0] < oldest:
-            gone = bisect_left(stamps, oldest)
+    def add(self, stamp_ns: int, motion: Rigid) -> bool:
+        """Add a dynamic reading, and return whether the link was static before.
+
+        The first reading of a stamp stays. One that is older than those kept is left out; a second one from that past
+        restarts the link there: one alone is an error, two are a clock that was set back.
+        """
+        was_static = self.fixed is not None
+        self.fixed = None
+        stamps = self.stamps_ns
+        if stamps and stamp_ns < stamps[-1] - self._keep_ns:
+            self._add_stray(stamp_ns, motion)
+            return was_static
+        place = bisect_left(stamps, stamp_ns)
+        if stamp_ns in stamps[place : place + 1]:
+            return was_static
+        stamps.insert(place, stamp_ns)
+        self._motions.insert(place, motion)
+        if place == len(stamps) - 1:
+            self._stray = None
+            gone = bisect_left(stamps, stamp_ns - self._keep_ns)
             del stamps[:gone], self._motions[:gone]
+        return was_static
 
     def coverage(self, stamp_ns: int) -> Coverage:
         """Whether the link is known at a stamp."""
@@ -113,48 +85,71 @@ class Link:
             return Coverage.KNOWN
         return Coverage.TOO_EARLY if stamp_ns < stamps[0] else Coverage.NOT_YET
 
-    def at(self, stamp_ns: int) -> Rigid | None:
-        """Value of a dynamic link at a stamp, interpolated; None outside the readings kept."""
-        stamps = self.stamps_ns
-        after = bisect_left(stamps, stamp_ns)
-        if after == len(stamps):
-            return None
-        end = stamps[after]
+    def at(self, stamp_ns: int) -> Rigid:
+        """Value at a stamp at which the link is known, interpolated between two readings."""
+        if self.fixed is not None:
+            return self.fixed
+        after = bisect_left(self.stamps_ns, stamp_ns)
+        end = self.stamps_ns[after]
         if end == stamp_ns:
             return self._motions[after]
-        if after == 0:
-            return None
-        start = stamps[after - 1]
+        start = self.stamps_ns[after - 1]
         fraction = (stamp_ns - start) / (end - start)
         return rigid.interpolate(self._motions[after - 1], self._motions[after], fraction)
 
-    def _add_back(self, stamp_ns: int, motion: Rigid) -> None:
-        """Take a reading that is not later than the latest."""
-        stamps, statistics = self.stamps_ns, self.statistics
-        if stamp_ns < stamps[-1] - self._keep_ns:
-            self._add_far_back(stamp_ns, motion)
-            return
-        place = bisect_left(stamps, stamp_ns)
-        if stamps[place] == stamp_ns:
-            same = self._motions[place] == motion
-            statistics.repeated += same
-            statistics.contradicted += not same
-            return
-        stamps.insert(place, stamp_ns)
-        self._motions.insert(place, motion)
-        statistics.late += 1
-        statistics.taken(stamp_ns)
-
-    def _add_far_back(self, stamp_ns: int, motion: Rigid) -> None:
-        """Restart at the second consecutive reading from the same past: one alone is an error, two are a clock."""
-        stray, statistics = self._stray, self.statistics
+    def _add_stray(self, stamp_ns: int, motion: Rigid) -> None:
+        stray = self._stray
         if stray is None or not 0 < stamp_ns - stray[0] <= self._keep_ns:
             self._stray = (stamp_ns, motion)
-            statistics.strays += 1
             return
-        statistics.strays -= 1
-        statistics.restarts += 1
         self.stamps_ns[:] = [stray[0], stamp_ns]
         self._motions[:] = [stray[1], motion]
         self._stray = None
-        statistics.taken(stray[0])
+
+
+class _Step(NamedTuple):
+    """A link of a chain, which may lead up, from child to parent."""
+
+    link: Link
+    up: bool
+
+    def at(self, stamp_ns: int) -> Rigid:
+        motion = self.link.at(stamp_ns)
+        return rigid.inverse(motion) if self.up else motion
+
+
+@final
+class Chain:
+    """The way from `target` over `links` to a source frame.
+
+    Static links that follow each other are composed once. Valid until a link is added or a static one changes.
+    """
+
+    __slots__ = ("_moving", "_parts", "frames")
+
+    def __init__(self, target: str, links: Sequence[Link]) -> None:
+        frames = [target]
+        steps = []
+        for link in links:
+            up = link.child == frames[-1]
+            frames.append(link.parent if up else link.child)
+            steps.append(_Step(link, up))
+        self.frames = tuple(frames)
+        self._moving = [link for link in links if link.fixed is None]
+        self._parts: list[Rigid | _Step] = []
+        for is_static, group in groupby(steps, lambda step: step.link.fixed is not None):
+            if is_static:
+                self._parts.append(reduce(rigid.compose, (step.at(0) for step in group)))
+            else:
+                self._parts += group
+
+    def at(self, stamp_ns: int) -> Rigid:
+        """Motion target_from_source at a stamp at which all links are known."""
+        motions = [part.at(stamp_ns) if isinstance(part, _Step) else part for part in self._parts]
+        return reduce(rigid.compose, motions or [_IDENTITY])
+
+    def lacking(self, stamp_ns: int) -> tuple[Coverage, Link | None]:
+        """Whether it is known at a stamp, and which link is not: one that will not come before one that may."""
+        found = [(link.coverage(stamp_ns), link) for link in self._moving]
+        lacking = [(coverage, link) for coverage, link in found if coverage is not Coverage.KNOWN]
+        return min(lacking, key=lambda pair: pair[0] is Coverage.NOT_YET, default=(Coverage.KNOWN, None))

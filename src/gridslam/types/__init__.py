@@ -17,8 +17,17 @@ from gridslam.scan import (
 )
 from gridslam.types.grid import GridRows, OccupancyGrid
 from gridslam.types.protocols import DistanceMaps, MotionModel, MotionSampler, Resampler, ScanLikelihood, SensorModel
-from gridslam.types.values import Match, Odometry, SkipReason, StepReport, Trajectory, require_measurement, require_step
-from gridslam.types.words import describe_pose, describe_time
+from gridslam.types.values import (
+    Match,
+    Odometry,
+    SkipReason,
+    StepReport,
+    Trajectory,
+    describe_pose,
+    describe_time,
+    require_measurement,
+    require_step,
+)
 
 __all__ = [
     "BeamEnds",

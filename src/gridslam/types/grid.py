@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -12,9 +14,8 @@ from numpy.typing import NDArray
 from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray
-from gridslam.types.png import encode_grey
 
-__all__ = ["GridRows", "OccupancyGrid"]
+__all__ = ["GridRows", "OccupancyGrid", "encode_grey"]
 
 _UNKNOWN, _MOST_PX = 205, 1000
 
@@ -113,3 +114,19 @@ def _darkest(levels: FloatArray) -> FloatArray:
     height, width = (side // block for side in padded.shape)
     least: FloatArray = padded.reshape(height, block, width, block).min(axis=(1, 3))
     return least
+
+
+def encode_grey(pixels: NDArray[np.uint8]) -> bytes:
+    """PNG of brightnesses (H, W), both at least 1, the first row at the top.
+
+    Source: PNG specification, third edition, sections 5.2 to 5.6, 9.2 and 11.2.
+    """
+    height, width = pixels.shape
+    lines = np.pad(pixels, [(0, 0), (1, 0)])  # each line begins with its filter: 0, none
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -13,9 +13,29 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import freeze, require_array, require_covariance, require_generator, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.scan import FloatArray, IntArray, LaserScan
-from gridslam.types.words import describe_pose, describe_time
 
-__all__ = ["Match", "Odometry", "SkipReason", "StepReport", "Trajectory", "require_measurement", "require_step"]
+__all__ = [
+    "Match",
+    "Odometry",
+    "SkipReason",
+    "StepReport",
+    "Trajectory",
+    "describe_pose",
+    "describe_time",
+    "require_measurement",
+    "require_step",
+]
+
+
+def describe_time(stamp_ns: int) -> str:
+    """A stamp in seconds, to the millisecond."""
+    return f"{stamp_ns * 1e-9:.3f} s"
+
+
+def describe_pose(pose: FloatArray) -> str:
+    """A pose (3,), to the millimetre and the tenth of a milliradian."""
+    x, y, theta = pose.tolist()
+    return f"x {x:.3f} m, y {y:.3f} m, theta {theta:.4f} rad"
 
 
 @final

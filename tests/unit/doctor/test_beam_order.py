@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.doctor.beam_order import BeamOrder, BeamTimes
+from gridslam.doctor.beam_times import BeamTimes
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.types import LaserScan, ScanGeometry
 
 HALF_TURN = ScanGeometry(np.linspace(-math.pi / 2, math.pi / 2, 180, endpoint=False))
@@ -23,8 +24,8 @@ def order_of(swept, noise=0.0, count=60, loss=0.05):
     """Shares that fall with the square of how far a presumption is from the truth."""
     rng, order = np.random.default_rng(0), BeamOrder()
     for _ in range(count):
-        shares = 0.9 - loss * np.square(np.array([0.0, 1.0, -1.0]) - swept) + rng.normal(0, noise, 3)
-        order.add(shares)
+        shares = 0.9 - loss * np.square(np.array([1.0, 0.0, -1.0]) - swept) + rng.normal(0, noise, 3)
+        order = order.add(*shares)
     return order
 
 

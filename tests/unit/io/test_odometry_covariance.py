@@ -11,8 +11,9 @@ from gridslam.api.conversion import convert_log
 from gridslam.geometry.compounding import compound_covariance, increment_covariance
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.bags.bag import BagLog
-from gridslam.io.bags.odometry_covariance import CovarianceSum, PoseCovariances
+from gridslam.io.bags.odometry_covariance import PoseCovariances
 from gridslam.io.log import LogOptions, open_log
+from gridslam.io.selection import CovarianceSum
 from gridslam.types import Odometry
 from support import ros_bags
 from support.ros_bags import KINDS, drive

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.grid.evidence import Evidence
+from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import TILE, UNKNOWN
 from gridslam.live.protocol import levels

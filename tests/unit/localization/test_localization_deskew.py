@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.localization.deskew import LocalizationDeskew
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.types import Beams, LaserScan, ScanGeometry
 from support.localization_world import flat, flat_map
@@ -38,7 +38,8 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
         def share(one: Beams) -> float:
             return 0.6 + gains[next(k for k, known in ends.items() if np.array_equal(one.ends, known))]
 
-        return LocalizationDeskew()(beams, np.array([0, 0, turn_rps]), share).ends
+        twist = np.array([0, 0, turn_rps])
+        return beams.deskew(BeamOrder().learn(beams, twist, share).best(0.05) * twist).ends
 
     for gains, order in (
         ({1: 0, 0: 0, -1: 0}, 1), ({1: 0, 0: 0.04, -1: 0.04}, 1), ({1: 0, 0: 0.1, -1: 0.2}, -1),
@@ -49,9 +50,12 @@ def test_turning_scans_are_straightened_by_the_order_that_fits():
     np.testing.assert_array_equal(straightened({}, 0.19), beams.deskew(slow).ends)
 
 
-def heading_rmse(known, log, order, deskew):
+def heading_rmse(known, log, order, margin):
     """Of the pose that is told, in rad, where the driver tells `order` times the times of beams."""
-    mcl, rng = MonteCarloLocalization(known, MonteCarloConfiguration(deskew=deskew)), np.random.default_rng(0)
+    mcl, rng = (
+        MonteCarloLocalization(known, MonteCarloConfiguration(beam_order_margin=margin)),
+        np.random.default_rng(0),
+    )
     state, off = mcl.init_gaussian(log.truth.poses[0], np.diag([0.04, 0.04, 0.01]), rng), []
     for (odometry, scan), truth in zip(log.measurements, log.truth.poses, strict=True):
         told = replace(scan, beam_times_s=order * scan.beam_times_s)
@@ -62,7 +66,6 @@ def heading_rmse(known, log, order, deskew):
 
 def test_times_that_a_driver_tells_backward_do_not_turn_the_pose(known, log):
     """At 1 rad/s a scan of 0.15 s is bent by 0.15 rad, and by as much again where it is straightened the wrong way."""
-    believing = LocalizationDeskew(margin=1.0)
-    assert heading_rmse(known, log, -1.0, believing) > 0.05
-    assert heading_rmse(known, log, -1.0, LocalizationDeskew()) < 0.02
-    assert heading_rmse(known, log, 1.0, LocalizationDeskew()) < 1.1 * heading_rmse(known, log, 1.0, believing)
+    assert heading_rmse(known, log, -1.0, 1.0) > 0.05
+    assert heading_rmse(known, log, -1.0, 0.05) < 0.02
+    assert heading_rmse(known, log, 1.0, 0.05) < 1.1 * heading_rmse(known, log, 1.0, 1.0)

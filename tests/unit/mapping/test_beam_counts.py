@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from gridslam.errors import ArgumentError
 from gridslam.kernels.reference_update import ray_cells
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.mapping.beam_counts import BeamCounts
-from gridslam.mapping.counted_map import bayes_map, counting_map
+from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.models import InverseSensorModel
 from gridslam.types import StoredScan
 from support.same_map import assert_same_map

@@ -10,7 +10,8 @@ import pytest
 from gridslam.geometry import se2
 from gridslam.geometry.angles import wrap
 from gridslam.sim.floor_plan import clearance, polyline
-from gridslam.sim.robot import OdometryNoise, RobotConfig, drive, simulate_odometry
+from gridslam.sim.robot import OdometryNoise, RobotConfig, simulate_odometry
+from support.drives import drive
 
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 ROUTE = np.array([(0, 0), (6, 0), (6, 4), (2, 4), (2, 1.5), (2, 3), (0.5, 2.0), (0.5, 1.0)], dtype=float)

@@ -7,11 +7,11 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.sim import Change, World
-from gridslam.sim.deceptive import BARE_CORRIDORS, SYMMETRIC
-from gridslam.sim.equal_rooms import EQUAL_ROOMS
+from gridslam.sim.aliasing import BARE_CORRIDORS, EQUAL_ROOMS, SYMMETRIC
 from gridslam.sim.floor_plan import box, clearance, join, near
-from gridslam.sim.robot import RobotConfig, drive, follow
+from gridslam.sim.robot import RobotConfig
 from gridslam.sim.worlds import WORLDS, make_world
+from support.drives import drive, follow
 
 NAMES = [*((name, 0) for name in WORLDS), *(("random", seed) for seed in range(12))]
 DECEPTIVE = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture", *EQUAL_ROOMS, *SYMMETRIC, *BARE_CORRIDORS]

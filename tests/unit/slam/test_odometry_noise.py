@@ -13,7 +13,7 @@ from gridslam.particles import NeverResample
 from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.tracking.velocity import ConstantVelocity
+from gridslam.slam.tracking.prediction import ConstantVelocity
 from gridslam.types import Odometry
 
 SKEWED = np.array([[4e-4, 1e-4, 2e-5], [1e-4, 2e-4, -1e-5], [2e-5, -1e-5, 9e-4]])

@@ -13,7 +13,7 @@ from gridslam.models import DiffusionMotion
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room, wall
 from gridslam.slam import OdometryTracker, Tracker
-from gridslam.slam.tracking.velocity import widen_motion
+from gridslam.slam.tracking.prediction import widen_motion
 from gridslam.types import LaserScan, Trajectory
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)

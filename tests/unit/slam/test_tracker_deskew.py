@@ -12,7 +12,6 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room
 from gridslam.slam import GridFastSlam, Tracker
-from gridslam.slam.tracking.deskew import TrackerDeskew
 
 BAND_RAD = 0.08
 """Greatest error of the heading. Scans that are taken in an instant leave 0.009 rad; those that take 0.1 s leave 0.06
@@ -58,7 +57,7 @@ def turned_wrong(told, log):
 
 
 def order(state):
-    return TrackerDeskew().find_order(state.sensors["laser"])
+    return state.sensors["laser"].best_order
 
 
 @pytest.mark.parametrize("with_odometry", [True, False])
@@ -67,7 +66,7 @@ def test_a_turning_robots_scans_are_sharpened(skewed, with_odometry):
     told, state = track(Tracker(), log)
     assert turned_wrong(told, skewed).max() < BAND_RAD
     assert order(state) == 1
-    as_they_are, _ = track(Tracker(deskew=None), log)
+    as_they_are, _ = track(Tracker(deskew=False), log)
     assert turned_wrong(as_they_are, skewed).max() > 1.8 * BAND_RAD
 
 
@@ -95,14 +94,14 @@ def test_beam_times_that_are_none_are_noticed():
 
 def test_scans_without_beam_times_are_not_touched():
     log = driven(0.0)
-    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (TrackerDeskew(), None)]
+    runs = [track(Tracker(deskew=deskew), log.measurements)[0] for deskew in (True, False)]
     assert runs[0].tobytes() == runs[1].tobytes()
 
 
 def test_particles_take_the_scan_as_it_was_sharpened(skewed):
     """Mapping the drive from blurred scans leaves more cells occupied: thicker walls."""
     occupied = []
-    for deskew in (TrackerDeskew(), None):
+    for deskew in (True, False):
         slam, rng = GridFastSlam(tracker=Tracker(deskew=deskew)), np.random.default_rng(0)
         (odometry, scan), *rest = skewed.measurements
         state, _ = slam.init(odometry, scan, 3)

@@ -11,16 +11,22 @@ import pytest
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
+from gridslam.matching import GaussNewton
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.slam import Tracker
+from gridslam.slam.tracking import search
+from gridslam.slam.tracking.prediction import Prediction
 from gridslam.slam.tracking.search import OdometrySearch
-from gridslam.slam.tracking.state import Prediction
 from support import hall
 
 PERFECT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SEARCH = OdometrySearch()
-NEVER = OdometrySearch(sparse_period_s=1e6, sparse_step=1e6, blind_period_s=1e6, blind_step=1e6)
+MATCHER = GaussNewton()
+NEVER = OdometrySearch(sparse_period_s=1e6, sparse_step=1e6, blind_step=1e6)
 """No scan is far from the one before it: what the tracker does is what it does at full rate."""
+
+NO_GATES = ((12.0, math.inf),)
+"""Whatever is found about the prediction does not suffice."""
 
 CELL_M = 0.05
 FAR = np.array([0.1, 0.035])
@@ -125,37 +131,37 @@ def states(sparse):
 @pytest.mark.parametrize("turn", [-0.3, 0.3])
 def test_where_the_odometry_turned_too_far_every_scan_is_found(states, turn):
     for state, beams, pose in states:
-        found = SEARCH(state, predicted_off(pose, turn), beams)
+        found = SEARCH(state, predicted_off(pose, turn), beams, MATCHER)
         assert not found.lost
         assert found.matched
         assert (away(found.pose[None], pose[None]) < FAR).all()
 
 
 @pytest.mark.parametrize("turn", [-1.4, 1.4])
-def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_said(states, turn):
+def test_a_turn_that_was_not_counted_at_all_is_found_all_around_or_nothing_is_said(states, turn, monkeypatch):
     """Where nothing lies within the gates; two of three scans see enough of what is mapped to be found again so.
 
-    A place that claims `global_inlier_ratio` of the beams is the right one.
+    A place with which 0.8 of the beams agree is the right one.
     """
-    around = OdometrySearch(gate_sigmas=(), inlier_gains=())
+    monkeypatch.setattr(search, "_GATES", NO_GATES)
     right = 0
     for state, beams, pose in states:
-        found = around(state, predicted_off(pose, turn), beams)
+        found = SEARCH(state, predicted_off(pose, turn), beams, MATCHER)
         if found.lost:
             assert found.inlier_ratio == 0
             np.testing.assert_array_equal(found.pose, predicted_off(pose, turn).pose)
         else:
-            assert found.inlier_ratio >= around.global_inlier_ratio
+            assert found.inlier_ratio >= 0.8
             assert (away(found.pose[None], pose[None]) < FAR).all()
             right += 1
     assert right > 0.66 * len(states)
 
 
-def test_a_half_turn_is_not_believed(states):
+def test_a_half_turn_is_not_believed(states, monkeypatch):
     """Corridors and rooms look alike after one, and wheels do not miss so much."""
-    around = OdometrySearch(gate_sigmas=(), inlier_gains=())
+    monkeypatch.setattr(search, "_GATES", NO_GATES)
     for state, beams, pose in states:
-        found = around(state, predicted_off(pose, math.pi), beams)
+        found = SEARCH(state, predicted_off(pose, math.pi), beams, MATCHER)
         assert found.lost or not (away(found.pose[None], pose[None]) < FAR).all()
 
 
@@ -169,7 +175,7 @@ def test_how_far_is_searched_follows_from_what_the_odometry_has_been_worth(state
             state.odometry_errors, segments=50.0, variances=np.array([errors_m**2, 0.02**2])
         )
         prediction = predicted_off(compose(pose, np.array([1.3, 0.0, 0.0])), 0.0)
-        found.append((away(SEARCH(state, prediction, beams).pose[None], pose[None]) < FAR).all())
+        found.append((away(SEARCH(state, prediction, beams, MATCHER).pose[None], pose[None]) < FAR).all())
     assert np.mean(found) > 0.66 if errors_m > 0.1 else np.mean(found) < 0.1
 
 
@@ -189,7 +195,7 @@ def test_odometry_is_given_up_for_velocities_only_where_scans_come_often(sparse,
 @pytest.mark.parametrize("turn", [-1.4, 1.4])
 def test_a_poor_place_near_the_prediction_does_not_hide_the_right_one(states, turn):
     """With the usual gates, too: what is found within them may be no more than a wall that is parallel."""
-    found = [SEARCH(state, predicted_off(pose, turn), beams) for state, beams, pose in states]
+    found = [SEARCH(state, predicted_off(pose, turn), beams, MATCHER) for state, beams, pose in states]
     right = sum((away(f.pose[None], pose[None]) < FAR).all() for f, (_, _, pose) in zip(found, states, strict=True))
     assert right > 0.66 * len(states)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, GridslamError
-from gridslam.geometry import se2, se3
+from gridslam.geometry import rigid, se2, se3
 from gridslam.transforms import Coverage, MissingTransform, TransformBuffer
 
 S = 1_000_000_000
@@ -21,20 +22,24 @@ def pose(x=0.0, y=0.0, theta=0.0):
     return se3.from_planar([x, y, theta])
 
 
+def add(buffer, parent, child, stamp_ns, parent_from_child, static=False):
+    motion = rigid.from_matrix(parent_from_child)
+    buffer.add_quaternion(parent, child, stamp_ns, motion[:3], motion[3:], static)
+
+
 def robot(keep_s=10.0):
     """A robot that drives 1 m/s and turns 0.1 rad/s, with a laser upside down; odometry at 0, 1, .. 5 s."""
     buffer = TransformBuffer(keep_s)
     for second in range(6):
-        buffer.add("odom", "base_footprint", second * S, pose(second, 0, 0.1 * second))
-    buffer.add("base_footprint", "base_link", 0, se3.from_quaternion([0, 0, 0.05], [0, 0, 0, 1]), static=True)
-    buffer.add("base_link", "laser", 0, UPSIDE_DOWN, static=True)
+        add(buffer, "odom", "base_footprint", second * S, pose(second, 0, 0.1 * second))
+    add(buffer, "base_footprint", "base_link", 0, se3.from_quaternion([0, 0, 0.05], [0, 0, 0, 1]), static=True)
+    add(buffer, "base_link", "laser", 0, UPSIDE_DOWN, static=True)
     return buffer
 
 
 def missing(buffer, *question):
     with pytest.raises(MissingTransform) as caught:
         buffer.lookup(*question)
-    assert buffer.covers(*question) is caught.value.coverage
     return caught.value
 
 
@@ -56,16 +61,13 @@ def test_static_chains_hold_at_every_stamp():
     for stamp_ns in (-(10**18), 0, 10**18):
         np.testing.assert_allclose(buffer.lookup("base_footprint", "laser", stamp_ns), lifted, atol=1e-15)
         np.testing.assert_array_equal(buffer.lookup("laser", "laser", stamp_ns), np.eye(4))
-    assert buffer.is_static("laser", "base_footprint")
-    assert not buffer.is_static("odom", "laser")
-    assert not buffer.is_static("odom", "elsewhere")
-    assert buffer.is_static("elsewhere", "elsewhere")
+    np.testing.assert_array_equal(buffer.lookup("elsewhere", "elsewhere", 0), np.eye(4))
 
 
 def test_siblings_are_joined_through_their_parent():
     buffer = robot()
-    buffer.add("base_link", "rear", 0, pose(-0.4, 0, math.pi), static=True)
-    buffer.add("odom", "camera", 0, pose(5, 0), static=True)
+    add(buffer, "base_link", "rear", 0, pose(-0.4, 0, math.pi), static=True)
+    add(buffer, "odom", "camera", 0, pose(5, 0), static=True)
     np.testing.assert_allclose(buffer.planar("laser", "rear", 0), [-0.5, 0.02, -math.pi], atol=1e-15)
     # The camera stands 5 m ahead of where the robot began, the robot is 3 m on its way and turned by 0.3.
     want = se2.between([3, 0, 0.3], [5, 0, 0])
@@ -74,17 +76,17 @@ def test_siblings_are_joined_through_their_parent():
 
 def test_a_leading_slash_says_nothing():
     buffer = TransformBuffer()
-    buffer.add("/odom", "/base", 0, pose())
-    buffer.add("odom", "base", S, pose(1))
+    add(buffer, "/odom", "/base", 0, pose())
+    add(buffer, "odom", "base", S, pose(1))
     assert buffer.planar("odom", "/base", S // 2).tolist() == [0.5, 0, 0]
-    assert buffer.frames == ("odom", "base")
-    assert list(buffer.links) == [("odom", "base")]
+    assert len(buffer) == 2
+    assert "the frames are 'odom', 'base'" in str(missing(buffer, "odom", "laser", 0))
 
 
 def test_robots_under_namespaces_are_trees_of_their_own():
     buffer = TransformBuffer()
     for name, x in (("r1", 1.0), ("r2", 2.0)):
-        buffer.add(f"{name}/odom", f"{name}/base", 0, pose(x))
+        add(buffer, f"{name}/odom", f"{name}/base", 0, pose(x))
     assert buffer.planar("r2/odom", "r2/base", 0).tolist() == [2, 0, 0]
     error = missing(buffer, "r1/odom", "r2/base", 0)
     assert error.coverage is Coverage.NOT_CONNECTED
@@ -92,8 +94,8 @@ def test_robots_under_namespaces_are_trees_of_their_own():
         "no transform from 'r2/base' to 'r1/odom' at 0.000 s: the frames are not connected: "
         "'r2/base', 'r2/odom' are one tree, 'r1/odom', 'r1/base' another"
     )
-    buffer.add("map", "r1/odom", 0, pose(0, 1), static=True)
-    buffer.add("map", "r2/odom", 0, pose(0, 2), static=True)
+    add(buffer, "map", "r1/odom", 0, pose(0, 1), static=True)
+    add(buffer, "map", "r2/odom", 0, pose(0, 2), static=True)
     assert buffer.planar("r1/odom", "r2/base", 0).tolist() == [2, 1, 0]
 
 
@@ -101,7 +103,7 @@ def test_nothing_is_extrapolated_and_the_link_is_named():
     buffer = robot()
     late = missing(buffer, "odom", "laser", 5 * S + 1)
     assert late.coverage is Coverage.NOT_YET
-    assert (late.chain, late.link) == (("odom", "base_footprint", "base_link", "laser"), ("odom", "base_footprint"))
+    assert "of the chain odom <- base_footprint <- base_link <- laser the link odom <- base_footprint" in str(late)
     early = missing(buffer, "/laser", "odom", -250_000_000)
     assert early.coverage is Coverage.TOO_EARLY
     assert str(early) == (
@@ -109,16 +111,16 @@ def test_nothing_is_extrapolated_and_the_link_is_named():
         "the link odom <- base_footprint is known only from 0.000 s, 0.25 s after"
     )
     assert "is known only until 5.000 s, 1.5 s before" in str(missing(buffer, "odom", "laser", 6_500_000_000))
-    assert buffer.covers("odom", "laser", 5 * S) is buffer.covers("odom", "laser", 0) is Coverage.KNOWN
+    for stamp_ns in (0, 5 * S):
+        assert buffer.planar("odom", "base_link", stamp_ns)[0] == stamp_ns / S
     assert isinstance(late, GridslamError)
-    assert late.stamp_ns == 5 * S + 1
 
 
 def test_of_two_links_the_one_that_will_not_come_is_named():
     buffer = robot()
-    buffer.add("map", "odom", 7 * S, pose())
-    assert missing(buffer, "map", "laser", 6 * S).link == ("map", "odom")
-    assert missing(buffer, "laser", "map", 8 * S).link == ("odom", "base_footprint")
+    add(buffer, "map", "odom", 7 * S, pose())
+    assert "the link map <- odom is known" in str(missing(buffer, "map", "laser", 6 * S))
+    assert "the link odom <- base_footprint is known" in str(missing(buffer, "laser", "map", 8 * S))
 
 
 def test_a_frame_that_nobody_names():
@@ -131,15 +133,15 @@ def test_a_frame_that_nobody_names():
     )
     assert "no link names 'a', 'b'; the frames are none" in str(missing(TransformBuffer(), "b", "a", 0))
     for k in range(20):
-        buffer.add("base_link", f"joint{k}", 0, pose(), static=True)
+        add(buffer, "base_link", f"joint{k}", 0, pose(), static=True)
     assert "'joint3' and 16 more" in str(missing(buffer, "odom", "lazer", 0))
 
 
 def test_what_was_not_connected_is_once_a_link_comes():
     buffer = TransformBuffer()
-    buffer.add("odom", "base", 0, pose(1))
+    add(buffer, "odom", "base", 0, pose(1))
     missing(buffer, "odom", "laser", 0)
-    buffer.add("base", "laser", 0, pose(0.5), static=True)
+    add(buffer, "base", "laser", 0, pose(0.5), static=True)
     assert buffer.planar("odom", "laser", 0).tolist() == [1.5, 0, 0]
 
 
@@ -151,13 +153,11 @@ def test_memory_is_bounded_by_the_time_kept():
         assert len(buffer) <= 202
     assert missing(buffer, "odom", "base", 47 * S).coverage is Coverage.TOO_EARLY
     assert buffer.planar("odom", "base", 48 * S)[0] == 4800
-    statistics = buffer.links["odom", "base"]
-    assert (statistics.readings, statistics.first_stamp_ns, statistics.last_stamp_ns) == (5000, 0, 49_990_000_000)
 
 
 def test_nothing_is_interpolated_over_a_gap_longer_than_the_time_kept():
     buffer = robot(keep_s=2.0)
-    buffer.add("odom", "base_footprint", 8 * S, pose())
+    add(buffer, "odom", "base_footprint", 8 * S, pose())
     assert missing(buffer, "odom", "base_footprint", 6 * S).coverage is Coverage.TOO_EARLY
 
 
@@ -165,136 +165,122 @@ def test_nothing_is_interpolated_over_a_gap_longer_than_the_time_kept():
 def test_the_order_of_arrival_does_not_matter_within_the_time_kept(order):
     buffer = TransformBuffer()
     for k in order:
-        buffer.add("odom", "base", k * S, pose(k * k))
+        add(buffer, "odom", "base", k * S, pose(k * k))
     got = [buffer.planar("odom", "base", k * S // 2)[0] for k in range(15)]
     assert got == [(k // 2) ** 2 if k % 2 == 0 else ((k // 2) ** 2 + (k // 2 + 1) ** 2) / 2 for k in range(15)]
-    ahead = [k for place, k in enumerate(order) if k < max(order[:place], default=-1)]
-    assert buffer.links["odom", "base"].late == len(ahead)
 
 
 def test_a_reading_that_comes_twice():
     buffer = robot()
-    statistics = buffer.links["odom", "base_footprint"]
-    buffer.add("odom", "base_footprint", 3 * S, pose(3, 0, 0.1 * 3))
-    assert (statistics.repeated, statistics.contradicted) == (1, 0)
-    buffer.add("odom", "base_footprint", 3 * S, pose(-1))
-    assert (statistics.repeated, statistics.contradicted) == (1, 1)
+    kept = len(buffer)
+    add(buffer, "odom", "base_footprint", 3 * S, pose(3, 0, 0.1 * 3))
+    add(buffer, "odom", "base_footprint", 3 * S, pose(-1))
+    assert len(buffer) == kept
     np.testing.assert_allclose(buffer.planar("odom", "base_footprint", 3 * S), [3, 0, 0.3], atol=1e-15)
 
 
 def test_a_static_link_that_changes_has_its_last_value():
     buffer = robot()
     assert buffer.planar("base_link", "laser", 0)[0] == 0.1
-    buffer.add("base_link", "laser", 0, UPSIDE_DOWN, static=True)
-    buffer.add("base_link", "laser", 0, pose(0.7), static=True)
+    add(buffer, "base_link", "laser", 0, UPSIDE_DOWN, static=True)
+    add(buffer, "base_link", "laser", 0, pose(0.7), static=True)
     assert buffer.planar("base_link", "laser", 0)[0] == 0.7
-    statistics = buffer.links["base_link", "laser"]
-    assert (statistics.repeated, statistics.contradicted) == (1, 1)
 
 
 def test_a_link_both_static_and_moving_moves():
     buffer = TransformBuffer()
-    buffer.add("odom", "base", 0, pose(9), static=True)
-    assert buffer.is_static("odom", "base")
-    buffer.add("odom", "base", S, pose(1))
-    buffer.add("odom", "base", 0, pose(9), static=True)
-    assert not buffer.is_static("odom", "base")
+    add(buffer, "odom", "base", 0, pose(9), static=True)
+    assert buffer.planar("odom", "base", 2 * S)[0] == 9
+    add(buffer, "odom", "base", S, pose(1))
+    add(buffer, "odom", "base", 0, pose(9), static=True)
     assert buffer.planar("odom", "base", S)[0] == 1
-    assert buffer.links["odom", "base"].contradicted == 2
+    assert missing(buffer, "odom", "base", 2 * S).coverage is Coverage.NOT_YET
 
 
 def test_a_log_played_twice_begins_anew():
     buffer = TransformBuffer(keep_s=5.0)
     for x in (0, 100):
         for second in range(20):
-            buffer.add("odom", "base", second * S, pose(x + second))
+            add(buffer, "odom", "base", second * S, pose(x + second))
             if second:
                 assert buffer.planar("odom", "base", second * S)[0] == x + second
-    statistics = buffer.links["odom", "base"]
-    assert (statistics.restarts, statistics.strays, statistics.late) == (1, 0, 0)
     assert len(buffer) == 6
 
 
 def test_one_stray_stamp_takes_nothing_with_it():
     buffer = TransformBuffer(keep_s=5.0)
     for second in range(100, 120):
-        buffer.add("odom", "base", second * S, pose(second))
+        add(buffer, "odom", "base", second * S, pose(second))
         if second == 110:
-            buffer.add("odom", "base", 0, pose(-1))
+            add(buffer, "odom", "base", 0, pose(-1))
     assert buffer.planar("odom", "base", 119 * S)[0] == 119
-    statistics = buffer.links["odom", "base"]
-    assert (statistics.strays, statistics.restarts, statistics.readings, len(buffer)) == (1, 0, 21, 6)
-    assert statistics.first_stamp_ns == 100 * S
+    assert len(buffer) == 6
 
 
 def test_a_stray_stamp_in_the_future_is_got_over():
     buffer = TransformBuffer(keep_s=5.0)
     for stamp_ns in (1 * S, 2 * S, 4000 * S, 3 * S, 4 * S, 5 * S):
-        buffer.add("odom", "base", stamp_ns, pose(stamp_ns / S))
+        add(buffer, "odom", "base", stamp_ns, pose(stamp_ns / S))
     assert buffer.planar("odom", "base", 3_500_000_000)[0] == 3.5
-    assert buffer.links["odom", "base"].restarts == 1
 
 
-def test_links_that_no_tree_can_hold_are_counted():
+def test_links_that_no_tree_can_hold_are_refused():
     buffer = robot()
-    before = len(buffer), buffer.frames
-    for parent, child in (("odom", "/odom"), ("odom", "odom"), ("", "base_link"), ("odom", "/")):
-        buffer.add(parent, child, 0, pose())
-    assert buffer.refused == {"'odom' in 'odom'": 2, "'base_link' in ''": 1, "'' in 'odom'": 1}
-    assert (len(buffer), buffer.frames) == before
+    before = len(buffer)
+    for parent, child, named in (
+        ("odom", "/odom", "'odom' in 'odom'"),
+        ("odom", "odom", "'odom' in 'odom'"),
+        ("", "base_link", "'base_link' in ''"),
+        ("odom", "/", "'' in 'odom'"),
+    ):
+        with pytest.raises(ArgumentError, match=f"child: expected two frames, each with a name, got {named}"):
+            add(buffer, parent, child, 0, pose())
+    assert len(buffer) == before
+    assert "the frames are 'odom', 'base_footprint', 'base_link', 'laser'" in str(missing(buffer, "odom", "x", 0))
 
 
-def test_cycles_end_and_are_noticed():
+def test_cycles_end():
     buffer = TransformBuffer()
     for parent, child in (("a", "b"), ("b", "c"), ("c", "a"), ("b", "a")):
-        buffer.add(parent, child, 0, pose(1))
-    assert buffer.ambiguous == [("c", "a"), ("b", "a")]
+        add(buffer, parent, child, 0, pose(1))
     assert buffer.planar("a", "b", 0)[0] == 1
     assert buffer.planar("a", "c", 0)[0] == -1
     assert missing(buffer, "a", "d", 0).coverage is Coverage.NOT_CONNECTED
     assert missing(buffer, "a", "c", 1).coverage is Coverage.NOT_YET
-    assert buffer.several_parents == {"a": ("c", "b")}
 
 
-def test_two_publishers_of_one_link_are_noticed():
+def test_of_two_publishers_of_one_link_the_first_is_taken():
     buffer = TransformBuffer()
     for second in range(3):
-        buffer.add("odom", "base", second * S, pose(second), publisher="/wheels")
-        buffer.add("odom", "base", second * S, pose(-second), publisher="/ekf")
-    statistics = buffer.links["odom", "base"]
-    assert statistics.publishers == {"/wheels", "/ekf"}
-    assert (statistics.repeated, statistics.contradicted) == (1, 2)
+        add(buffer, "odom", "base", second * S, pose(second))
+        add(buffer, "odom", "base", second * S, pose(-second))
     assert buffer.planar("odom", "base", 2 * S)[0] == 2
 
 
 def test_two_parents_are_both_known():
     buffer = TransformBuffer()
     for second in range(5):
-        buffer.add("odom", "base", second * S, pose(second))
-        buffer.add("odom_combined", "base", second * S, pose(10 * second))
+        add(buffer, "odom", "base", second * S, pose(second))
+        add(buffer, "odom_combined", "base", second * S, pose(10 * second))
     assert buffer.planar("odom", "base", 3 * S)[0] == 3
     assert buffer.planar("odom_combined", "base", 3 * S)[0] == 30
-    assert buffer.several_parents == {"base": ("odom", "odom_combined")}
-    assert buffer.ambiguous == []
 
 
 def test_a_frame_handed_to_another_parent():
     # Until 5 s the box stands in the world, from 7 s on it lies on the robot, 1 m behind it.
     buffer = TransformBuffer(keep_s=4.0)
     for second in range(20):
-        buffer.add("world", "robot", second * S, pose(second))
+        add(buffer, "world", "robot", second * S, pose(second))
         if second <= 5:
-            buffer.add("world", "box", second * S, pose(6))
+            add(buffer, "world", "box", second * S, pose(6))
         if second >= 7:
-            buffer.add("robot", "box", second * S, pose(-1))
+            add(buffer, "robot", "box", second * S, pose(-1))
         if second == 5:
             assert buffer.planar("world", "box", 4 * S)[0] == 6
         if second == 7:  # the world may speak yet
             assert missing(buffer, "world", "box", 7 * S).coverage is Coverage.NOT_YET
-    assert buffer.ambiguous == [("robot", "box")]
     assert buffer.planar("world", "box", 18 * S)[0] == 17
-    assert buffer.covers("world", "box", 18 * S) is Coverage.KNOWN
-    assert missing(buffer, "world", "box", 20 * S).link == ("world", "robot")
+    assert "the link world <- robot is known" in str(missing(buffer, "world", "box", 20 * S))
 
 
 def test_no_order_of_links_and_questions_leaves_the_named_errors():
@@ -305,16 +291,21 @@ def test_no_order_of_links_and_questions_leaves_the_named_errors():
     for _ in range(3000):
         parent, child, target, source = rng.choice(frames, 4).tolist()
         stamp_ns = int(rng.integers(0, 20)) * S // 4
-        buffer.add(parent, child, stamp_ns, pose(*rng.normal(size=3)), static=bool(rng.random() < 0.01))
+        with suppress(ArgumentError):
+            add(buffer, parent, child, stamp_ns, pose(*rng.normal(size=3)), static=bool(rng.random() < 0.01))
         if rng.random() < 0.05:
             buffer = TransformBuffer(keep_s=1.0)
-        coverage = buffer.covers(target, source, stamp_ns)
-        if coverage is Coverage.KNOWN:
-            known += 1
+        try:
             matrix = buffer.lookup(target, source, stamp_ns)
-            np.testing.assert_allclose(matrix @ buffer.lookup(source, target, stamp_ns), np.eye(4), atol=1e-9)
+        except MissingTransform as error:
+            coverage = error.coverage
         else:
-            assert missing(buffer, target, source, stamp_ns).coverage is coverage
+            coverage = Coverage.KNOWN
+        if coverage is not Coverage.KNOWN:
+            assert missing(buffer, source, target, stamp_ns).coverage is coverage
+        else:
+            known += 1
+            np.testing.assert_allclose(matrix @ buffer.lookup(source, target, stamp_ns), np.eye(4), atol=1e-9)
         assert len(buffer) <= 12 * 5  # 12 links between 4 frames, 5 quarter seconds each
     assert known > 300
 
@@ -327,10 +318,8 @@ def test_the_time_kept_is_finite(keep_s):
 
 def test_values_that_are_no_transform_are_refused():
     buffer = TransformBuffer()
-    with pytest.raises(ArgumentError, match="matrix"):
-        buffer.add("odom", "base", 0, np.zeros((4, 4)))
     with pytest.raises(ArgumentError, match="xyzw"):
         buffer.add_quaternion("odom", "base", 0, (0, 0, 0), (0, 0, 0, 0))
     with pytest.raises(ArgumentError, match="translation"):
         buffer.add_quaternion("odom", "base", 0, (0, math.nan, 0), (0, 0, 0, 1))
-    assert buffer.frames == ()
+    assert len(buffer) == 0

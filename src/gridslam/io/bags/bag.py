@@ -14,9 +14,9 @@ from gridslam.io.bags.ros1 import Ros1Bag
 from gridslam.io.bags.ros2 import Ros2Bag
 from gridslam.io.bags.source import BagSource
 from gridslam.io.bags.survey import Survey, survey
-from gridslam.io.log import LogOptions
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
+from gridslam.io.selection import LogOptions
 from gridslam.io.text import open_for_reading
 
 __all__ = ["BagLog"]

@@ -14,7 +14,7 @@ from gridslam.errors import InputError
 from gridslam.io.bags.ros_messages import kind_of
 from gridslam.io.bags.source import BagSource
 from gridslam.io.bags.survey import Survey
-from gridslam.io.log import LogOptions
+from gridslam.io.selection import LogOptions
 
 __all__ = ["Choice", "choose"]
 

@@ -11,9 +11,9 @@ from gridslam.arguments import is_covariance
 from gridslam.geometry.compounding import compound_covariance, increment_covariance
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.io.bags.ros_messages import Triangle
-from gridslam.types import FloatArray, Odometry
+from gridslam.types import FloatArray
 
-__all__ = ["CovarianceSum", "PoseCovariances"]
+__all__ = ["PoseCovariances"]
 
 _KEEP_NS = 5_000_000_000
 _STILL = 1e-3  # m and rad: noise of no more motion is not seen
@@ -89,35 +89,6 @@ class PoseCovariances:
         grows = noise is not None and is_covariance(noise) and float(np.diagonal(noise).max()) <= _MOST
         self._grown = self._grown + 1 if grows else 0
         return noise if self._grown >= _PROOF else None
-
-
-@final
-class CovarianceSum:
-    """Covariance of the odometry's motion since the last reading that was given on, of a log of which not all is."""
-
-    def __init__(self) -> None:
-        self._begin: Odometry | None = None
-        self._last: Odometry | None = None
-        self._covariance: FloatArray | None = None
-
-    def add(self, odometry: Odometry | None) -> Odometry | None:
-        """Take the next reading; give it with the covariance since the last one that was `given`."""
-        if odometry is None:
-            return None
-        last, before, covariance = self._last, self._covariance, odometry.covariance
-        if self._begin is not None and last is not None and last is not self._begin:
-            if before is None or covariance is None:
-                covariance = None
-            else:
-                moved, increment = between(self._begin.pose, last.pose), between(last.pose, odometry.pose)
-                covariance = compound_covariance(moved, before, increment, covariance)
-        self._last, self._covariance = odometry, covariance
-        told = covariance is odometry.covariance
-        return odometry if told else Odometry(odometry.stamp_ns, odometry.pose, covariance)
-
-    def given(self) -> None:
-        """Restart: the last reading was passed on."""
-        self._begin = self._last
 
 
 def _full(triangle: Triangle) -> FloatArray:

@@ -25,7 +25,7 @@ from gridslam.ros.node.session import Session, SessionCopy
 from gridslam.ros.node.settings import NodeSettings
 from gridslam.ros.node.state_publisher import StatePublisher
 from gridslam.ros.node.throttled_warnings import ThrottledWarnings
-from gridslam.slam.tracking.odometry_tracker import OdometryTracker
+from gridslam.slam.tracking.tracker import OdometryTracker
 
 __all__ = ["NodeCore", "SourceWrapper"]
 

@@ -11,8 +11,7 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import between
-from gridslam.grid.tiled_grid import TiledGrid
-from gridslam.grid.tiles import TileMaps
+from gridslam.grid.tiles import TiledGrid, TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult

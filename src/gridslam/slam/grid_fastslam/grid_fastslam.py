@@ -23,18 +23,16 @@ from gridslam.models.motion import DiffusionMotion
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.policies import EffectiveSampleSizeBelow, MotionThreshold, ResamplingPolicy, UpdatePolicy
-from gridslam.particles.resampling import Systematic
-from gridslam.particles.weights import effective_sample_size, normalize, relative_to_greatest
-from gridslam.scan.thinning import Thinning
+from gridslam.particles.resampling import Systematic, effective_sample_size, normalize, relative_to_greatest
+from gridslam.scan import Thinning
 from gridslam.slam.grid_fastslam.map_limit import MapLimit
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.proposals import Proposal, ScanMatchedProposal
 from gridslam.slam.grid_fastslam.report_builder import ReportBuilder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
-from gridslam.slam.tracking.odometry_tracker import OdometryTracker
-from gridslam.slam.tracking.tracker import TrackedScan, Tracker
-from gridslam.slam.tracking.velocity import widen_motion
+from gridslam.slam.tracking.prediction import widen_motion
+from gridslam.slam.tracking.tracker import OdometryTracker, TrackedScan, Tracker
 from gridslam.types import (
     Beams,
     FloatArray,

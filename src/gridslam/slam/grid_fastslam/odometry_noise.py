@@ -17,7 +17,7 @@ from gridslam.geometry.compounding import compound_covariance
 from gridslam.geometry.se2 import between, compose, compose_jacobians
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.tracking.velocity import ConstantVelocity
+from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
 from gridslam.types import FloatArray, MotionSampler, Odometry
 
 __all__ = ["OdometryNoise", "is_worse_than_velocity"]
@@ -32,7 +32,7 @@ def is_worse_than_velocity(odometry: Odometry, seconds: float, velocity: Constan
     """
     if odometry.covariance is None:
         return False
-    sigma_m, sigma_rad = velocity.sigmas(min(seconds, velocity.max_interval_s))
+    sigma_m, sigma_rad = velocity.sigmas(min(seconds, MAX_INTERVAL_S))
     variance_m2 = float(np.linalg.eigvalsh(odometry.covariance[:2, :2])[-1])
     return variance_m2 > sigma_m**2 or float(odometry.covariance[2, 2]) > sigma_rad**2
 

@@ -13,7 +13,7 @@ from gridslam.geometry.se2 import weighted_covariance
 from gridslam.models.association import NEW
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
-from gridslam.particles.weights import effective_sample_size, normalize
+from gridslam.particles.resampling import effective_sample_size, normalize
 from gridslam.slam.landmarks.local_frame import lever_arm_jacobian
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances

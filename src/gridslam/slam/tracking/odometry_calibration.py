@@ -15,7 +15,20 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import between
 from gridslam.types import FloatArray
 
-__all__ = ["OdometryCalibration", "OdometryErrorModel"]
+__all__ = ["MIN_SEGMENTS", "OdometryCalibration", "OdometryErrorModel", "motion_of"]
+
+MIN_SEGMENTS = 20
+"""Number of segments after which the errors of the odometry count as known ..."""
+
+_CONVERGED_SIGMA_M = 0.05
+"""... if it keeps to them as closely as this over a segment."""
+
+_SEGMENT_M = 0.5
+_SEGMENT_RAD = 0.5
+"""A segment ends after either; the tracker's own error over it is a centimetre."""
+
+_PRIOR = 0.5
+"""Weight of the odometry's being exact, in squared metres and radians moved."""
 
 _EXACT = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0])
 
@@ -98,32 +111,19 @@ class OdometryCalibration:
 
     Parameters
     ----------
-    segment_m, segment_rad : float
-        A stretch ends after either; the tracker's own error over it is a centimetre.
     forgetting_segments : float
-        Number of stretches after which one counts a third (1/e).
-    prior : float
-        Weight of the odometry's being exact, in squared metres and radians moved.
-    min_segments : float
-        Number of segments after which the errors of the odometry count as known,
-    converged_sigma_m : float, m
-        ... if it keeps to them as closely as this over a stretch.
+        Number of segments after which one counts a third (1/e).
     max_unexplained_ratio : float
         Odometry that leaves so much of the motion unexplained, or of the turning, is not used; it is used again once it
         leaves half of that.
     """
 
-    segment_m: float = Field(default=0.5, gt=0)
-    segment_rad: float = Field(default=0.5, gt=0)
     forgetting_segments: float = Field(default=200.0, ge=1)
-    prior: float = Field(default=0.5, gt=0)
-    min_segments: float = Field(default=20, ge=0)
-    converged_sigma_m: float = Field(default=0.05, gt=0)
     max_unexplained_ratio: float = Field(default=0.6, gt=0)
 
     def is_known(self, errors: OdometryErrorModel) -> bool:
         """Whether the estimate has converged and the odometry is consistent with it."""
-        return errors.segments >= self.min_segments and errors.variances[0] < self.converged_sigma_m**2
+        return errors.segments >= MIN_SEGMENTS and errors.variances[0] < _CONVERGED_SIGMA_M**2
 
     def learn(
         self,
@@ -148,24 +148,23 @@ class OdometryCalibration:
         """
         errors.determined &= determined
         known = is_good_match and not math.isnan(odometry[0] + errors.begin_odometry[0])
-        if known and not (self._is_long(pose - errors.begin_pose) or self._is_long(odometry - errors.begin_odometry)):
+        if known and not (_is_long(pose - errors.begin_pose) or _is_long(odometry - errors.begin_odometry)):
             return
         if known:
-            moved, measured = between(errors.begin_pose, pose), between(errors.begin_odometry, odometry)
+            moved = between(errors.begin_pose, pose)
+            measured = between(errors.begin_odometry, odometry)
             self._update_trust(errors, moved, measured)
             if errors.trusted:
                 self._fit(errors, moved, measured)
-        errors.begin_pose, errors.begin_odometry, errors.determined = pose, odometry, True
-
-    def _is_long(self, difference: FloatArray) -> bool:
-        x, y, turn = difference.tolist()
-        return math.hypot(x, y) >= self.segment_m or abs(math.remainder(turn, math.tau)) >= self.segment_rad
+        errors.begin_pose = pose
+        errors.begin_odometry = odometry
+        errors.determined = True
 
     def _update_trust(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Whether the odometry, as corrected, explains the motion."""
-        (x, y, turn), (dx, dy, dtheta) = moved.tolist(), between(errors.correct_increment(measured), moved).tolist()
-        new = [math.hypot(dx, dy), math.hypot(x, y), abs(dtheta), abs(turn)]
-        errors.sums = 0.95 * errors.sums + np.array(new)
+        left_m, left_rad = motion_of(between(errors.correct_increment(measured), moved))
+        moved_m, turned = motion_of(moved)
+        errors.sums = 0.95 * errors.sums + np.array([left_m, moved_m, left_rad, turned])
         left_m, moved_m, left_rad, turned = errors.sums.tolist()
         limit = self.max_unexplained_ratio if errors.trusted else 0.5 * self.max_unexplained_ratio
         # 2 m and 1 rad count as explained beside: a stretch or two do not decide
@@ -173,7 +172,8 @@ class OdometryCalibration:
 
     def _fit(self, errors: OdometryErrorModel, moved: FloatArray, measured: FloatArray) -> None:
         """Recursive least squares with forgetting, by Geman-McClure weights of what the present factors leave."""
-        (x, y, theta), (mx, my, turned) = measured.tolist(), moved.tolist()
+        x, y, theta = measured.tolist()
+        mx, my, turned = moved.tolist()
         residual = between(errors.correct_increment(measured), moved)
         squares = np.array([0.5 * (residual[0] ** 2 + residual[1] ** 2), residual[2] ** 2])
         weights = 1 / np.square(1 + squares / (4 * errors.variances))
@@ -183,12 +183,23 @@ class OdometryCalibration:
             errors.position = keep * errors.position + weights[0] * rows[:, :4].T @ rows
         row = np.array([[theta, x, theta + math.remainder(turned - theta, math.tau)]])
         errors.heading = keep * errors.heading + weights[1] * row[:, :2].T @ row
-        solved = self._solve(errors.position, _EXACT[:4]), self._solve(errors.heading, _EXACT[4:])
-        errors.factors = np.concatenate(solved)
+        errors.factors = np.concatenate([_solve(errors.position, _EXACT[:4]), _solve(errors.heading, _EXACT[4:])])
         errors.segments = keep * errors.segments + 1
         change = np.minimum(squares, 9 * errors.variances) - errors.variances
         errors.variances = errors.variances + change * [errors.determined, True] / (errors.segments + 10)
 
-    def _solve(self, equations: FloatArray, exact: FloatArray) -> FloatArray:
-        matrix = equations[:, :-1] + self.prior * np.eye(len(exact))
-        return np.asarray(np.linalg.solve(matrix, equations[:, -1] + self.prior * exact), np.float64)
+
+def motion_of(increment: FloatArray) -> tuple[float, float]:
+    """Metres and radians of an increment (3,)."""
+    x, y, turn = increment.tolist()
+    return math.hypot(x, y), abs(turn)
+
+
+def _is_long(difference: FloatArray) -> bool:
+    x, y, turn = difference.tolist()
+    return math.hypot(x, y) >= _SEGMENT_M or abs(math.remainder(turn, math.tau)) >= _SEGMENT_RAD
+
+
+def _solve(equations: FloatArray, exact: FloatArray) -> FloatArray:
+    matrix = equations[:, :-1] + _PRIOR * np.eye(len(exact))
+    return np.asarray(np.linalg.solve(matrix, equations[:, -1] + _PRIOR * exact), np.float64)

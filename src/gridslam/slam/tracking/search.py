@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
 from typing import final
 
 import numpy as np
@@ -11,13 +13,51 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
 from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
-from gridslam.models.parameters import Numbers
-from gridslam.slam.tracking.state import PoseEstimate, Prediction, TrackerState, is_within
+from gridslam.slam.tracking.odometry_calibration import MIN_SEGMENTS
+from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
+from gridslam.slam.tracking.state import TrackerState, is_within
 from gridslam.types import BeamEnds, FloatArray
 
-__all__ = ["OdometrySearch"]
+__all__ = ["NO_PRIOR", "OdometrySearch", "calibrated"]
 
-_NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
+NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
+"""Information (1, 3, 3) of a guess that means nothing."""
+
+_GATES = ((2.0, 0.1), (5.0, 0.1), (12.0, 0.3))
+"""Standard deviations of the odometry within which is searched, one gate after the other, and by so much more of the
+beams a place must agree than the best one within the gates before."""
+
+_CERTAIN_INLIER_RATIO = 0.7
+"""Inlier ratio above which a place is accepted without further search."""
+
+_WINDOW = BranchAndBound(window_m=3.0, window_rad=1.2, min_score=0.3)
+"""How the gates are searched."""
+
+_GLOBAL_WINDOW = BranchAndBound(window_m=1.0, window_rad=2.2, min_score=0.5)
+"""How is searched where nothing certain was found within the gates: a turn was not counted at all. The position is
+within the widest gate; a half turn is left out, as corridors and rooms look alike after one."""
+
+_GLOBAL_INLIER_RATIO = 0.8
+_GLOBAL_INLIER_GAIN = 0.3
+"""Minimum inlier ratio of such a place, and its minimum gain over any previous one."""
+
+_MAX_AMBIGUITY = 0.85
+"""A place must be the only one: no other within the same gate has this part of its score."""
+
+_MIN_SIGMA_M = 0.05
+"""Minimum standard deviation of the position, which is the one learned once it is: where the odometry has been right to
+centimetres, a place half a metre off is another one that looks alike."""
+
+_MIN_OVERLAP = 0.4
+"""Minimum ratio of beams that end in known cells of the local map; the others are ignored. With sparse scans, much of
+each is new."""
+
+_BASIN_M = 0.1
+_BASIN_RAD = 0.05
+"""Basin of convergence of the particles' scan matching."""
+
+_CALIBRATED_INFORMATION = 0.05
+"""Calibrated odometry constrains weak directions better than the scan, see `GaussNewton.min_information`."""
 
 
 @final
@@ -36,62 +76,17 @@ class OdometrySearch:
         Scans come seldom where the mean time between them is longer.
     sparse_step : float, m + rad
         So they do where the robot moves and turns by more between two of them: stamps may be no measurements.
-    blind_period_s, blind_step : float, s, m + rad
-        Time and odometry path between two scans above which there is a gap in the laser data.
-    gate_sigmas : tuple of float
-        Standard deviations of the odometry within which is searched, one after the other. Those of the position are the
-        ones learned, once they are: where the odometry has been right to centimetres, a place half a metre off is
-        another one that looks alike.
-    min_segments : float
-        Number of segments (see `OdometryCalibration`) after which the errors of the position are learned.
-    min_sigma_m : float, m
-        Minimum standard deviation of the position.
-    certain_inlier_ratio : float
-        Inlier ratio above which a place is accepted without further search.
-    inlier_gains : tuple of float
-        By so much more of the beams a place must agree than the best one within the gates before.
-    min_overlap : float
-        Minimum ratio of beams that end in known cells of the local map; the others are ignored. With sparse scans, much
-        of each is new.
-    window : BranchAndBound
-        How is searched; its `gate` is not used.
-    global_window : BranchAndBound
-        How is searched where nothing certain was found within the gates: a turn was not counted at all. The position
-        is within the widest gate; a half turn is left out, as corridors and rooms look alike after one.
-    global_inlier_ratio, global_inlier_gain : float
-        Minimum inlier ratio of such a place, and its minimum gain over any previous one.
-    ambiguity_ratio : float
-        A place must be the only one: no other within the same gate has this part of its share.
-    basin_m, basin_rad : float
-        Basin of convergence of the particles' scan matching.
-    matcher, calibrated_matcher : GaussNewton
-        Matchers that refine a place; the second one is used if the scan is degenerate and the odometry has to constrain
-        it.
+    blind_step : float, m + rad
+        Odometry path between two scans above which there is a gap in the laser data.
     """
 
     sparse_period_s: float = Field(default=0.3, gt=0)
     sparse_step: float = Field(default=0.4, gt=0)
-    blind_period_s: float = Field(default=1.0, gt=0)
     blind_step: float = Field(default=1.0, gt=0)
-    gate_sigmas: Numbers = (2.0, 5.0, 12.0)
-    inlier_gains: Numbers = (0.1, 0.1, 0.3)
-    certain_inlier_ratio: float = Field(default=0.7, gt=0, le=1)
-    min_segments: float = Field(default=20, ge=0)
-    min_sigma_m: float = Field(default=0.05, gt=0)
-    min_overlap: float = Field(default=0.4, gt=0, le=1)
-    window: BranchAndBound = BranchAndBound(window_m=3.0, window_rad=1.2, min_score=0.3)
-    global_window: BranchAndBound = BranchAndBound(window_m=1.0, window_rad=2.2, min_score=0.5)
-    global_inlier_ratio: float = Field(default=0.8, gt=0, le=1)
-    global_inlier_gain: float = Field(default=0.3, ge=0, le=1)
-    ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
-    basin_m: float = Field(default=0.1, ge=0)
-    basin_rad: float = Field(default=0.05, ge=0)
-    matcher: GaussNewton = GaussNewton()
-    calibrated_matcher: GaussNewton = GaussNewton(min_information=0.05)
 
     def is_far_from_last(self, state: TrackerState, predicted: Prediction) -> bool:
         """Whether the last scan is too old, or too far away, for a velocity prediction."""
-        driven = predicted.moved_m + predicted.turned_rad > self.blind_step and predicted.seconds >= self.blind_period_s
+        driven = predicted.moved_m + predicted.turned_rad > self.blind_step and predicted.seconds >= MAX_INTERVAL_S
         return self.is_sparse(state) or driven
 
     def had_blind_gap(self, state: TrackerState, predicted: Prediction) -> bool:
@@ -117,47 +112,63 @@ class OdometrySearch:
             return predicted.pose, None
         if found.lost:
             return predicted.pose, np.square([predicted.sigma_m, predicted.sigma_rad])
-        follows = is_within(found.pose, predicted.pose, self.basin_m, self.basin_rad)
+        follows = is_within(found.pose, predicted.pose, _BASIN_M, _BASIN_RAD)
         return (predicted.pose if follows else found.pose), None
 
-    def __call__(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
-        """Search the local map for a scan around where the odometry predicts it."""
+    def __call__(
+        self, state: TrackerState, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
+    ) -> PoseEstimate:
+        """Search the local map for a scan around where the odometry predicts it; `matcher` refines each place."""
         pyramid = Pyramid.of(state.maps, state.matched_map)
         best = PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         error_m, error_rad = np.sqrt(state.odometry_errors.variances).tolist()
-        known = state.odometry_errors.segments >= self.min_segments and self._is_usual(state, predicted)
-        sigma_m = max(error_m, self.min_sigma_m if known else predicted.sigma_m)
+        known = state.odometry_errors.segments >= MIN_SEGMENTS and self._is_usual(state, predicted)
+        sigma_m = max(error_m, _MIN_SIGMA_M if known else predicted.sigma_m)
         sigma_rad = max(error_rad, predicted.sigma_rad)
-        for gate, gain in zip(self.gate_sigmas, self.inlier_gains, strict=True):
-            covariance = np.square(gate / self.window.gate_sigmas * np.diag([sigma_m, sigma_m, sigma_rad]))
-            place = self.window.search(pyramid, predicted.pose, covariance, beams.ends)
-            if place is None or place.runner_up_score > self.ambiguity_ratio * place.score:
-                continue
-            found = self._refine(state, place.pose, predicted, beams)
-            best = found if found.inlier_ratio > best.inlier_ratio + gain else best
-            if best.inlier_ratio >= self.certain_inlier_ratio:
-                return best
-        reach_m = self.gate_sigmas[-1] * sigma_m if self.gate_sigmas else self.global_window.window_m
-        reach = np.diag([reach_m, reach_m, self.global_window.window_rad]) / self.global_window.gate_sigmas
-        place = self.global_window.search(pyramid, predicted.pose, np.square(reach), beams.ends)
-        if place is None or place.runner_up_score > self.ambiguity_ratio * place.score:
-            return best
-        found = self._refine(state, place.pose, predicted, beams)
-        needed = max(self.global_inlier_ratio, best.inlier_ratio + self.global_inlier_gain)
-        return found if found.inlier_ratio >= needed else best
 
-    def _refine(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
-        """Match from a place that was found; its share is that of the beams that end in what the map knows."""
-        maps, row, least = state.maps, state.row, self.calibrated_matcher.min_information
-        match = self.matcher(maps, row, pose[None], _NO_PRIOR, beams)
-        weak = degenerate_direction(match.information[0], float(match.score[0]), least)
-        if weak is not None:
-            along = match.poses[0].copy()
-            along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
-            match = self.calibrated_matcher(maps, row, along[None], _NO_PRIOR, beams)
-        at = match.poses[0]
-        known = maps.is_known(state.matched_map, transform_points(at, beams.ends))
-        away = maps.distances(row, at[None], beams.ends)[0, known]
-        agreeing = float(np.sum(1 / (1 + np.square(away / self.matcher.cauchy_m))))
-        inlier_ratio = agreeing / max(len(away), self.min_overlap * len(beams))
-        return PoseEstimate(at, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)
+        def find(window: BranchAndBound, sigmas: FloatArray) -> PoseEstimate | None:
+            """The only place where the prediction, of standard deviations (3,), has the scan."""
+            place = window.search(pyramid, predicted.pose, np.diag(np.square(sigmas)), beams.ends)
+            if place is None or place.runner_up_score > _MAX_AMBIGUITY * place.score:
+                return None
+            return _refine(state, place.pose, predicted, beams, matcher)
+
+        for gate, gain in _GATES:
+            found = find(_WINDOW, gate / _WINDOW.gate_sigmas * np.array([sigma_m, sigma_m, sigma_rad]))
+            if found is not None and found.inlier_ratio > best.inlier_ratio + gain:
+                best = found
+            if best.inlier_ratio >= _CERTAIN_INLIER_RATIO:
+                return best
+        reach_m = _GATES[-1][0] * sigma_m
+        reach = np.array([reach_m, reach_m, _GLOBAL_WINDOW.window_rad])
+        found = find(_GLOBAL_WINDOW, reach / _GLOBAL_WINDOW.gate_sigmas)
+        needed = max(_GLOBAL_INLIER_RATIO, best.inlier_ratio + _GLOBAL_INLIER_GAIN)
+        return found if found is not None and found.inlier_ratio >= needed else best
+
+
+@cache
+def calibrated(matcher: GaussNewton) -> GaussNewton:
+    """The same for calibrated odometry, which then constrains weak directions."""
+    return replace(matcher, min_information=max(matcher.min_information, _CALIBRATED_INFORMATION))
+
+
+def _refine(
+    state: TrackerState, pose: FloatArray, predicted: Prediction, beams: BeamEnds, matcher: GaussNewton
+) -> PoseEstimate:
+    """Match from a place that was found; its inlier ratio is that of the beams that end in what the map knows.
+
+    If the scan is degenerate the odometry constrains it.
+    """
+    held = calibrated(matcher)
+    match = matcher(state.maps, state.row, pose[None], NO_PRIOR, beams)
+    weak = degenerate_direction(match.information[0], float(match.score[0]), held.min_information)
+    if weak is not None:
+        along = match.poses[0].copy()
+        along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
+        match = held(state.maps, state.row, along[None], NO_PRIOR, beams)
+    best = match.poses[0]
+    known = state.maps.is_known(state.matched_map, transform_points(best, beams.ends))
+    distances = state.maps.distances(state.row, best[None], beams.ends)[0, known]
+    agreeing = float(np.sum(1 / (1 + np.square(distances / matcher.cauchy_m))))
+    inlier_ratio = agreeing / max(len(distances), _MIN_OVERLAP * len(beams))
+    return PoseEstimate(best, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)

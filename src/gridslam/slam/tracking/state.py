@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.beam_order import BeamOrder
 from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
 
-__all__ = ["PoseEstimate", "Prediction", "SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
+__all__ = ["SensorTrack", "TrackedScan", "TrackerState", "is_within", "pose_of"]
 
 _BOTH = np.array([0, 1], np.int32)
+_ORDER_MARGIN = 0.005
+"""Gain of the inlier ratio, averaged over scans, required to use an order of beams other than the reported one."""
+
+_ORDER_PRIOR_SCANS = 20
+"""Prior weight of the reported order of beams, in scans."""
+
 _ROWS = (np.array([0], np.int32), np.array([1], np.int32))
 
 
@@ -30,13 +37,18 @@ class SensorTrack(NamedTuple):
     matched_pose: FloatArray  # (3,), of that scan
     inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
     inserted_pose: FloatArray  # (3,), of its last scan that was inserted
-    beam_order_sums: FloatArray  # (3,), votes for the order of its beams; see `TrackerDeskew`
+    beam_order: BeamOrder = BeamOrder()
     ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
         """After its first scan, from `pose` (3,)."""
-        return cls(stamp_ns, pose, 1.0, pose, np.zeros(3))
+        return cls(stamp_ns, pose, 1.0, pose)
+
+    @property
+    def best_order(self) -> int:
+        """Order in which its beams are measured, one of `gridslam.matching.beam_order.ORDERS`."""
+        return self.beam_order.best(_ORDER_MARGIN, _ORDER_PRIOR_SCANS)
 
 
 @final
@@ -105,8 +117,10 @@ class TrackerState:
     @classmethod
     def start(cls, maps: TileMaps, odometry: Odometry | None, stamp_ns: int, sensor: str) -> TrackerState:
         """Begin at the origin of the tracker's frame."""
-        pose, at = np.zeros(3), pose_of(odometry)
-        return cls(maps, pose, stamp_ns, at, pose, at, {sensor: SensorTrack.first(stamp_ns, pose)})
+        pose = np.zeros(3)
+        odometry_pose = pose_of(odometry)
+        track = SensorTrack.first(stamp_ns, pose)
+        return cls(maps, pose, stamp_ns, odometry_pose, pose, odometry_pose, {sensor: track})
 
     @property
     def row(self) -> NDArray[np.int32]:
@@ -131,14 +145,17 @@ class TrackerState:
 
     def insert(self, beams: Beams, most: int) -> None:
         """Insert a scan at the current pose; the local maps alternate after `most` scans of each laser."""
-        scans, active, full = list(self.scans), self.matched_map, most * len(self.sensors)
+        scans = list(self.scans)
+        active = self.matched_map
+        full = most * len(self.sensors)
         rows = _ROWS[active] if scans[active] < full else _BOTH
         for row in rows.tolist():
             scans[row] += 1
         self.maps.update(rows, np.repeat(self.pose[None], len(rows), axis=0), beams)
         if scans[1 - active] >= full:
             self.maps.clear(active)
-            scans[active], self.matched_map = 0, 1 - active
+            scans[active] = 0
+            self.matched_map = 1 - active
         self.scans = (scans[0], scans[1])
 
     def snapshot(self) -> TrackerState:
@@ -147,51 +164,56 @@ class TrackerState:
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays; `from_arrays` continues with identical results."""
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _POSES}
         counters = [
-            self.stamp_ns,
-            self.matched_map,
-            *self.scans,
-            self.unlocalized_scans,
-            self.rejected_odometry,
+            self.stamp_ns, self.matched_map, *self.scans, self.unlocalized_scans, self.rejected_odometry,
             self.stamps_unreliable,
-        ]
-        arrays["counters"] = np.array(counters, np.int64)
-        arrays["rejected_match_variances"] = np.array([self.rejected_match_m2, self.rejected_match_rad2])
-        arrays["rates"] = np.array([self.period_s, self.mean_step])
-        stamps, *parts, ends = zip(*self.sensors.values(), strict=True)
-        arrays["sensors.names"] = np.array(list(self.sensors), np.str_)
-        arrays["sensors.stamps_ns"] = np.array(stamps, np.int64)
-        arrays |= {f"sensors.{name}": np.array(part) for name, part in zip(_OF_SENSORS, parts, strict=True)}
-        arrays["sensors.counts"], arrays["sensors.ends"] = np.array([len(e) for e in ends]), np.concatenate(ends)
+        ]  # fmt: skip
+        tracks = self.sensors.values()
+        arrays = {name: getattr(self, name) for name in _POSES} | {
+            "counters": np.array(counters, np.int64),
+            "rejected_match_variances": np.array([self.rejected_match_m2, self.rejected_match_rad2]),
+            "rates": np.array([self.period_s, self.mean_step]),
+            "sensors.names": np.array(list(self.sensors), np.str_),
+            "sensors.stamps_ns": np.array([track.stamp_ns for track in tracks], np.int64),
+            "sensors.matched_poses": np.array([track.matched_pose for track in tracks]),
+            "sensors.inlier_ratios": np.array([track.inlier_ratio for track in tracks]),
+            "sensors.inserted_poses": np.array([track.inserted_pose for track in tracks]),
+            "sensors.beam_order_sums": np.array([track.beam_order[:3] for track in tracks]),
+            "sensors.counts": np.array([len(track.ends) for track in tracks]),
+            "sensors.ends": np.concatenate([track.ends for track in tracks]),
+        }
         arrays |= {f"odometry_errors.{name}": array for name, array in self.odometry_errors.to_arrays().items()}
         return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
         """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        maps = mapper.restore({n.removeprefix("maps."): a for n, a in arrays.items() if n.startswith("maps.")})
-        odometry_errors = OdometryErrorModel.from_arrays(
-            {n.removeprefix("odometry_errors."): a for n, a in arrays.items() if n.startswith("odometry_errors.")}
-        )
-        stamp_ns, active, first, second, unlocalized, rejected, unreliable = (int(v) for v in arrays["counters"])
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
+
+        stamp_ns, active, first, second, unlocalized, rejected, unreliable = arrays["counters"].tolist()
         rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
         period_s, mean_step = arrays["rates"].tolist()
-        parts = [arrays[f"sensors.{name}"] for name in ("stamps_ns", *_OF_SENSORS)]
-        ends = np.split(arrays["sensors.ends"], np.cumsum(arrays["sensors.counts"])[:-1])
-        last = [
-            SensorTrack(int(s), pose, float(ratio), *rest) for s, pose, ratio, *rest in zip(*parts, ends, strict=True)
-        ]
+        sensors = part("sensors.")
+        ends = np.split(sensors["ends"], np.cumsum(sensors["counts"])[:-1])
+        tracks = [
+            SensorTrack(
+                int(sensors["stamps_ns"][k]), sensors["matched_poses"][k], float(sensors["inlier_ratios"][k]),
+                sensors["inserted_poses"][k], BeamOrder(*sensors["beam_order_sums"][k].tolist()), ends[k],
+            )
+            for k in range(len(ends))
+        ]  # fmt: skip
         return cls(
-            maps, stamp_ns=stamp_ns, odometry_errors=odometry_errors,
-            sensors=dict(zip(arrays["sensors.names"].tolist(), last, strict=True)), period_s=period_s,
+            mapper.restore(part("maps.")), stamp_ns=stamp_ns,
+            odometry_errors=OdometryErrorModel.from_arrays(part("odometry_errors.")),
+            sensors=dict(zip(sensors["names"].tolist(), tracks, strict=True)), period_s=period_s,
             mean_step=mean_step, stamps_unreliable=bool(unreliable), matched_map=active, scans=(first, second),
             unlocalized_scans=unlocalized, rejected_odometry=rejected, rejected_match_m2=rejected_match_m2,
             rejected_match_rad2=rejected_match_rad2, **{name: np.array(arrays[name], np.float64) for name in _POSES},
         )  # fmt: skip
 
 
-_OF_SENSORS = ("matched_poses", "inlier_ratios", "inserted_poses", "beam_order_sums")
 _POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "velocity_variances")
 
 
@@ -204,38 +226,6 @@ def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bo
 def pose_of(odometry: Odometry | None) -> FloatArray:
     """Pose (3,); NaN where there is none."""
     return np.full(3, np.nan) if odometry is None else odometry.pose
-
-
-@final
-class Prediction(NamedTuple):
-    """Predicted pose of a scan."""
-
-    pose: FloatArray  # (3,)
-    by_odometry: bool  # or by the velocity
-    seconds: float  # since the last scan
-    moved_m: float  # since the last scan that was matched, by the odometry; 0 without
-    turned_rad: float  # since the last scan that was matched
-    sigma_m: float
-    sigma_rad: float
-    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
-
-    @property
-    def prior(self) -> FloatArray:
-        """Information (1, 3, 3) of the prediction, beside residuals in m."""
-        position, heading = (self.beam_sigma_m / self.sigma_m) ** 2, (self.beam_sigma_m / self.sigma_rad) ** 2
-        return np.array([[[position, 0.0, 0.0], [0.0, position, 0.0], [0.0, 0.0, heading]]])
-
-
-@final
-class PoseEstimate(NamedTuple):
-    """Where a scan was taken."""
-
-    pose: FloatArray  # (3,)
-    prediction: Prediction  # from which it was found
-    matched: bool  # whether the map was asked
-    lost: bool  # neither match nor prediction is reliable
-    inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
-    determined: bool = False  # by the scan, in all directions
 
 
 @final

@@ -14,30 +14,38 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
-from gridslam.slam.tracking.deskew import TrackerDeskew
-from gridslam.slam.tracking.motion import motion_of, odometry_sigmas
-from gridslam.slam.tracking.odometry_calibration import OdometryCalibration
-from gridslam.slam.tracking.search import OdometrySearch
+from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, motion_of
+from gridslam.slam.tracking.prediction import NEWEST_WEIGHT, ConstantVelocity, PoseEstimate, Prediction, odometry_sigmas
+from gridslam.slam.tracking.search import NO_PRIOR, OdometrySearch, calibrated
 from gridslam.slam.tracking.state import (
-    PoseEstimate,
-    Prediction,
     SensorTrack,
     TrackedScan,
     TrackerState,
     is_within,
     pose_of,
 )
-from gridslam.slam.tracking.velocity import ConstantVelocity
 from gridslam.types import BeamEnds, Beams, FloatArray, Match, Odometry
 
-__all__ = ["TrackedScan", "Tracker", "TrackerState"]
+__all__ = ["OdometryTracker", "TrackedScan", "Tracker", "TrackerState"]
 
-_NO_PRIOR = np.full((1, 3, 3), 1e-9) * np.eye(3)
+_JUMP_M = 1.0
+_JUMP_RAD = 1.0
+"""Odometry that moves farther between two scans than this and the robot's speeds allow has jumped: it was reset, or a
+message was lost. Its increment is not used, as if there had been no odometry."""
+
+_MERGE_M = 0.3
+_MERGE_RAD = 0.3
+"""A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry; where
+there is none, from a twentieth of that."""
+
+_MAX_UNMATCHED_SCANS = 3
+"""Without odometry, a scan is inserted without a valid match after this many consecutive failures."""
 
 
 @final
@@ -59,38 +67,28 @@ class Tracker:
         Standard deviation of a beam's distance to the map against which the odometry's information is weighed. Far
         below a lidar's noise: beams are many, and wheel slip is not covered by any variance. With seven times as
         much the Intel log is lost by 0.2 m and more.
-    jump_m, jump_rad : float
-        Odometry that moves farther between two scans than this and the speeds in `velocity` allow has jumped: it was
-        reset, or a message was lost. Its increment is not used, as if there had been no odometry.
     min_inlier_ratio : float
         Minimum inlier ratio of a match; below it (mostly unmapped area, or a turn too fast for the scan rate) the
         prediction is used.
-    slip_m : float, m
-        A match that moves the position farther than this from the odometry, and than four of the odometry's standard
-        deviations, requires a gain in inliers (`slip_gain`): wheel slip or delayed odometry. Else something misled it
-        (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the position
-        keeps the odometry, and only the heading is taken.
-    slip_inlier_gain : float
-        Minimum gain of the inlier ratio by such a match.
-    matcher : GaussNewton
-        How a scan is matched.
-    calibrated_matcher : GaussNewton
-        The same once the odometry is calibrated: it then constrains weak directions better than the scan. Where
-        directions are better determined than that, the odometry's errors are learned.
-    velocity : ConstantVelocity
-        Motion prediction without odometry.
-    merge_max_m, merge_max_rad : float
-        A scan is matched together with what the other lasers saw last, from no farther away than both by the odometry;
-        where there is none, from a twentieth of that.
     search_inlier_ratio : float
         Inlier ratio of a match below which a better one is searched for from the velocity's
         prediction and all around: on real logs more agree in the right place, and fewer in others.
-    max_unmatched_scans : int
-        Without odometry, a scan is inserted without a valid match after this many consecutive failures.
+    slip_m : float, m
+        A match that moves the position farther than this from the odometry, and than four of the odometry's standard
+        deviations, requires a gain in inliers (`slip_inlier_gain`): wheel slip or delayed odometry. Else something
+        misled it (a person walking along, the dotted far end of a bare corridor, a scan smeared by a fast turn): the
+        position keeps the odometry, and only the heading is taken.
+    slip_inlier_gain : float
+        Minimum gain of the inlier ratio by such a match.
+    deskew : bool
+        Whether scans with beam times are deskewed, by the motion that their match yields and in the order of the beams
+        that fits the map best; else they are taken as they are.
+    matcher : GaussNewton
+        How a scan is matched. Once the odometry is calibrated it constrains weak directions better than the scan.
+    velocity : ConstantVelocity
+        Motion prediction without odometry.
     search : OdometrySearch
         How a scan is searched for around the odometry where scans are far apart.
-    deskew : TrackerDeskew or None
-        How scans with beam times are deskewed; None: they are taken as they are.
     calibration : OdometryCalibration or None
         Online calibration of the odometry; None: disabled.
     """
@@ -101,20 +99,14 @@ class Tracker:
     insert_rad: float = Field(default=0.1, gt=0)
     map_scans: int = Field(default=20, ge=1)
     beam_sigma_m: float = Field(default=0.0016, gt=0)
-    jump_m: float = Field(default=1.0, gt=0)
-    jump_rad: float = Field(default=1.0, gt=0)
     min_inlier_ratio: float = Field(default=0.5, ge=0, le=1)
+    search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
     slip_m: float = Field(default=0.08, gt=0)
     slip_inlier_gain: float = Field(default=0.1, ge=0, le=1)
+    deskew: bool = True
     matcher: GaussNewton = GaussNewton()
-    calibrated_matcher: GaussNewton = GaussNewton(min_information=0.05)
     velocity: ConstantVelocity = ConstantVelocity()
-    merge_max_m: float = Field(default=0.3, ge=0)
-    merge_max_rad: float = Field(default=0.3, ge=0)
-    search_inlier_ratio: float = Field(default=0.7, ge=0, le=1)
-    max_unmatched_scans: int = Field(default=3, ge=1)
     search: OdometrySearch = OdometrySearch()
-    deskew: Annotated[TrackerDeskew | None, Kind()] = TrackerDeskew()
     calibration: Annotated[OdometryCalibration | None, Kind()] = OdometryCalibration()
 
     def init(
@@ -125,53 +117,90 @@ class Tracker:
         state.maps.update(state.row, state.pose[None], beams)
         return state
 
-    def step(self, state: TrackerState, odometry: Odometry | None, stamp_ns: int, beams: Beams) -> TrackedScan:
-        """Track one scan; updates `state`."""
-        at, seconds = pose_of(odometry), self.velocity.seconds(state, stamp_ns)
-        predicted, spread = self._predict(state, at, stamp_ns, seconds), state.velocity_variances
-        if self.deskew is None or beams.scan.beam_times_s is None:
-            found = self._locate(state, predicted, beams)
+    def step(
+        self,
+        state: TrackerState,
+        odometry: Odometry | None,
+        stamp_ns: int,
+        beams: Beams,
+        odometry_covariance: FloatArray | None = None,
+    ) -> TrackedScan:
+        """Track one scan; updates `state`.
+
+        `odometry_covariance` (3, 3) is that of the odometry's motion since the last scan that was matched, by x, y and
+        theta in the frame of the base at that scan; None if nothing is known of it.
+        """
+        odometry_pose = pose_of(odometry)
+        seconds = self.velocity.seconds(state, stamp_ns)
+        predicted = self._predict(state, odometry_pose, stamp_ns, seconds, odometry_covariance)
+        spread = state.velocity_variances
+        if self.deskew and beams.scan.beam_times_s is not None:
+            found, beams = self._locate_deskewed(state, predicted, beams)
         else:
-            found, beams = self.deskew(
-                state, predicted, lambda pose: self.velocity.update_twist(state, pose, seconds), beams,
-                lambda sharp: self._locate(state, predicted, sharp),
-            )  # fmt: skip
+            found = self._locate(state, predicted, beams)
         joint = self._merge_lasers(state, found.pose, found.prediction, beams)
         self._advance(state, found)
-        state.rejected_odometry += odometry is not None and not found.prediction.by_odometry
-        if found.matched or not found.prediction.by_odometry:
-            state.matched_pose, state.matched_odometry = found.pose, at
-        state.stamp_ns, state.odometry = stamp_ns, at
+        by_odometry = found.prediction.by_odometry
+        state.rejected_odometry += odometry is not None and not by_odometry
+        if found.matched or not by_odometry:
+            state.matched_pose = found.pose
+            state.matched_odometry = odometry_pose
+        state.stamp_ns = stamp_ns
+        state.odometry = odometry_pose
         if found.matched:
             self._learn(state, found)
             self._insert(state, found, beams)
-        if not found.prediction.by_odometry:
+        if not by_odometry:
             return TrackedScan(found.pose, found.prediction.pose, beams, joint, spread)
         control, widening = self.search.control(state, found)
         return TrackedScan(found.pose, control, beams, joint, widening)
 
-    def _predict(self, state: TrackerState, at: FloatArray, stamp_ns: int, seconds: float) -> Prediction:
-        measured = between(state.matched_odometry, at)
+    def _predict(
+        self,
+        state: TrackerState,
+        odometry: FloatArray,
+        stamp_ns: int,
+        seconds: float,
+        covariance: FloatArray | None,
+    ) -> Prediction:
+        measured = between(state.matched_odometry, odometry)
         useless = not (state.odometry_errors.trusted or self.search.is_sparse(state))  # else velocities are worse
-        if math.isnan(measured[0]) or useless or self._has_jumped(state, at, stamp_ns):
-            return self._predict_by_velocity(state, seconds)
+        passed = abs(stamp_ns - state.stamp_ns) * 1e-9
+        jumped = self.velocity.exceeds(odometry - state.odometry, passed, _JUMP_M, _JUMP_RAD)
+        if math.isnan(measured[0]) or useless or jumped:
+            return self.velocity.predict(state, seconds)
         increment = state.odometry_errors.correct_increment(measured)
         moved, turned = motion_of(increment)
         sigmas = odometry_sigmas(moved, turned, state.maps.resolution_m)
         pose = compose(state.matched_pose, increment)
         return Prediction(pose, True, seconds, moved, turned, *sigmas, self.beam_sigma_m)
 
-    def _predict_by_velocity(self, state: TrackerState, seconds: float) -> Prediction:
-        velocity = self.velocity
-        pose, sigmas = velocity.predict(state, seconds), velocity.sigmas(seconds)
-        turned = abs(float(state.twist[2])) * seconds
-        return Prediction(pose, False, seconds, 0.0, turned, *sigmas, velocity.beam_sigma_m)
+    def _locate_deskewed(self, state: TrackerState, predicted: Prediction, beams: Beams) -> tuple[PoseEstimate, Beams]:
+        """Find where a scan with beam times was taken, and how its beams are seen from there at its stamp.
 
-    def _has_jumped(self, state: TrackerState, at: FloatArray, stamp_ns: int) -> bool:
-        dx, dy, turn = (at - state.odometry).tolist()
-        seconds = abs(stamp_ns - state.stamp_ns) * 1e-9
-        far = math.hypot(dx, dy) > self.jump_m + self.velocity.speed_mps * seconds
-        return far or abs(math.remainder(turn, math.tau)) > self.jump_rad + self.velocity.turn_rps * seconds
+        A scan goes on after its stamp, so its beams depend on the following twist: that of the motion up to the stamp,
+        by the prediction or by the match, or that one grown by as much as since the scan before. The one by which most
+        beams agree with the map is taken. `state` learns the order of the beams.
+        """
+        track = state.sensors.get(beams.scan.sensor)
+        order = 1 if track is None else track.best_order
+        deskewed = beams.deskew(order * self.velocity.update_twist(state, predicted.pose, predicted.seconds))
+        best = self._locate(state, predicted, deskewed)
+        if not best.matched or not best.inlier_ratio:
+            return best, deskewed
+        twist = self.velocity.update_twist(state, best.pose, predicted.seconds)
+        for other in (twist, 2 * twist - state.twist):
+            again = beams.deskew(order * other)
+            found = self._locate(state, predicted, again)
+            if found.inlier_ratio > best.inlier_ratio:
+                best = found
+                deskewed = again
+        if track is not None:
+            learned = track.beam_order.learn(
+                beams, twist, lambda tried: self._locate(state, predicted, tried).inlier_ratio
+            )
+            state.update_track(beams.scan.sensor, track._replace(beam_order=learned))
+        return best, deskewed
 
     def _locate(self, state: TrackerState, predicted: Prediction, beams: Beams) -> PoseEstimate:
         """Where a scan was taken."""
@@ -195,25 +224,25 @@ class Tracker:
     def _locate_by_search(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Search around the velocity's prediction; around that of the odometry if the velocity is invalid."""
         if self.search.is_far_from_last(state, predicted):
-            return self.search(state, predicted, beams)
-        return self._match_from_velocity(state, self._predict_by_velocity(state, predicted.seconds), beams)
+            return self.search(state, predicted, beams, self.matcher)
+        return self._match_from_velocity(state, self.velocity.predict(state, predicted.seconds), beams)
 
     def _merge_lasers(self, state: TrackerState, pose: FloatArray, predicted: Prediction, beams: Beams) -> BeamEnds:
         """The scan, taken at about `pose`, with those of the other lasers."""
         trusted = 1.0 if predicted.by_odometry else 0.05
-        return state.merge_lasers(beams, pose, trusted * self.merge_max_m, trusted * self.merge_max_rad)
+        return state.merge_lasers(beams, pose, trusted * _MERGE_M, trusted * _MERGE_RAD)
 
     def _is_standing(self, state: TrackerState, track: SensorTrack, predicted: Prediction, beams: BeamEnds) -> bool:
         """Whether the robot has not moved according to the odometry, and the scan does not contradict it."""
         if not is_within(track.matched_pose, predicted.pose, self.standstill_m, self.standstill_rad):
             return False
-        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], _NO_PRIOR, beams).score[0] / len(beams)
+        ratio = EVALUATE_ONLY(state.maps, state.row, predicted.pose[None], NO_PRIOR, beams).score[0] / len(beams)
         return bool(ratio > track.inlier_ratio - self.slip_inlier_gain)
 
     def _match_from_odometry(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by odometry; where a match is implausible, only its heading is taken."""
         known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
-        matcher = self.calibrated_matcher if known else self.matcher
+        matcher = calibrated(self.matcher) if known else self.matcher
         match = matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         best, score = match.poses[0], float(match.score[0])
         pose = best
@@ -222,7 +251,7 @@ class Tracker:
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
             stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
-            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], _NO_PRIOR, beams).score[0]
+            before = EVALUATE_ONLY(state.maps, state.row, stayed[None], NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
         determined = pose is best and self._is_determined(match)
         return PoseEstimate(
@@ -237,7 +266,7 @@ class Tracker:
             search = self.velocity.search(state, predicted.seconds)
             place = search.search(Pyramid.of(maps, state.matched_map), predicted.pose, None, beams.ends)
             if place is not None:
-                other = self.matcher(maps, row, place.pose[None], _NO_PRIOR, beams)
+                other = self.matcher(maps, row, place.pose[None], NO_PRIOR, beams)
                 convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
                 match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
         if match.score[0] < self.min_inlier_ratio * count:
@@ -255,7 +284,7 @@ class Tracker:
             state.rejected_match_rad2 += predicted.sigma_rad**2
         moved, turned = motion_of(between(state.pose, found.pose))
         if moved + turned > self.standstill_m + self.standstill_rad:
-            state.mean_step += 0.05 * (min(moved + turned, self.search.blind_step) - state.mean_step)
+            state.mean_step += NEWEST_WEIGHT * (min(moved + turned, self.search.blind_step) - state.mean_step)
         blind = found.lost and not predicted.by_odometry
         state.twist = 0.5 * state.twist if blind else self.velocity.update_twist(state, found.pose, predicted.seconds)
         if found.inlier_ratio and not predicted.by_odometry:
@@ -273,7 +302,7 @@ class Tracker:
 
     def _is_determined(self, match: Match) -> bool:
         """Whether a match is non-degenerate, and better than calibrated odometry."""
-        least = self.calibrated_matcher.min_information
+        least = calibrated(self.matcher).min_information
         return degenerate_direction(match.information[0], float(match.score[0]), least) is None
 
     def _insert(self, state: TrackerState, found: PoseEstimate, beams: Beams) -> None:
@@ -288,7 +317,7 @@ class Tracker:
                 self.search.is_far_from_last(state, found.prediction) or found.prediction.turned_rad <= self.insert_rad
             )
         elif found.lost:  # what is seen is new, but one scan does not decide that
-            due = state.unlocalized_scans >= self.max_unmatched_scans
+            due = state.unlocalized_scans >= _MAX_UNMATCHED_SCANS
         last = track or SensorTrack.first(state.stamp_ns, found.pose)
         ends = beams.ends if len(state.sensors) > 1 else last.ends
         last = last._replace(
@@ -297,3 +326,36 @@ class Tracker:
         state.update_track(beams.scan.sensor, last._replace(inserted_pose=found.pose) if due else last)
         if due:
             state.insert(beams, self.map_scans)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class OdometryTracker:
+    """The tracker of GMapping: takes the odometry as it is, and so needs it with every scan."""
+
+    def init(
+        self, odometry: Odometry | None, stamp_ns: int, beams: Beams, mapper: OccupancyGridMapping
+    ) -> TrackerState:
+        """Start at the origin of the tracker's frame; ArgumentError where there is no odometry."""
+        return TrackerState.start(mapper.empty(2), _require_odometry(odometry, stamp_ns), stamp_ns, beams.scan.sensor)
+
+    def step(
+        self,
+        state: TrackerState,
+        odometry: Odometry | None,
+        stamp_ns: int,
+        beams: Beams,
+        odometry_covariance: FloatArray | None = None,
+    ) -> TrackedScan:
+        """Track one scan; updates `state`; ArgumentError where there is no odometry. The covariance is not used."""
+        state.odometry = _require_odometry(odometry, stamp_ns).pose
+        state.stamp_ns = stamp_ns
+        state.pose = compose(state.matched_pose, between(state.matched_odometry, state.odometry))
+        return TrackedScan(state.pose, state.pose, beams, beams)
+
+
+def _require_odometry(odometry: Odometry | None, stamp_ns: int) -> Odometry:
+    if odometry is None:
+        expected = "a pose with every scan, as this tracker uses nothing else"
+        raise ArgumentError("odometry", expected, f"none with the scan at {stamp_ns} ns")
+    return odometry

@@ -9,9 +9,9 @@ import pytest
 
 from gridslam.geometry import se2
 from gridslam.sim import RobotConfig, make_world
-from gridslam.sim.deceptive import cross, ring, serpentine, twins
+from gridslam.sim.aliasing import cross, ring, serpentine, twins
 from gridslam.sim.lidar import LidarConfig, cast_rays
-from gridslam.sim.robot import follow
+from support.drives import follow
 
 KINDS = ["equal_rooms", "symmetric", "bare_corridors", "moved_furniture"]
 BEARINGS = LidarConfig().bearings

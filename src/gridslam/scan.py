@@ -1,0 +1,436 @@
+"""One sweep of a planar lidar: where its beams point, what they measured, and which of them are used."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Protocol, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.arguments import freeze, require_array, require_instance
+from gridslam.errors import ArgumentError
+from gridslam.geometry.angles import wrap
+
+__all__ = [
+    "LONGEST_SCAN_S",
+    "BeamEnds",
+    "BeamStatus",
+    "Beams",
+    "FloatArray",
+    "IntArray",
+    "LaserScan",
+    "Rows",
+    "ScanGeometry",
+    "StoredScan",
+    "Thinning",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Rows = NDArray[np.integer[Any]]
+"""Which map of a table of maps: one row for each pose."""
+
+
+@final
+class ScanGeometry:
+    """Where the beams of a laser point, seen from the robot's base; one object is shared by all scans of a laser.
+
+    Parameters
+    ----------
+    bearings : (B,) float64, rad
+        Angle of each beam in the laser's frame, counter-clockwise.
+    base_from_laser : (4, 4) float64, optional
+        SE(3) mounting of the laser (homogeneous; m); identity if not given. A planar mounting comes from `planar`.
+
+    Attributes
+    ----------
+    directions : (B, 2) float64
+        Direction of each beam in the base frame, projected on the ground plane (shorter than 1 for a tilted laser).
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    widths : (B,) float64, rad
+        Angle between each beam and the one before it, the last before the first.
+    """
+
+    __slots__ = ("base_from_laser", "bearings", "directions", "origin", "widths")
+
+    def __init__(self, bearings: ArrayLike, base_from_laser: ArrayLike | None = None) -> None:
+        self.bearings: FloatArray = freeze(bearings, np.float64, (None,), "bearings")
+        if not np.isfinite(self.bearings).all():
+            raise ArgumentError("bearings", "finite angles in rad", "a value that is not finite")
+        mounting = np.eye(4) if base_from_laser is None else base_from_laser
+        self.base_from_laser: FloatArray = freeze(mounting, np.float64, (4, 4), "base_from_laser")
+        if not np.isfinite(self.base_from_laser).all():
+            raise ArgumentError("base_from_laser", "finite numbers", self.base_from_laser.tolist())
+        rotation = self.base_from_laser[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+            raise ArgumentError("base_from_laser", "a rotation in its upper left 3x3 block", rotation.tolist())
+        in_laser = np.stack([np.cos(self.bearings), np.sin(self.bearings), np.zeros_like(self.bearings)])
+        self.directions: FloatArray = freeze((rotation @ in_laser)[:2].T, np.float64, (None, 2), "directions")
+        self.origin: FloatArray = freeze(self.base_from_laser[:2, 3], np.float64, (2,), "origin")
+        gaps = np.abs(wrap(self.bearings - np.roll(self.bearings, 1)))
+        self.widths: FloatArray = freeze(gaps, np.float64, (None,), "widths")
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        first, last = np.degrees(self.bearings[[0, -1]]) if len(self.bearings) else (math.nan, math.nan)
+        x, y = self.origin.tolist()
+        return f"ScanGeometry({len(self.bearings)} beams, {first:.1f} to {last:.1f} deg, at x {x:.3f} m, y {y:.3f} m)"
+
+    @classmethod
+    def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
+        """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
+        x, y, theta = freeze(base_from_laser, np.float64, (3,), "base_from_laser")
+        c, s = np.cos(theta), np.sin(theta)
+        return cls(bearings, [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+_STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Beams:
+    """The usable beams of a scan in the base frame; what matchers, sensor models and mappers work on.
+
+    Attributes
+    ----------
+    scan : LaserScan
+        Where they come from.
+    indices : (K,) int64
+        Which beams of the scan they are.
+    ends : (K, 2) float64, m
+        End points in the base frame.
+    origin : (2,) float64, m
+        The laser's place in the base frame.
+    turn_rate_rps : float, rad/s
+        Turn of the base during the scan that is undone in them; 0 where none is.
+    """
+
+    scan: LaserScan
+    indices: IntArray
+    ends: FloatArray
+    origin: FloatArray
+    turn_rate_rps: float = 0.0
+
+    def __len__(self) -> int:
+        """Return the number of usable beams K."""
+        return len(self.ends)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"Beams({len(self)} of {len(self.scan)}, up to {self.reach_m:.2f} m)"
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base; what a map must cover around the pose."""
+        return _reach_m(self.ends, self.origin)
+
+    def deskew(self, twist: FloatArray) -> Beams:
+        """Undo the robot's motion during the scan: all beams as if they had been measured at the scan's stamp.
+
+        A beam that was measured t seconds after the stamp left the laser, and ended, where the base then was: both lie
+        at exp(t twist) from the base at the stamp. To be applied once, to beams as `LaserScan.beams` selects them.
+
+        Parameters
+        ----------
+        twist : (3,) float64
+            Motion of the base, [v_x m/s, v_y m/s, omega rad/s] in its own frame, taken as constant during the scan.
+
+        Returns
+        -------
+        Beams
+            With exact ends. All rays begin at one `origin`, the mean of the laser's places: rays of a scan leave from
+            within half the path of the laser during the scan, 2 cm at 0.4 m/s and 10 scans a second. The same object
+            where the scan has no beam times.
+
+        Source: Sola et al., A micro Lie theory (2018), equations 156 and 158, as complex numbers.
+        """
+        if self.scan.beam_times_s is None or not len(self.ends):
+            return self
+        v_x, v_y, omega = twist.tolist()
+        times = self.scan.beam_times_s.take(self.indices)
+        half_turns = np.empty(len(times), np.complex128)
+        half_turns.real, half_turns.imag = np.cos(0.5 * omega * times), np.sin(0.5 * omega * times)
+        chords = half_turns.imag * (2 / omega) if abs(omega) > _STRAIGHT else times
+        ways, turns = complex(v_x, v_y) * chords * half_turns, half_turns * half_turns
+        ends = turns * self.ends.view(np.complex128)[:, 0] + ways
+        origin = (turns * complex(*self.origin.tolist()) + ways).mean(keepdims=True)
+        return Beams(self.scan, self.indices, ends.view(np.float64).reshape(-1, 2), origin.view(np.float64), omega)
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredScan:
+    """End points (K, 2) of the usable beams and origin (2,) of a stored scan."""
+
+    ends: FloatArray
+    origin: FloatArray
+
+    def __len__(self) -> int:
+        """Return the number of beams K."""
+        return len(self.ends)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base."""
+        return _reach_m(self.ends, self.origin)
+
+
+class BeamEnds(Protocol):
+    """Where beams end, seen from the base: `Beams` of a scan at hand, or `StoredScan` of one that was kept."""
+
+    @property
+    def ends(self) -> FloatArray:
+        """End points (K, 2) in the base frame, m."""
+
+    @property
+    def origin(self) -> FloatArray:
+        """The laser's place (2,) in the base frame, m."""
+
+    @property
+    def reach_m(self) -> float:
+        """Distance of the farthest end or of the laser from the base."""
+
+    def __len__(self) -> int:
+        """Return the number of beams K."""
+
+
+def _reach_m(ends: FloatArray, origin: FloatArray) -> float:
+    farthest = np.einsum("ij,ij->i", ends, ends).max(initial=float(origin @ origin))
+    return math.sqrt(farthest)
+
+
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class Thinning:
+    """Takes of a dense scan only one beam for each bit of arc about the laser.
+
+    Otherwise near structure outweighs all the rest, and thousands of beams cost time without new information.
+
+    Parameters
+    ----------
+    spacing_m : float, m, >= 0
+        Arc for which one beam is taken; half a cell of 5 cm, so that every cell of a wall is still hit. 0 takes all.
+    dense_beams : int, >= 1
+        A scan of more usable beams is dense, and about as many are kept at least: a turn of whole degrees, or half a
+        one of half degrees, has no more, and is used as it is.
+    """
+
+    spacing_m: float = Field(default=0.025, ge=0)
+    dense_beams: int = Field(default=400, ge=1)
+
+    def __call__(self, ranges: FloatArray, widths: FloatArray) -> NDArray[np.bool_] | None:
+        """Which beams to take: the first ones in equal parts of the arc that they sweep; None for all.
+
+        Parameters
+        ----------
+        ranges : (K,) float64, m
+            Of the usable beams, in their order.
+        widths : (K,) float64, rad
+            Angle between each beam of these and the one before it in the scan.
+        """
+        if not self.spacing_m or len(ranges) <= self.dense_beams:
+            return None
+        arc = np.cumsum(widths * ranges)
+        part = np.floor(arc / max(min(self.spacing_m, arc[-1] / self.dense_beams), _TINY))
+        first = np.empty(len(part), bool)
+        first[0] = True
+        np.not_equal(part[1:], part[:-1], out=first[1:])
+        return first
+
+
+LONGEST_SCAN_S = 10.0
+"""No planar laser takes this long for a scan: such beam times are invalid."""
+
+_SMALLEST = 5e-324  # a range of 0 is none
+
+
+class BeamStatus(IntEnum):
+    """Status of a beam, set once by the reader of the scan."""
+
+    HIT = 0
+    NO_RETURN = 1
+    INVALID = 2
+
+
+_HIT, _GREATEST = np.uint8(BeamStatus.HIT), int(max(BeamStatus))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LaserScan:
+    """One sweep of a planar lidar; `from_ranges` builds it from ranges, `from_ros` from the fields of a ROS message.
+
+    The constructor takes arrays as they are, and checks that they belong together.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the scan, ns.
+    ranges : (B,) float64, m
+        Measured ranges; meaningful where `status` is HIT.
+    status : (B,) uint8
+        A `BeamStatus` for each beam.
+    geometry : ScanGeometry
+        Bearings and mounting; its length is B.
+    range_min_m, range_max_m : float, m
+        Limits of the sensor, 0 <= range_min_m < range_max_m; `range_max_m` may be infinite.
+    sensor, frame : str
+        Identifier of the laser and name of its frame.
+    beam_times_s : (B,) float64 or None
+        Time of each beam relative to the stamp.
+
+    Raises
+    ------
+    ArgumentError
+        An argument is of another type, shape or range.
+    """
+
+    stamp_ns: int
+    ranges: FloatArray
+    status: NDArray[np.uint8]
+    geometry: ScanGeometry
+    range_min_m: float = 0.0
+    range_max_m: float = np.inf
+    sensor: str = "laser"
+    frame: str = "laser"
+    beam_times_s: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Check that all belongs together."""
+        require_instance("stamp_ns", self.stamp_ns, int, np.integer)
+        require_instance("geometry", self.geometry, ScanGeometry)
+        shape = self.geometry.bearings.shape
+        require_array("ranges", self.ranges, np.float64, shape)
+        require_array("status", self.status, np.uint8, shape)
+        if (greatest := int(self.status.max(initial=0))) > _GREATEST:
+            raise ArgumentError("status", "values of BeamStatus: 0, 1 or 2", greatest)
+        if not 0 <= self.range_min_m < math.inf:
+            raise ArgumentError("range_min_m", "a finite number >= 0", self.range_min_m)
+        if not self.range_max_m > self.range_min_m:
+            raise ArgumentError("range_max_m", f"a number > range_min_m, {self.range_min_m:g}", self.range_max_m)
+        if self.beam_times_s is not None:
+            require_array("beam_times_s", self.beam_times_s, np.float64, shape)
+
+    @classmethod
+    def from_ranges(
+        cls,
+        stamp_ns: int,
+        ranges: ArrayLike,
+        geometry: ScanGeometry,
+        *,
+        range_min_m: float = 0.0,
+        range_max_m: float = np.inf,
+        sensor: str = "laser",
+        frame: str = "laser",
+        beam_times_s: ArrayLike | None = None,
+    ) -> LaserScan:
+        """Build a scan from raw ranges (B,) in m, deciding each beam's status.
+
+        NaN, negative and zero ranges and ranges below `range_min_m` are INVALID; infinite ones and those at or above
+        `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ or a beam's time is not finite.
+        """
+        require_instance("geometry", geometry, ScanGeometry)
+        values = freeze(ranges, np.float64, (len(geometry.bearings),), "ranges")
+        no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
+        valid = (values > 0) & (values >= range_min_m)
+        status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
+        times = None if beam_times_s is None else freeze(beam_times_s, np.float64, values.shape, "beam_times_s")
+        if times is not None and not np.isfinite(times).all():
+            raise ArgumentError("beam_times_s", "finite times in s", "a value that is not finite")
+        known = freeze(status, np.uint8, values.shape, "status")
+        return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
+
+    @classmethod
+    def from_ros(  # noqa: PLR0913 the message's fields, by their names
+        cls,
+        stamp_ns: int,
+        ranges: ArrayLike,
+        *,
+        angle_min: float,
+        angle_increment: float,
+        range_min: float = 0.0,
+        range_max: float = np.inf,
+        time_increment: float = 0.0,
+        base_from_laser: ArrayLike | None = None,
+        geometry: ScanGeometry | None = None,
+        sensor: str = "laser",
+        frame: str = "laser",
+    ) -> LaserScan:
+        """Build a scan from the fields of a sensor_msgs/LaserScan, as they stand in the message.
+
+        Parameters
+        ----------
+        stamp_ns : int, ns
+            Of the header: ``stamp.sec * 10**9 + stamp.nanosec``.
+        ranges : (B,) float, m
+            By the rules of `from_ranges`.
+        angle_min, angle_increment : float, rad
+            Bearing of the first beam in the laser's frame, and from each beam to the next; counter-clockwise.
+        range_min, range_max : float, m
+            A maximum that is not above the minimum and 0 is no maximum; a minimum below 0, NaN or infinite is none.
+        time_increment : float, s
+            From each beam to the next; 0 where it is not known. One by which the scan takes 10 s or more is none.
+        base_from_laser : (4, 4) float64, optional
+            Mounting as for `ScanGeometry`; identity if not given.
+        geometry : ScanGeometry, optional
+            That of an earlier scan with the same angles and mounting, to be shared; else it is made of them.
+        sensor, frame : str
+            The topic and the header's frame.
+
+        Raises
+        ------
+        ArgumentError
+            An angle is not finite, or the ranges are no (B,) numbers.
+        """
+        lower = float(range_min) if 0 < range_min < math.inf else 0.0
+        upper = float(range_max) if range_max > lower else math.inf
+        with np.errstate(invalid="ignore"):  # of NaNs that signal
+            values = freeze(ranges, np.float64, (None,), "ranges")
+        if geometry is None:
+            if not math.isfinite(angle_min + angle_increment):
+                got = f"{angle_min} rad in steps of {angle_increment} rad"
+                raise ArgumentError("angle_min, angle_increment", "finite angles in rad", got)
+            geometry = ScanGeometry(angle_min + angle_increment * np.arange(len(values)), base_from_laser)
+        status = (values >= upper).view(np.uint8)  # 0 and 1: HIT and NO_RETURN
+        status[~(values >= (lower or _SMALLEST))] = BeamStatus.INVALID
+        status.flags.writeable = False
+        times = None
+        if time_increment > 0 and time_increment * len(values) < LONGEST_SCAN_S:
+            times = np.arange(len(values), dtype=np.float64) * time_increment
+            times.flags.writeable = False
+        return cls(stamp_ns, values, status, geometry, lower, upper, sensor, frame, times)
+
+    def __len__(self) -> int:
+        """Return the number of beams B."""
+        return len(self.ranges)
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        hits = self.ranges[self.status == _HIT]
+        reach = f" of {hits.min():.2f} to {hits.max():.2f} m" if len(hits) else ""
+        return f"LaserScan({self.sensor}, {self.stamp_ns * 1e-9:.3f} s: {len(self)} beams, {len(hits)} hits{reach})"
+
+    def beams(self, min_m: float, max_m: float, thinning: Thinning = Thinning()) -> Beams:
+        """Select the beams that hit something at `min_m` <= range < `max_m`, projected to the base frame.
+
+        Dense scans are thinned by `thinning`.
+        """
+        ranges, geometry = self.ranges, self.geometry
+        usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
+        taken = thinning(ranges.take(usable), geometry.widths.take(usable))
+        if taken is not None:
+            usable = usable[taken]
+        ends = geometry.directions.take(usable, axis=0)
+        ends *= ranges.take(usable)[:, None]
+        ends += geometry.origin
+        return Beams(self, usable, ends, geometry.origin)

@@ -1,0 +1,192 @@
+"""Where the next scan should be taken: by the odometry, or by the velocity where there is none."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.matching.branch_and_bound import BranchAndBound
+from gridslam.slam.tracking.state import SensorTrack, TrackerState
+from gridslam.types import FloatArray, MotionSampler
+
+__all__ = [
+    "MAX_INTERVAL_S",
+    "NEWEST_WEIGHT",
+    "ConstantVelocity",
+    "PoseEstimate",
+    "Prediction",
+    "odometry_sigmas",
+    "widen_motion",
+]
+
+MAX_INTERVAL_S = 1.0
+"""Longer than this no velocity lasts: a gap in the log counts as this long."""
+
+_SMOOTHING_S = 0.05
+"""The velocity is that of the last scans, back to about this time: two scans at nearly the same stamp, of two lasers,
+do not determine it."""
+
+_MARGIN_M = 0.05
+_MARGIN_RAD = 0.05
+"""Matches of scans at one stamp may be so far apart."""
+
+_SEARCH_M = 0.5
+_SEARCH_RAD = 0.5
+"""A scan is searched for within this of the prediction, and what the speeds allow beyond it."""
+
+_SIGMA_M = 0.005
+_SIGMA_RAD = 0.01
+"""Standard deviations of a prediction for the stamp of the last scan, which another laser may have."""
+
+_BEAM_SIGMA_M = 0.03
+"""Standard deviation of a beam against which a prediction by the velocity is weighed: a lidar's. Unlike wheels, mass
+does not slip."""
+
+NEWEST_WEIGHT = 0.05
+"""Weight of the newest scan in a running mean."""
+
+
+@final
+class Prediction(NamedTuple):
+    """Predicted pose of a scan."""
+
+    pose: FloatArray  # (3,)
+    by_odometry: bool  # or by the velocity
+    seconds: float  # since the last scan
+    moved_m: float  # since the last scan that was matched, by the odometry; 0 without
+    turned_rad: float  # since the last scan that was matched
+    sigma_m: float
+    sigma_rad: float
+    beam_sigma_m: float  # that of a beam, against which the prediction is weighed
+
+    @property
+    def prior(self) -> FloatArray:
+        """Information (1, 3, 3) of the prediction, beside residuals in m."""
+        position = (self.beam_sigma_m / self.sigma_m) ** 2
+        heading = (self.beam_sigma_m / self.sigma_rad) ** 2
+        return np.diag([position, position, heading])[None]
+
+
+@final
+class PoseEstimate(NamedTuple):
+    """Where a scan was taken."""
+
+    pose: FloatArray  # (3,)
+    prediction: Prediction  # from which it was found
+    matched: bool  # whether the map was asked
+    lost: bool  # neither match nor prediction is reliable
+    inlier_ratio: float = 0.0  # of the beams that agree with the map; 0 if the match is rejected
+    determined: bool = False  # by the scan, in all directions
+
+
+def odometry_sigmas(moved_m: float, turned_rad: float, cell_m: float) -> tuple[float, float]:
+    """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
+    sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
+    return sigma_m, 0.003 + 0.05 * turned_rad + 0.04 * moved_m
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class ConstantVelocity:
+    """Keeps the robot's velocity, and predicts by it where there is no odometry.
+
+    Parameters
+    ----------
+    speed_mps, turn_rps : float
+        Above what the robot drives (m/s, rad/s); the defaults are for indoor robots.
+    sigma_mps, sigma_rps : float
+        What the standard deviations of a prediction grow by with time, m/s and rad/s. On logs of 5 scans a second, 95
+        of 100 predictions are within 6 cm and 0.1 rad.
+    """
+
+    speed_mps: float = Field(default=3.0, ge=0)
+    turn_rps: float = Field(default=3.0, ge=0)
+    sigma_mps: float = Field(default=0.2, ge=0)
+    sigma_rps: float = Field(default=1.5, ge=0)
+
+    def seconds(self, state: TrackerState, stamp_ns: int) -> float:
+        """Time from the last scan to one at `stamp_ns`, as far as stamps are to be trusted."""
+        passed = min(max(1e-9 * (stamp_ns - state.stamp_ns), -MAX_INTERVAL_S), MAX_INTERVAL_S)
+        state.period_s += NEWEST_WEIGHT * (passed - state.period_s)
+        return state.period_s if state.stamps_unreliable else max(passed, 0.0)
+
+    def search(self, state: TrackerState, seconds: float) -> BranchAndBound:
+        """Where the robot may be after `seconds`: as far as it can have come since something was known of it."""
+        passed = seconds * (1 + state.unlocalized_scans)
+        return BranchAndBound(
+            window_m=min(_SEARCH_M + self.speed_mps * passed, 6 * _SEARCH_M),
+            window_rad=min(_SEARCH_RAD + self.turn_rps * passed, math.pi),
+            min_score=0.6,
+        )
+
+    def sigmas(self, seconds: float) -> tuple[float, float]:
+        """Standard deviations (m, rad) of a prediction over `seconds`."""
+        return _SIGMA_M + self.sigma_mps * seconds, _SIGMA_RAD + self.sigma_rps * seconds
+
+    def predict(self, state: TrackerState, seconds: float) -> Prediction:
+        """Predict the pose after `seconds` of the present velocity."""
+        pose = compose(state.pose, exp(seconds * state.twist))
+        turned = abs(float(state.twist[2])) * seconds
+        return Prediction(pose, False, seconds, 0.0, turned, *self.sigmas(seconds), _BEAM_SIGMA_M)
+
+    def exceeds(self, moved: FloatArray, seconds: float, margin_m: float, margin_rad: float) -> bool:
+        """Whether a difference of poses (3,) is larger than the margins and what the robot drives in `seconds`."""
+        dx, dy, turn = moved.tolist()
+        far = math.hypot(dx, dy) > margin_m + self.speed_mps * seconds
+        return far or abs(math.remainder(turn, math.tau)) > margin_rad + self.turn_rps * seconds
+
+    def update_twist(self, state: TrackerState, pose: FloatArray, seconds: float) -> FloatArray:
+        """Velocity (3,) once the base is at `pose` (3,), `seconds` after the last scan: a running mean.
+
+        The mean of increments over the time they took, in which the older ones count less, as exp(-age / smoothing) to
+        first order; it is safe for any `seconds`, 0 included.
+        """
+        moved = log(between(state.pose, pose))
+        blended: FloatArray = (_SMOOTHING_S * state.twist + moved) / (_SMOOTHING_S + seconds)
+        return blended
+
+    def are_stamps_unreliable(self, track: SensorTrack, stamp_ns: int, pose: FloatArray) -> bool:
+        """Whether a laser's stamps cannot be true, as its scan at `stamp_ns` was taken from `pose` (3,).
+
+        They go backward, or the robot went too far: the scans were stamped when they arrived, in bursts, or the clock
+        is coarse. The order of the scans is the true one all the same.
+        """
+        passed = 1e-9 * (stamp_ns - track.stamp_ns)
+        return passed < 0 or self.exceeds(pose - track.matched_pose, passed, _MARGIN_M, _MARGIN_RAD)
+
+    def update_variances(self, before: FloatArray, missed: FloatArray) -> FloatArray:
+        """Variances (2,) of predictions, m^2 and rad^2, of which the last one missed by the increment `missed` (3,)."""
+        x, y, turn = missed.tolist()
+        squares = np.array([0.5 * (x * x + y * y), turn * turn])
+        change: FloatArray = np.minimum(squares, 9 * before) - before
+        return before + NEWEST_WEIGHT * change
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _WidenedMotion:
+    """A motion sampler with noise of these variances (2,) beside its own, m^2 (each of x and y) and rad^2."""
+
+    sampler: MotionSampler
+    variances: FloatArray
+
+    def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Draw one successor (N, 3) for each pose (N, 3)."""
+        std = np.sqrt(self.variances[[0, 0, 1]])
+        return compose(self.sampler(poses, rng), std * rng.standard_normal((len(poses), 3)))
+
+    def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean successors (N, 3) and their covariances (N, 3, 3)."""
+        means, covariances = self.sampler.moments(poses)
+        return means, covariances + np.diag(self.variances[[0, 0, 1]])
+
+
+def widen_motion(sampler: MotionSampler, variances: FloatArray | None) -> MotionSampler:
+    """Motion whose control is uncertain by variances (2,), m^2 and rad^2, beside the model's own noise, if not None."""
+    return sampler if variances is None else _WidenedMotion(sampler, variances)
