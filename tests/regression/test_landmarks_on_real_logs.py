@@ -7,7 +7,7 @@ import pytest
 
 from gridslam.api.landmarks import LandmarkResult, map_landmarks
 from gridslam.evaluation import align
-from gridslam.evaluation.landmarks import pair_by_name
+from gridslam.evaluation.maps import pair_by_name
 from gridslam.geometry.se2 import transform_points
 
 

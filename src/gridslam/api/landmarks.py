@@ -14,7 +14,7 @@ from gridslam import __version__
 from gridslam.api.result import Result, write_trajectory
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.landmarks import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.maps import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.digest import compute_digest
@@ -338,23 +338,23 @@ def map_landmarks(
     steps = list(source)
     watch.lap("read")
     models: dict[str, Any] = {"sensor": model, "motion": motion}
-    # only a log that tells its noise is trusted to tell its correspondences without a gate
-    told = all(step.covariance is not None for step in steps)
+    # only where a log contains its noise its correspondences are trusted without a gate
+    has_noise = all(step.covariance is not None for step in steps)
     association: Association = KnownCorrespondence()
     if unknown:
         association = MaximumLikelihood()
         steps = [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
-    elif told:
+    elif has_noise:
         association = _WIDE_GATE if method == "ekf" else _NO_GATE
     if method == "graph":
-        estimate = _solve_graph(steps, model, motion, None if told else CauchyEstimator())
+        estimate = _solve_graph(steps, model, motion, None if has_noise else CauchyEstimator())
     elif method == "ekf":
         models["bias"] = EXACT_ODOMETRY if unknown else OdometryBias()
         estimate = _run_ekf(steps, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
     else:
         slam: FastSlam1 | FastSlam2 = FastSlam1(LandmarkFilters(model, association))
         if method == "fastslam2":
-            models["bias"] = OdometryBias() if told else EXACT_ODOMETRY
+            models["bias"] = OdometryBias() if has_noise else EXACT_ODOMETRY
             slam = FastSlam2(LandmarkFilters(model, association), bias=models["bias"])
         estimate = _run_particle_filter(steps, slam, particles or 0, seed, motion, on_progress)
     watch.lap("solve")

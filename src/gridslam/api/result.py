@@ -140,7 +140,7 @@ def write_trajectory(out: OutputFolder, trajectory: Trajectory, covariances: Flo
 
 
 def describe_input(source: Path, digest: str, log: LogStatistics, repair: Repair) -> dict[str, Any]:
-    """What run.json says of every log of scans."""
+    """Part `input` of run.json that all logs of scans have."""
     return {
         "path": os.fspath(source),
         "sha256": digest,

@@ -10,8 +10,13 @@ import click
 
 from gridslam.cli.output import print_result
 from gridslam.errors import ArgumentError, InputError
-from gridslam.evaluation.relations import RelationErrors, relation_errors
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, relative_errors_by_distance
+from gridslam.evaluation.trajectory import (
+    PoseErrors,
+    RelationErrors,
+    absolute_errors,
+    relation_errors,
+    relative_errors_by_distance,
+)
 from gridslam.io.trajectories.relations import read_relations
 from gridslam.io.trajectories.trajectory import read_tum
 from gridslam.types import Trajectory

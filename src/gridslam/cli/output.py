@@ -139,7 +139,7 @@ class Progress:
         self._latest: tuple[StepReport, GridFastSlamState] | None = None
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        """Take note of one scan."""
+        """Record one scan."""
         self._first_ns = self._first_ns if self._scans else report.stamp_ns
         self._scans += 1
         if report.skipped is None:

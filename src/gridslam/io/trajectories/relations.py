@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gridslam.errors import InputError
-from gridslam.evaluation.relations import Relations
+from gridslam.evaluation.trajectory import Relations
 from gridslam.geometry.angles import wrap
 from gridslam.io.trajectories.table import read_table
 
