@@ -14,6 +14,7 @@ from gridslam.cli.options import (
     SEED,
     SETTINGS,
     THREADS,
+    add_options,
     assignment_option,
     host_options,
     json_option,
@@ -382,10 +383,8 @@ _NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
 
 
 def node_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    command = live_options(rerun_option(command))
-    for option in reversed(_NODE_OPTIONS):
-        command = option(command)
-    return command
+    """Add the options of a node to its command."""
+    return add_options(live_options(rerun_option(command)), _NODE_OPTIONS)
 
 
 @gridslam.command("ros1", context_settings=_NODE_SETTINGS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, final
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from gridslam.live.options import LiveOptions
 
 __all__ = [
-    "PATH", "SEED", "SETTINGS", "THREADS", "assignment_option", "host_options", "json_option", "live_options",
-    "log_options", "name_option", "out_option", "read_pose", "repair_option", "rerun_option", "seed_option",
-    "threads_option",
+    "PATH", "SEED", "SETTINGS", "THREADS", "add_options", "assignment_option", "host_options", "json_option",
+    "live_options", "log_options", "name_option", "out_option", "read_pose", "repair_option", "rerun_option",
+    "seed_option", "threads_option",
 ]  # fmt: skip
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -96,7 +96,7 @@ def log_options(command: _Command) -> _Command:
             options = LogOptions(**fields)
         return command(options=options, **given)
 
-    return _add(wrapper, _LOG_OPTIONS)  # type: ignore[return-value]
+    return add_options(wrapper, _LOG_OPTIONS)  # type: ignore[return-value]
 
 
 def live_options(command: _Command) -> _Command:
@@ -108,7 +108,7 @@ def live_options(command: _Command) -> _Command:
             raise click.UsageError("--live-port and --live-host need --live")
         return command(live=_read_live_options(live_port, live_host) if live else None, **given)
 
-    return _add(wrapper, (_LIVE_OPTION, *_HOST_OPTIONS))  # type: ignore[return-value]
+    return add_options(wrapper, (_LIVE_OPTION, *_HOST_OPTIONS))  # type: ignore[return-value]
 
 
 def host_options(command: _Command) -> _Command:
@@ -118,7 +118,7 @@ def host_options(command: _Command) -> _Command:
     def wrapper(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
         return command(live=_read_live_options(live_port, live_host), **given)
 
-    return _add(wrapper, _HOST_OPTIONS)  # type: ignore[return-value]
+    return add_options(wrapper, _HOST_OPTIONS)  # type: ignore[return-value]
 
 
 def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -146,7 +146,7 @@ def name_option(**options: str) -> Iterator[None]:
         raise click.ClickException(str(error).replace(error.argument, options[error.argument], 1)) from None
 
 
-def _add(command: Callable[..., Any], options: tuple[Callable[..., Any], ...]) -> Callable[..., Any]:
+def add_options(command: Callable[..., Any], options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
     """Decorate a command with options, which help lists in this order."""
     for option in reversed(options):
         command = option(command)
