@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gridslam.evaluation import RelationErrors, absolute_errors, relation_errors
-from gridslam.io.trajectories.relations import read_relations
+from gridslam.io.trajectories import read_relations
 from logs import Log
 from measure import GRIDSLAM, MapRun, map_timed, timed
 from report import Report, Target, table

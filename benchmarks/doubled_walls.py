@@ -18,8 +18,8 @@ from typing import NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.io.maps.map_server import read_map
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.maps import read_map
+from gridslam.io.trajectories import read_tum
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = ["Verdict", "Walls", "judge_folder", "judge_walls", "main"]

@@ -18,7 +18,7 @@ from typing import Any, final
 import numpy as np
 
 from gridslam import Trajectory, __version__
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_tum
 from gridslam.kernels import backend, compiled
 
 __all__ = ["GRIDSLAM", "Cost", "MapRun", "map_timed", "provenance", "timed", "yardstick_s"]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.types import OccupancyGrid, Trajectory
 

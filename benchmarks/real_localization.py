@@ -11,7 +11,7 @@ import numpy as np
 import gridslam
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.log import open_log
-from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.maps import read_map, write_map
 from gridslam.io.measurement import Measurement
 from gridslam.localization import KnownMap, LocalizationReport, MonteCarloLocalization
 from gridslam.types import Odometry

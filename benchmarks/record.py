@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.evaluation import relation_errors
-from gridslam.io.trajectories.relations import read_relations
+from gridslam.io.trajectories import read_relations
 from measure import MapRun, map_timed, provenance
 
 __all__ = ["RESULTS", "main", "ratios", "summary"]

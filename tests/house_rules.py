@@ -25,6 +25,7 @@ ONLY_IN = {
     "qdldl": {"slam"},
     "rosbags": {"io"},
     "lz4": {"io"},
+    "ruamel": {"io"},
     "pooch": {"io"},
     "starlette": {"live"},
     "uvicorn": {"live"},

@@ -23,7 +23,7 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
-from gridslam.io.trajectories.relations import read_relations
+from gridslam.io.trajectories import read_relations
 from gridslam.localization import KnownMap, MonteCarloLocalization
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig

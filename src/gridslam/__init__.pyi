@@ -31,8 +31,8 @@ from gridslam.io.carmen.reader import CarmenLog as CarmenLog
 from gridslam.io.log import Log as Log
 from gridslam.io.log import LogOptions as LogOptions
 from gridslam.io.log import open_log as open_log
-from gridslam.io.maps.map_server import read_map as read_map
-from gridslam.io.maps.map_server import write_map as write_map
+from gridslam.io.maps import read_map as read_map
+from gridslam.io.maps import write_map as write_map
 from gridslam.localization import KnownMap as KnownMap
 from gridslam.localization import MonteCarloConfiguration as MonteCarloConfiguration
 from gridslam.localization import MonteCarloLocalization as MonteCarloLocalization

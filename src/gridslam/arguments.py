@@ -28,22 +28,25 @@ def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: 
         array: NDArray[Any] = np.array(values, dtype=dtype)
     except (TypeError, ValueError):
         raise ArgumentError(name, f"numbers of shape {shape} (None: any)", describe(values)) from None
-    fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
-    if not fits:
+    if not _has_shape(array, shape):
         raise ArgumentError(name, f"shape {shape} (None: any)", array.shape)
     array.flags.writeable = False
     return array
 
 
-def require_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
-    """Refuse what is no NumPy array of exactly this dtype and shape; nothing is converted."""
+def require_array(name: str, array: object, dtype: type, shape: tuple[int | None, ...]) -> None:
+    """Refuse what is no NumPy array of exactly this dtype and shape (None: any length); nothing is converted."""
     if isinstance(array, np.ndarray) and array.dtype.type is dtype and array.dtype.isnative and array.shape == shape:
         return  # the way of every scan
     if not isinstance(array, np.ndarray) or array.dtype != dtype:
         got = f"one of {array.dtype}" if isinstance(array, np.ndarray) else describe(array)
         raise ArgumentError(name, f"an array of {np.dtype(dtype)}", got)
-    if array.shape != shape:
-        raise ArgumentError(name, f"shape {shape}", array.shape)
+    if not _has_shape(array, shape):
+        raise ArgumentError(name, f"shape {shape}{' (None: any)' if None in shape else ''}", array.shape)
+
+
+def _has_shape(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
+    return array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
 
 
 def require_covariance(name: str, matrix: object) -> None:

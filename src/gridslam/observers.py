@@ -32,8 +32,10 @@ class TrajectoryRecorder:
     def __init__(self) -> None:
         """Start without scans; the first one must be the filter's first."""
         self._steps = 0
-        self._stamps_ns, self._keys = array("q"), array("q")
-        self._online, self._key_from_base = array("d"), array("d")
+        self._stamps_ns = array("q")
+        self._keys = array("q")
+        self._online = array("d")
+        self._key_from_base = array("d")
 
     def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         """Record one scan."""
@@ -144,7 +146,9 @@ class StatisticsRecorder:
 
     def __init__(self) -> None:
         """Start without scans."""
-        self._seconds, self._is_key, self._n_eff = array("d"), array("b"), array("d")
+        self._seconds = array("d")
+        self._is_key = array("b")
+        self._n_eff = array("d")
         self._skipped: Counter[SkipReason] = Counter()
         self._resamplings = self._lost = self._degenerate = self._corrections = 0
 

@@ -71,15 +71,13 @@ class Stopwatch:
 
     def lap(self, stage: str) -> float:
         """Add the time since the last lap to `stage`; return its wall seconds."""
-        wall, cpu = now = time.perf_counter(), time.process_time()
-        before, self._last = self._last, now
-        passed = wall - before[0]
-        if times := self.stages.get(stage):
-            times[0] += passed
-            times[1] += cpu - before[1]
-        else:
-            self.stages[stage] = [passed, cpu - before[1]]
-        return passed
+        wall_s, cpu_s = self._last
+        self.resume()
+        passed_s = self._last[0] - wall_s
+        times = self.stages.setdefault(stage, [0.0, 0.0])
+        times[0] += passed_s
+        times[1] += self._last[1] - cpu_s
+        return passed_s
 
     def resume(self) -> None:
         """Restart from now; the time since the last lap belongs to no stage."""

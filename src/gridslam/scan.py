@@ -340,15 +340,15 @@ class LaserScan:
         `range_max_m` are NO_RETURN. Raises ArgumentError where lengths differ or a beam's time is not finite.
         """
         require_instance("geometry", geometry, ScanGeometry)
-        values = freeze(ranges, np.float64, (len(geometry.bearings),), "ranges")
-        no_return = values >= range_max_m if np.isfinite(range_max_m) else np.isposinf(values)
-        valid = (values > 0) & (values >= range_min_m)
-        status = np.where(valid, np.where(no_return, BeamStatus.NO_RETURN, BeamStatus.HIT), BeamStatus.INVALID)
+        with np.errstate(invalid="ignore"):  # of NaNs that signal
+            values = freeze(ranges, np.float64, (len(geometry.bearings),), "ranges")
+        status = (values >= range_max_m).view(np.uint8)  # 0 and 1: HIT and NO_RETURN
+        status[~(values >= (range_min_m or _SMALLEST))] = BeamStatus.INVALID
+        status.flags.writeable = False
         times = None if beam_times_s is None else freeze(beam_times_s, np.float64, values.shape, "beam_times_s")
         if times is not None and not np.isfinite(times).all():
             raise ArgumentError("beam_times_s", "finite times in s", "a value that is not finite")
-        known = freeze(status, np.uint8, values.shape, "status")
-        return cls(int(stamp_ns), values, known, geometry, range_min_m, range_max_m, sensor, frame, times)
+        return cls(int(stamp_ns), values, status, geometry, range_min_m, range_max_m, sensor, frame, times)
 
     @classmethod
     def from_ros(  # noqa: PLR0913 the message's fields, by their names
@@ -394,21 +394,17 @@ class LaserScan:
         """
         lower = float(range_min) if 0 < range_min < math.inf else 0.0
         upper = float(range_max) if range_max > lower else math.inf
-        with np.errstate(invalid="ignore"):  # of NaNs that signal
-            values = freeze(ranges, np.float64, (None,), "ranges")
+        count = np.size(ranges)
         if geometry is None:
             if not math.isfinite(angle_min + angle_increment):
                 got = f"{angle_min} rad in steps of {angle_increment} rad"
                 raise ArgumentError("angle_min, angle_increment", "finite angles in rad", got)
-            geometry = ScanGeometry(angle_min + angle_increment * np.arange(len(values)), base_from_laser)
-        status = (values >= upper).view(np.uint8)  # 0 and 1: HIT and NO_RETURN
-        status[~(values >= (lower or _SMALLEST))] = BeamStatus.INVALID
-        status.flags.writeable = False
-        times = None
-        if time_increment > 0 and time_increment * len(values) < LONGEST_SCAN_S:
-            times = np.arange(len(values), dtype=np.float64) * time_increment
-            times.flags.writeable = False
-        return cls(stamp_ns, values, status, geometry, lower, upper, sensor, frame, times)
+            geometry = ScanGeometry(angle_min + angle_increment * np.arange(count), base_from_laser)
+        is_timed = time_increment > 0 and time_increment * count < LONGEST_SCAN_S
+        return cls.from_ranges(
+            stamp_ns, ranges, geometry, range_min_m=lower, range_max_m=upper, sensor=sensor, frame=frame,
+            beam_times_s=np.arange(count) * time_increment if is_timed else None,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         """Return the number of beams B."""

@@ -9,7 +9,7 @@ import pytest
 
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.models.landmark import RelativePosition
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.types import Trajectory

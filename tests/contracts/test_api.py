@@ -19,7 +19,7 @@ from gridslam.cli.map import map_with_progress
 from gridslam.config import override
 from gridslam.doctor import quick_check
 from gridslam.evaluation import absolute_errors
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_tum
 from gridslam.pipeline import Stopwatch
 
 

@@ -22,12 +22,12 @@ from gridslam.cli.main import main
 from gridslam.config import build, dumps, preset
 from gridslam.geometry.se2 import between
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.graphs.g2o import read_g2o
+from gridslam.io.g2o import read_g2o
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.maps import read_map, write_map
 from gridslam.io.results.record import read_record
-from gridslam.io.text import compute_sha256
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum, write_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_trajectory_csv, read_tum, write_tum
 from gridslam.observers import TrajectoryRecorder
 from gridslam.pipeline import run
 from gridslam.slam.loop_closure.state import RejectionReason
@@ -68,7 +68,7 @@ def test_run_json_tells_all_of_the_run(mapped, log):
     assert run["schema"] == "gridslam.run/3"
     assert (run["version"], run["seed"], run["threads"]) == (__version__, 5, 1)
     assert run["kernels"] in ("compiled", "reference")
-    assert run["input"]["sha256"] == compute_sha256(log)
+    assert run["input"]["sha256"] == compute_digest(log)
     assert run["input"]["path"] == str(log)
     scans = run["scans"]
     assert scans["read"] == 120
@@ -459,6 +459,6 @@ def test_demo_maps_a_simulated_building_and_tells_its_errors(call, tmp_path):
     assert told["schema"] == "gridslam.demo/1"
     assert {path.name for path in (tmp_path / "demo").iterdir()} == FILES | {"demo.clf.gz", "truth.tum"}
     assert told["run"]["input"]["path"] == str(tmp_path / "demo" / "demo.clf.gz")
-    assert told["run"]["input"]["sha256"] == compute_sha256(tmp_path / "demo" / "demo.clf.gz")
+    assert told["run"]["input"]["sha256"] == compute_digest(tmp_path / "demo" / "demo.clf.gz")
     # two cells for 116 m with a loop, where the odometry alone is off by a metre
     assert told["errors"]["ate"]["trans_rmse_m"] < 0.1 < 0.5 < told["odometry_errors"]["ate"]["trans_rmse_m"]

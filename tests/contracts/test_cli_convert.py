@@ -12,7 +12,7 @@ from gridslam.api.conversion import convert_log
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_tum
 from gridslam.types import BeamStatus
 from support import ros_bags
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.types import Trajectory
 
 

@@ -14,8 +14,8 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.cli.main import main
 from gridslam.geometry.se2 import between, compose
-from gridslam.io.graphs.g2o import G2oGraph, read_g2o, write_g2o
-from gridslam.io.text import compute_sha256
+from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.text import compute_digest
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 
 FILES = {"graph.g2o", "graph.png", "graph.json"}
@@ -94,7 +94,7 @@ def test_json(call, graph, tmp_path):
     assert document["schema"] == "gridslam.graph/1"
     assert document["version"] == __version__
     assert document["input"] == {
-        "path": str(path), "sha256": compute_sha256(path), "vertices": 60, "edges": 119, "loop_closures": 60,
+        "path": str(path), "sha256": compute_digest(path), "vertices": 60, "edges": 119, "loop_closures": 60,
         "fixed": 100, "skipped": {},
     }  # fmt: skip
     assert document["converged"] is True

@@ -17,10 +17,10 @@ from gridslam.config import Configuration, override
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
-from gridslam.io.text import compute_sha256
-from gridslam.io.trajectories.trajectory import read_tum, write_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_tum, write_tum
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.types import Beams, LaserScan, ScanGeometry, Trajectory
 from support.same_map import assert_same_map
@@ -68,8 +68,8 @@ def test_files_and_figures(call, log, truth, tmp_path):
     assert document["scans"] == {
         "read": 120, "used": 120, "skipped": {"outside the trajectory": 0, "in a gap of the trajectory": 0}
     }  # fmt: skip
-    assert document["input"]["sha256"] == compute_sha256(log)
-    assert document["trajectory"]["sha256"] == compute_sha256(truth)
+    assert document["input"]["sha256"] == compute_digest(log)
+    assert document["trajectory"]["sha256"] == compute_digest(truth)
     assert document["trajectory"]["poses"] == 120
     assert document["configuration"]["resolution_m"] == 0.05
     assert f"map, {document['map']['width_m']:.1f} m x {document['map']['height_m']:.1f} m: {out / 'map.png'}" in text

@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from gridslam.cli import live as live_module
 from gridslam.cli.main import main
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.maps import read_map, write_map
 from support.localization_world import drive, flat_map
 from support.page_client import PageClient
 

@@ -13,10 +13,10 @@ from gridslam.api.localization import BELIEF_HEADER, localize
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import write_map
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.maps import write_map
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, make_world, simulate
 from gridslam.sim.faults import reflected_laser
 from gridslam.sim.floor_plan import box

@@ -11,9 +11,9 @@ import gridslam
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.writer import write_bag
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import LogOptions
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_tum
 
 FILTER_ALONE = gridslam.Configuration(particles=1, loop_closure=None)
 QUICK = "--particles", "1", "--no-loop-closure", "--json"

@@ -16,7 +16,7 @@ cyclonedds = pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ro
 from websockets.sync.client import connect  # noqa: E402
 
 from gridslam.io.bags.ros_messages import StampedTransform  # noqa: E402
-from gridslam.io.maps.map_server import write_map  # noqa: E402
+from gridslam.io.maps import write_map  # noqa: E402
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate  # noqa: E402
 from support.dds_peer import Node, Peer, Robot, free_domain, got, transforms, until  # noqa: E402
 from support.localization_world import drive as flat_drive  # noqa: E402

@@ -17,7 +17,7 @@ import pytest
 
 from gridslam.config import PARAMETERS, Configuration
 from gridslam.config.tables import value_of
-from gridslam.io.landmarks.files import LANDMARKS_HEADER
+from gridslam.io.landmarks import LANDMARKS_HEADER
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -15,8 +15,8 @@ from gridslam.api.landmarks import map_landmarks
 from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.text import compute_sha256
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.localization.ekf import KnownLandmarks
 
 LOCALIZE = {"method": "ekf-localization"}
@@ -40,7 +40,7 @@ def test_files_and_figures(mapped_park, tmp_path, capsys):
     assert (document["schema"], document["version"]) == ("gridslam.landmark_localization/2", __version__)
     assert (document["method"], document["correspondences"]) == ("ekf-localization", "known")
     assert document["map"] == {"path": str(landmarks), "landmarks": 10}
-    assert document["input"]["sha256"] == compute_sha256(log)
+    assert document["input"]["sha256"] == compute_digest(log)
     assert document["errors"] is None
     assert document["models"]["association"]["kind"] == "KnownCorrespondence"
     trajectory, covariances = read_trajectory_csv(tmp_path / "out" / "trajectory.csv")

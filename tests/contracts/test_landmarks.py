@@ -14,9 +14,9 @@ from gridslam.api.landmarks import METHODS, map_landmarks
 from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.landmarks.files import read_landmarks
-from gridslam.io.text import compute_sha256
-from gridslam.io.trajectories.trajectory import read_trajectory_csv, read_tum
+from gridslam.io.landmarks import read_landmarks
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "run.json"}
 
@@ -32,7 +32,7 @@ def test_files_and_figures(park, tmp_path, capsys, method):
     assert (document["schema"], document["version"]) == ("gridslam.landmarks/2", __version__)
     assert (document["method"], document["correspondences"], document["landmarks"]) == (method, "known", 10)
     assert document["particles"] == {"fastslam1": 100, "fastslam2": 20}.get(method)
-    assert document["input"]["sha256"] == compute_sha256(path)
+    assert document["input"]["sha256"] == compute_digest(path)
     assert (document["input"]["steps"], document["input"]["stamped"]) == (141, False)
     assert document["errors"] == {"trajectory": None, "landmarks": None}
     assert document["models"]["sensor"]["kind"] == "RelativePosition"

@@ -21,7 +21,7 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from support.localization_world import drive as flat_drive
 from support.localization_world import flat_map
 
@@ -302,7 +302,7 @@ def test_roslaunch_starts_the_node_of_the_examples(ros, tmp_path):
         ("three", "scan refused: /scan: 3 beams are too few"),
         ("stamp", "scan refused: /scan: expected a stamp of more than 0 s"),
         ("frame", "scan refused: /scan: expected the name of a frame"),
-        ("angles", "message refused: scan: its angles are from nan"),
+        ("angles", "message refused: /scan: its angles are from nan"),
         ("large", "scan refused: /scan: 26214400 beams, more than the maximum of 100000"),
         ("type", "expected sensor_msgs/LaserScan on /scan, got std_msgs/String"),
         ("map", "publishes odom in map, and this node publishes it in map: end one of them"),

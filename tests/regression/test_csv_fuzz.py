@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.csv.reader import CsvLog
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.csv import CsvLog, write_csv_log
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry

@@ -8,7 +8,7 @@ import pytest
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.evaluation import check_consistency, nees
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from gridslam.io.landmarks.log import open_landmark_log
+from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.landmark import RangeBearing
 from support.landmark_world import MOTION, drive, ring

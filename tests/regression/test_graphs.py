@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.io.graphs.g2o import read_g2o
+from gridslam.io.g2o import read_g2o
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from support.random_graphs import with_false_closures

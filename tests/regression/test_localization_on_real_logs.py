@@ -8,7 +8,7 @@ import pytest
 from gridslam.api.localization import localize
 from gridslam.evaluation.trajectory import absolute_errors
 from gridslam.io.log import open_log
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.localization import KnownMap
 from gridslam.types import Trajectory
 from meeting_rooms import MeetingRooms

@@ -122,6 +122,12 @@ class Node:
 
 
 class LifecycleNode(Node):
+    def on_configure(self, state: Any) -> str:
+        return "success"
+
+    def on_cleanup(self, state: Any) -> str:
+        return "success"
+
     def on_activate(self, state: Any) -> str:
         return "success"
 
@@ -165,7 +171,6 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
     module(
         "rclpy.lifecycle",
         LifecycleNode=LifecycleNode,
-        TransitionCallbackReturn=Enum("TransitionCallbackReturn", "SUCCESS"),
     )
     module(
         "rclpy.executors",

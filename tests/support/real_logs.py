@@ -10,8 +10,7 @@ import gridslam
 from gridslam.evaluation import RelationErrors, relation_errors
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
-from gridslam.io.trajectories.relations import read_relations
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_relations, read_tum
 
 
 @dataclass(frozen=True)

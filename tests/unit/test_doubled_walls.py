@@ -11,8 +11,8 @@ import doubled_walls
 from doubled_walls import Walls, judge_walls
 from gridslam import CarmenLog
 from gridslam.geometry.se2 import between, compose
-from gridslam.io.maps.map_server import write_map
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.maps import write_map
+from gridslam.io.trajectories import write_tum
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching import GaussNewton
 from gridslam.types import OccupancyGrid, Trajectory

@@ -10,7 +10,7 @@ import pytest
 
 from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, preset
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.sim.faults import with_fault

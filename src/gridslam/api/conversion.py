@@ -12,14 +12,13 @@ from typing import final
 import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.carmen.form import to_carmen_form
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.carmen.writer import to_carmen_form, write_carmen
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import write_atomically
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.types import BeamStatus, Odometry, Trajectory
 
 __all__ = ["Conversion", "OutFormat", "convert_log", "infer_format"]

@@ -16,15 +16,14 @@ from gridslam.api.result import Result, describe_input, find_repair
 from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, apply_laser, override
 from gridslam.config.tables import to_table
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import open_repaired
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import read_tum
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch

@@ -16,10 +16,10 @@ from gridslam.api.result import write_trajectory
 from gridslam.errors import ArgumentError, InputError
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, interpolate
 from gridslam.geometry.se2 import compose, inverse
-from gridslam.io.digest import compute_digest
-from gridslam.io.landmarks.files import read_landmarks
-from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks import read_landmarks
 from gridslam.io.output import OutputFolder
+from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel

@@ -17,11 +17,11 @@ from gridslam.errors import ArgumentError
 from gridslam.evaluation.maps import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
 from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
 from gridslam.geometry.se2 import compose, inverse, transform_points
-from gridslam.io.digest import compute_digest
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.landmarks.log import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks import write_landmarks
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import write_tum
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
 from gridslam.models.landmark_observations import LandmarkStep, ObservationKind

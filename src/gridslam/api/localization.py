@@ -16,15 +16,14 @@ from gridslam import __version__
 from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config.tables import to_table
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import open_repaired
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log import Log, LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
+from gridslam.io.text import compute_digest
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloLocalization
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
@@ -258,7 +257,7 @@ def localize(
     covariance : (3, 3) float64, m^2, m rad, rad^2
         Of that pose.
     strict_thresholds : bool
-        Read the thresholds of the map's file literally (see `gridslam.io.maps.map_server.read_map`).
+        Read the thresholds of the map's file literally (see `gridslam.io.maps.read_map`).
     configuration : MonteCarloConfiguration, optional
         Of the filter.
     seed : int, >= 0

@@ -17,19 +17,18 @@ from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
 from gridslam.config.tables import to_table
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import open_repaired
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError
 from gridslam.grid.tiles import TiledGrid
-from gridslam.io.digest import compute_digest
-from gridslam.io.graphs.g2o import write_g2o
+from gridslam.io.g2o import write_g2o
 from gridslam.io.log import LogOptions, LogSource
 from gridslam.io.log_statistics import LogStatistics
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
 from gridslam.io.output import OutputFolder
 from gridslam.io.results.record import RecordWriter
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import write_tum
 from gridslam.kernels import compiled
 from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from numpy.typing import NDArray
 
 from gridslam import __version__
-from gridslam.doctor.repair import Repair
-from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.doctor.repair import Repair, RepairedLog
 from gridslam.errors import MissingDependencyError
 from gridslam.io.log import Log
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.output import OutputFolder
-from gridslam.io.trajectories.trajectory import columns_of_trajectory, write_trajectory_csv, write_tum
+from gridslam.io.trajectories import columns_of_trajectory, write_trajectory_csv, write_tum
 from gridslam.pipeline import Stopwatch
 from gridslam.types import FloatArray, Trajectory
 

@@ -17,8 +17,7 @@ from gridslam.evaluation.trajectory import (
     relation_errors,
     relative_errors_by_distance,
 )
-from gridslam.io.trajectories.relations import read_relations
-from gridslam.io.trajectories.trajectory import read_tum
+from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
 
 __all__ = ["EVALUATION_SCHEMA", "evaluate", "format_scores", "score_against_truth"]

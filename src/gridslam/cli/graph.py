@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from gridslam import __version__
 from gridslam.cli import STARTED_S
 from gridslam.cli.output import open_output, print_result, warn
-from gridslam.io.graphs.g2o import G2oGraph, read_g2o, write_g2o
+from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
-from gridslam.io.text import compute_sha256
+from gridslam.io.text import compute_digest
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
@@ -68,7 +68,7 @@ def _document(
         "version": __version__,
         "input": {
             "path": str(file),
-            "sha256": compute_sha256(file),
+            "sha256": compute_digest(file),
             "vertices": len(graph.poses),
             "edges": len(graph.edges),
             "loop_closures": int((~graph.trusted).sum()),

@@ -13,7 +13,7 @@ from gridslam.cli import STARTED_S
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, stop_if_interrupted
 from gridslam.errors import InputError
-from gridslam.io.landmarks.log import open_landmark_log
+from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["landmarks_to_folder"]

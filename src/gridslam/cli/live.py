@@ -137,11 +137,13 @@ def node_page(live: LiveOptions, title: str, core: NodeCore, known: OccupancyGri
 
 def view(out: Path, live: LiveOptions) -> None:
     """Show a finished run in the browser until interrupted, which is how it ends well."""
-    from gridslam.live.replay import ReplayPage
+    from gridslam.live.replay import Replay
+    from gridslam.live.server import PageServer
 
-    with serve_page(ReplayPage(out, live)) as page:
-        if page.missing:
-            warn(f"{out}: {page.missing}")
+    replay = Replay(out)
+    with serve_page(PageServer(replay, live)) as page:
+        if replay.results.missing:
+            warn(f"{out}: {replay.results.missing}")
         click.echo(f"{out}: open {page.url} (Ctrl-C ends)")
         try:
             threading.Event().wait()

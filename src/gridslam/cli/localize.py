@@ -18,7 +18,7 @@ from gridslam.cli.logs import check_log
 from gridslam.cli.options import name_option
 from gridslam.cli.output import open_output, print_result, reading_progress, warn
 from gridslam.io.log import LogOptions, open_log
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.live.options import LiveOptions
 from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
 from gridslam.pipeline import Stopwatch

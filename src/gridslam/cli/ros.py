@@ -13,8 +13,8 @@ from gridslam.cli.output import stop_if_interrupted
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.localization import Localization
-from gridslam.ros.node.services import ViewerOpener
+from gridslam.ros.node.session import Localization
+from gridslam.ros.node.transport import ViewerOpener
 
 __all__ = ["make_viewer_opener", "ros1", "ros2"]
 

@@ -21,7 +21,7 @@ from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import compose
 from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.trajectories.trajectory import write_tum
+from gridslam.io.trajectories import write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.pipeline import Stopwatch
 from gridslam.sim import (

@@ -17,22 +17,101 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.doctor.estimate import DETERMINED, FEWEST, LEAST_SPREAD, VARIANCES, ParameterEstimate, estimate_parameter
-from gridslam.doctor.intervals import Intervals, interpolate_odometry, intervals
+from gridslam.doctor.intervals import Intervals, cumulative_headings, differences, interpolate_odometry, intervals
 from gridslam.doctor.laser_motion import LaserMotion
-from gridslam.doctor.robust_fit import robust_fit
-from gridslam.doctor.turns import fit_turns
 from gridslam.geometry.angles import wrap
 from gridslam.types import FloatArray
 
-__all__ = ["MotionCalibration", "ParameterEstimate", "calibrate"]
+__all__ = ["Fit", "MotionCalibration", "ParameterEstimate", "calibrate", "robust_fit"]
+
+_FEWEST = 8  # intervals
+_VARIANCES = (1e-4, 2e-4)  # of odometry: heading per metre and per radian (rad^2), way per metre and per radian (m^2)
+_LEAST_SPREAD = 0.1  # of the residuals, in the standard deviations assumed
+_DETERMINED = {"scale": 0.01, "turn_scale": 0.015, "drift": 0.004, "yaw": 0.03, "skew": 0.015, "lever": 0.05}
+"""Greatest standard deviations of what counts as determined: a third or less of what harms a map."""
+
+_BRIEF = (0.4, 0.25, 0.4)  # metres, radians, seconds of an interval: short beside the time a turn takes to begin
+_TURNS = (1.5, 1.0, 2.0)  # long enough for odometry that comes late to catch up
+_LAGS_S = np.arange(-1.0, 1.001, 0.05)
+_UNEVEN = 0.6  # a pair of neighbours is farther apart than the usual by at most this share, or yields no turn rate
+_BACKWARD = 0.01  # with a greater share of stamps that go backward, no skew can be estimated
+_CONTRADICT = 3.5
+"""Deviations by which the skew of brief intervals must differ from that of long ones to give way to it. It is the more
+exact of the two, but where turns are few and begin in an instant the fit takes just those intervals for outliers."""
+_JITTER_S = 0.005  # of stamps, and what interpolation between them costs
 
 _WAYS = (0.5, 0.6, 2.0)
 _SCALE_FLOOR = 0.002  # scan matching itself: see `laser_odometry`
+
+_CAUCHY = 2.385  # 95 % efficient for normal noise
+_PASSES = 15
+_MEDIAN_NORM = (0.6745, 1.1774)  # of a standard normal number, and of a vector of two
+_BLOCKS = 25
+
+
+class Fit(NamedTuple):
+    """Parameters (P,), their covariance (P, P), and the norm of each residual (N,) in fitted standard deviations."""
+
+    parameters: FloatArray
+    covariance: FloatArray
+    scores: FloatArray
+
+
+def robust_fit(design: FloatArray, response: FloatArray, least_spread: float = 1e-9) -> Fit:
+    """Fit response (N, D) = design (N, D, P) x parameters, D = 1 or 2, by Cauchy's M-estimator.
+
+    The noise of each of the N terms has unit variance up to a common factor, which is estimated from the residuals by
+    their median norm; it is `least_spread` at the least, or what a first bad guess leaves out might stay out. The
+    covariance sums the scores of consecutive terms before it squares them, in `_BLOCKS` blocks, so that it holds
+    whatever the true variances are and however neighbours correlate; parameters without any term have the variance of
+    `least_spread`.
+
+    Source: Huber and Ronchetti, Robust Statistics (2009), section 7; the sandwich with clusters is Liang and Zeger's
+    (1986).
+    """
+    count, width, unknowns = design.shape
+    weights = np.ones(count)
+    for _ in range(_PASSES):
+        normal = np.einsum("n,ndp,ndq->pq", weights, design, design)
+        regular = normal + 1e-12 * np.trace(normal) * np.eye(unknowns) + 1e-300 * np.eye(unknowns)
+        parameters = np.linalg.solve(regular, np.einsum("n,ndp,nd->p", weights, design, response))
+        residuals = response - design @ parameters
+        norms = np.sqrt(np.square(residuals).sum(axis=1))
+        spread = max(float(np.median(norms)) / _MEDIAN_NORM[width - 1], least_spread)
+        scores = norms / spread
+        weights = 1 / (1 + np.square(scores / _CAUCHY))
+    pulls = np.einsum("n,ndp,nd->np", weights, design, residuals)
+    blocks = np.add.reduceat(pulls, np.arange(0, count, max(1, count // _BLOCKS)))
+    flatter = max(float((weights * (2 * weights - 1)).sum() / weights.sum()), 0.3)
+    inverse = np.linalg.inv(regular * flatter)
+    sandwich = inverse @ (blocks.T @ blocks) @ inverse
+    return Fit(parameters, sandwich + least_spread**2 * np.linalg.inv(regular), scores)
+
+
+class ParameterEstimate(NamedTuple):
+    """A value, its standard deviation (infinite if the log does not determine it) and whether that is small enough."""
+
+    value: float
+    sigma: float = math.inf
+    determined: bool = False
+
+    def differs(self, from_value: float, by: float, sigmas: float = 4.0) -> bool:
+        """Whether the value is determined, and differs by more than `by` and than `sigmas` deviations from another."""
+        return self.determined and abs(self.value - from_value) > max(by, sigmas * self.sigma)
+
+
+def _determined(value: float, sigma: float, limit: float) -> ParameterEstimate:
+    """Make an estimate that is determined where its deviation is below the limit."""
+    return ParameterEstimate(value, sigma, sigma < limit)
+
+
+def _estimate(fit: Fit, index: int, limit: float) -> ParameterEstimate:
+    """One parameter of a fit."""
+    return _determined(float(fit.parameters[index]), math.sqrt(max(fit.covariance[index, index], 0.0)), limit)
 
 
 @final
@@ -90,7 +169,7 @@ class MotionCalibration:
 
 def calibrate(motion: LaserMotion) -> MotionCalibration:
     """Compare a laser's motion with its odometry; estimates that the log does not determine are marked."""
-    turns = fit_turns(motion)
+    turns = _fit_turns(motion)
     reflected = bool(turns.agreement < 0)
     odometry = interpolate_odometry(motion, turns.skew.value if turns.skew.determined else 0.0)
     ways = intervals(motion, odometry, _WAYS)
@@ -116,7 +195,9 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
     """Odometry of the paths (N, 2), corrected for the wrong rotation that bends them."""
     bend = -0.5 * wrap(ways.odometry[:, 2] - laser[:, 2])
-    c, s, (x, y) = np.cos(bend), np.sin(bend), ways.odometry[:, :2].T
+    c = np.cos(bend)
+    s = np.sin(bend)
+    x, y = ways.odometry[:, :2].T
     return np.stack([c * x - s * y, s * x + c * y], axis=1)
 
 
@@ -128,37 +209,155 @@ def _ways(
     response: FloatArray, laser: FloatArray, covariances: FloatArray, sign: float, declared_yaw: float
 ) -> tuple[ParameterEstimate, ParameterEstimate, ParameterEstimate, ParameterEstimate, FloatArray]:
     """Scale, yaw offset and place of the laser, and the ways (N, 2) that they predict."""
-    if len(laser) < FEWEST:
+    if len(laser) < _FEWEST:
         nothing = ParameterEstimate(0.0)
         return ParameterEstimate(1.0), nothing, nothing, nothing, response.copy()
-    design, mirror = _design(laser), np.array([1.0, sign])
+    design = _design(laser)
+    mirror = np.array([1.0, sign])
     spread = covariances[:, :2, :2] * mirror[:, None] * mirror
     moved = np.hypot(response[:, 0], response[:, 1]) + np.abs(laser[:, 2])
     fit = robust_fit(design, response)
     for _ in range(2):
         c, s = fit.parameters[:2] / max(math.hypot(*fit.parameters[:2]), 1e-9)
         turn = np.array([[c, -s], [s, c]])
-        noise = turn @ spread @ turn.T + (VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
+        noise = turn @ spread @ turn.T + (_VARIANCES[1] * moved + 1e-6)[:, None, None] * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
-        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response), LEAST_SPREAD)
+        fit = robust_fit(whiten @ design, np.einsum("nij,nj->ni", whiten, response), _LEAST_SPREAD)
     a, b = fit.parameters[:2].tolist()
-    scale, angle = max(math.hypot(a, b), 1e-6), math.atan2(b, a)
-    c, s = math.cos(angle), math.sin(angle)
-    along, across = np.array([c, s, 0, 0]), np.array([-s, c, 0, 0]) / scale
-    sigma = [math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across)]
-    sigma[0] = math.hypot(sigma[0], _SCALE_FLOOR)
-    offset = float(wrap(angle - declared_yaw))
-    x, y = (estimate_parameter(fit, k, DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
-    x, y = (ParameterEstimate(e.value / scale, e.sigma / scale, e.determined) for e in (x, y))
-    factor = ParameterEstimate(scale, sigma[0], sigma[0] < DETERMINED["scale"])
-    yaw = ParameterEstimate(offset, sigma[1], sigma[1] < DETERMINED["yaw"])
+    scale = max(math.hypot(a, b), 1e-6)
+    angle = math.atan2(b, a)
+    c = math.cos(angle)
+    s = math.sin(angle)
+    along = np.array([c, s, 0, 0])
+    across = np.array([-s, c, 0, 0]) / scale
+    along_sigma, across_sigma = (math.sqrt(max(float(g @ fit.covariance @ g), 0.0)) for g in (along, across))
+    factor = _determined(scale, math.hypot(along_sigma, _SCALE_FLOOR), _DETERMINED["scale"])
+    yaw = _determined(float(wrap(angle - declared_yaw)), across_sigma, _DETERMINED["yaw"])
+    levers = (_estimate(fit, k, _DETERMINED["lever"] * min(scale, 1.0)) for k in (2, 3))
+    x, y = (ParameterEstimate(e.value / scale, e.sigma / scale, e.determined) for e in levers)
     return factor, yaw, x, y, design @ fit.parameters
 
 
 def _design(laser: FloatArray) -> FloatArray:
     """Design (N, 2, 4) of the ways: parameters scale cos(yaw), scale sin(yaw), scale x, scale y."""
-    c, s = np.cos(laser[:, 2]), np.sin(laser[:, 2])
+    c = np.cos(laser[:, 2])
+    s = np.sin(laser[:, 2])
     return np.array([
         [laser[:, 0], -laser[:, 1], 1 - c, s],
         [laser[:, 1], laser[:, 0], -s, 1 - c],
     ]).transpose(2, 0, 1)  # fmt: skip
+
+
+class _Turns(NamedTuple):
+    """Estimates from turns alone; the drift is per metre of odometry."""
+
+    agreement: float
+    turn_scale: ParameterEstimate
+    drift: ParameterEstimate
+    skew: ParameterEstimate
+
+
+class _Lagged(NamedTuple):
+    """Turns fitted at a lag, s, its standard deviation, and how far the last step moved it."""
+
+    lag: float
+    sigma: float
+    step: float
+    fit: Fit
+
+
+def _fit_turns(motion: LaserMotion) -> _Turns:
+    """Fit turns; the skew is first the lag at which they agree best, then that at which its linear term vanishes."""
+    nothing = _Turns(math.nan, ParameterEstimate(1.0), ParameterEstimate(0.0), ParameterEstimate(0.0))
+    if len(motion) < _FEWEST:
+        return nothing
+    jittering = float((np.diff(motion.stamps_ns) < 0).mean()) > _BACKWARD
+    lag, agreement = _best_lag(motion, np.zeros(1) if jittering else _LAGS_S)
+    if math.isnan(agreement):
+        return nothing
+    sign = math.copysign(1.0, agreement)
+    headings = cumulative_headings(motion.poses) * sign
+    rates = np.zeros(len(motion)) if jittering else _rates(motion) * sign
+    brief = _fit_lags(motion, headings, rates, lag, _BRIEF)
+    if brief is None:
+        return nothing
+    long = _fit_lags(motion, headings, rates, brief.lag, _TURNS)
+    found = brief if long is None else _merge_lags(brief, long)
+    sigma = math.inf if jittering else found.sigma
+    skew = ParameterEstimate(found.lag, sigma, sigma < _DETERMINED["skew"] and abs(found.step) < 0.01)
+    fit = _fit_turns_at(motion, headings, rates, found.lag, _TURNS) or found.fit
+    drift = _estimate(fit, 1, _DETERMINED["drift"])
+    return _Turns(agreement, _estimate(fit, 0, _DETERMINED["turn_scale"]), drift, skew)
+
+
+def _merge_lags(brief: _Lagged, long: _Lagged) -> _Lagged:
+    """Both, or where they contradict each other the long one; as they share their data, they err alike."""
+    if abs(long.lag - brief.lag) > _CONTRADICT * math.hypot(long.sigma, brief.sigma):
+        return long
+    share = brief.sigma**2 / (brief.sigma**2 + long.sigma**2)
+    lag, sigma = ((1 - share) * a + share * b for a, b in ((brief.lag, long.lag), (brief.sigma, long.sigma)))
+    return _Lagged(lag, sigma, brief.step, brief.fit)
+
+
+def _fit_lags(
+    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
+) -> _Lagged | None:
+    """Fit turns at the lag at which their linear term vanishes, in three steps; None where there are too few."""
+    step = 0.0
+    fit = _fit_turns_at(motion, headings, rates, lag, reach)
+    for _ in range(3):
+        if fit is None:
+            return None
+        step = float(np.clip(fit.parameters[2] / max(abs(fit.parameters[0]), 0.2), -0.1, 0.1))
+        lag += step
+        fit = _fit_turns_at(motion, headings, rates, lag, reach)
+    return None if fit is None else _Lagged(lag, _estimate(fit, 2, math.inf).sigma, step, fit)
+
+
+def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
+    """The lag in s at which turns correlate best, and their correlation there; NaN where nothing turns."""
+    best = 0.0
+    agreement = math.nan
+    parts = intervals(motion, interpolate_odometry(motion, 0.0), _BRIEF)
+    if len(parts) < _FEWEST or np.abs(parts.laser[:, 2]).sum() < 1.0:
+        return best, agreement
+    for lag in sorted(lags_s.tolist(), key=abs):
+        headings = interpolate_odometry(motion, lag)[:, 2]
+        told = headings[parts.ends] - headings[parts.begins]
+        known = np.isfinite(told)
+        told = told[known]
+        mine = parts.laser[known, 2]
+        found = float(mine @ told / max(math.sqrt(float(mine @ mine) * float(told @ told)), 1e-9))
+        if math.isnan(agreement) or abs(found) > abs(agreement) + 1e-3:
+            best = lag
+            agreement = found
+    return best, agreement
+
+
+def _rates(motion: LaserMotion) -> FloatArray:
+    """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; NaN where stamps are uneven."""
+    apart, passed, turned = differences(motion)
+    rates = np.full(len(motion), np.nan)
+    even = np.abs(passed / max(float(np.median(passed)), 1e-9) - 1) < _UNEVEN if len(passed) else passed > 0
+    rates[apart:-apart] = np.where(even, turned / np.maximum(passed, 1e-3), np.nan)
+    return rates
+
+
+def _fit_turns_at(
+    motion: LaserMotion, headings: FloatArray, rates: FloatArray, lag: float, reach: tuple[float, float, float]
+) -> Fit | None:
+    """Turn scale, drift and what remains of the skew; None where there are too few intervals."""
+    odometry = interpolate_odometry(motion, lag)
+    parts = intervals(motion, odometry, reach)
+    change = rates[parts.ends] - rates[parts.begins]
+    parts = parts[np.isfinite(change)]
+    change = change[np.isfinite(change)]
+    if len(parts) < _FEWEST:
+        return None
+    turned = headings[parts.ends] - headings[parts.begins]
+    way = np.copysign(np.hypot(parts.odometry[:, 0], parts.odometry[:, 1]), parts.odometry[:, 0])
+    variance = parts.covariances[:, 2, 2] + _VARIANCES[0] * np.abs(way) + _VARIANCES[1] * np.abs(turned)
+    sigma = np.sqrt(variance + np.square(_JITTER_S * change))
+    design = np.stack([turned, way, change], axis=1) / sigma[:, None]
+    told = odometry[parts.ends, 2] - odometry[parts.begins, 2]
+    return robust_fit(design[:, None, :], (told / sigma)[:, None], _LEAST_SPREAD)

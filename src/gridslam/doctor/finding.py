@@ -1,4 +1,4 @@
-"""Findings of the doctor, and their figures."""
+"""Findings of the doctor, their figures, and what those who look for them need."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.types import FloatArray
 
-__all__ = ["Figure", "Finding", "Mark", "Series", "Severity"]
+__all__ = ["Figure", "Finding", "Mark", "Series", "Severity", "Trace", "percent"]
 
 
 class Severity(Enum):
@@ -23,10 +23,7 @@ class Severity(Enum):
     @property
     def rank(self) -> int:
         """0 for information, 1 for a warning, 2 for a fault that makes the map unusable."""
-        return _RANKS[self]
-
-
-_RANKS = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
+        return list(Severity).index(self)
 
 
 @final
@@ -118,3 +115,46 @@ class Finding:
     def is_fault(self) -> bool:
         """Whether it is more than information."""
         return self.severity is not Severity.INFO
+
+
+@final
+class Trace:
+    """A course of values over time for a picture, kept as the greatest value of each of at most 2000 stretches."""
+
+    __slots__ = ("_count", "_each", "_times", "_values")
+
+    _MOST = 2000
+
+    def __init__(self) -> None:
+        """Begin with nothing kept, one value a stretch."""
+        self._times: list[float] = []
+        self._values: list[float] = []
+        self._each = 1
+        self._count = 0
+
+    def add(self, time: float, value: float) -> None:
+        """Take the next value."""
+        if self._count % self._each == 0:
+            self._times.append(time)
+            self._values.append(value)
+        elif value > self._values[-1]:
+            self._times[-1] = time
+            self._values[-1] = value
+        self._count += 1
+        if len(self._values) > self._MOST:  # keep the greater of each two stretches
+            greater = [max(range(k, min(k + 2, len(self._values))), key=self._values.__getitem__)
+                       for k in range(0, len(self._values), 2)]  # fmt: skip
+            self._times = [self._times[k] for k in greater]
+            self._values = [self._values[k] for k in greater]
+            self._each *= 2
+            self._count = self._each * (len(greater) - 1) + 1
+
+    def arrays(self) -> tuple[FloatArray, FloatArray]:
+        """Times (K,) and values (K,), in the order they came."""
+        return np.array(self._times), np.array(self._values)
+
+
+def percent(share: float) -> str:
+    """Format a ratio: enough digits not to print 0 % or 100 % for other values."""
+    digits = 0 if 0.1 <= share <= 0.9 or share in (0.0, 1.0) else 1 if 0.001 <= share <= 0.999 else 3
+    return f"{100 * share:.{digits}f} %"

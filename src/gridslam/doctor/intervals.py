@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from gridslam.doctor.laser_motion import LaserMotion
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import adjoint, between
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Intervals", "cumulative_headings", "interpolate_odometry", "intervals", "turn_rates"]
+__all__ = ["Intervals", "cumulative_headings", "differences", "interpolate_odometry", "intervals", "turn_rates"]
 
 _LONGEST_S = 3.0
 _LEAST_SHARE = 0.5
-_MOVED_M, _MOVED_RAD = 0.03, 0.03
+_MOVED = 0.03  # m, and rad: an interval with less motion holds no information
 _RATE_OVER_S = 0.3  # a turn rate is the turn over so long
 
 
@@ -63,53 +63,46 @@ def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, flo
     used = np.hypot(steps[:, 0], steps[:, 1]) / reach[0] + steps[:, 2] / reach[1] + seconds / reach[2]
     whole = np.floor(np.concatenate([[0.0], np.cumsum(used)]))
     cuts = np.flatnonzero(np.diff(whole, prepend=-1.0))
-    begins, ends = cuts[:-1], cuts[1:]
+    begins = cuts[:-1]
+    ends = cuts[1:]
     passed = (motion.stamps_ns[ends] - motion.stamps_ns[begins]) * 1e-9
     tracked = (motion.tracks[begins] == motion.tracks[ends]) & (passed > 0) & (passed < _LONGEST_S)
     share = np.where(motion.shares == 0, 1.0, motion.shares)
     tracked &= np.minimum(share[begins], share[ends]) > _LEAST_SHARE
     tracked &= np.isfinite(odometry[begins]).all(axis=1) & np.isfinite(odometry[ends]).all(axis=1)
-    begins, ends = begins[tracked], ends[tracked]
+    begins = begins[tracked]
+    ends = ends[tracked]
     laser = between(motion.poses[begins], motion.poses[ends])
     driven = between(odometry[begins], odometry[ends])
     told = np.maximum(np.abs(laser), np.abs(driven))
-    moved = (np.hypot(told[:, 0], told[:, 1]) > _MOVED_M) | (told[:, 2] > _MOVED_RAD)
-    covariances = _covariances(motion, laser, begins, ends)
+    moved = (np.hypot(told[:, 0], told[:, 1]) > _MOVED) | (told[:, 2] > _MOVED)
+    from_begin = adjoint(laser * [-1.0, -1.0, 0.0])  # the two poses err independently, in the laser's frame at each
+    from_end = adjoint(laser * [0.0, 0.0, 1.0])
+    covariances = from_begin @ motion.covariances[begins] @ from_begin.transpose(0, 2, 1)
+    covariances += from_end @ motion.covariances[ends] @ from_end.transpose(0, 2, 1)
     return Intervals(begins, ends, laser, covariances, driven)[moved]
-
-
-def _covariances(motion: LaserMotion, laser: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
-    """Covariances (N, 3, 3) of increments (N, 3) between independent poses, in the frame of their begins."""
-    c, s = np.cos(laser[:, 2]), np.sin(laser[:, 2])
-    end, begin = np.zeros((len(laser), 3, 3)), np.tile(np.eye(3), (len(laser), 1, 1))
-    end[:, 0, 0], end[:, 0, 1], end[:, 1, 0], end[:, 1, 1], end[:, 2, 2] = c, -s, s, c, 1
-    begin[:, 0, 2], begin[:, 1, 2] = -laser[:, 1], laser[:, 0]
-    at_begin, at_end = motion.covariances[begins], motion.covariances[ends]
-    spread: FloatArray = begin @ at_begin @ begin.transpose(0, 2, 1) + end @ at_end @ end.transpose(0, 2, 1)
-    return spread
 
 
 def cumulative_headings(poses: FloatArray) -> FloatArray:
     """Headings (K,) of poses (K, 3) without jumps of a turn; what is not finite counts as no turn."""
-    turns = np.nan_to_num(wrap(np.diff(poses[:, 2])))
-    headings: FloatArray = np.concatenate([[0.0], np.cumsum(turns)])
-    return headings
+    return np.concatenate([[0.0], np.cumsum(np.nan_to_num(wrap(np.diff(poses[:, 2]))))])
 
 
 def turn_rates(motion: LaserMotion) -> FloatArray:
     """Turn rates (K,) of the laser, rad/s, by differences over about 0.3 s; 0 at the ends."""
-    rates = np.zeros(len(motion))
-    if len(motion) < 3:
-        return rates
-    times = np.maximum.accumulate((motion.stamps_ns - motion.stamps_ns[0]) * 1e-9)
-    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
-    if len(motion) <= 2 * apart:
-        return rates
-    headings = cumulative_headings(motion.poses)
-    passed, turned = times[2 * apart :] - times[: -2 * apart], headings[2 * apart :] - headings[: -2 * apart]
+    apart, passed, turned = differences(motion)
     same = motion.tracks[2 * apart :] == motion.tracks[: -2 * apart]
+    rates = np.zeros(len(motion))
     rates[apart:-apart] = np.where(same & (passed > 0), turned / np.maximum(passed, 1e-3), 0.0)
     return rates
+
+
+def differences(motion: LaserMotion) -> tuple[int, FloatArray, FloatArray]:
+    """Number of scans in half of 0.3 s; and the seconds and turns from as many before each scan to as many after."""
+    times = np.maximum.accumulate(motion.seconds)
+    headings = cumulative_headings(motion.poses)
+    apart = max(1, round(_RATE_OVER_S / 2 / max(float(np.median(np.diff(times))), 1e-3)))
+    return apart, times[2 * apart :] - times[: -2 * apart], headings[2 * apart :] - headings[: -2 * apart]
 
 
 def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:
@@ -138,7 +131,8 @@ def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArra
     share = (width[:-1] / (width[:-1] + width[1:]))[:, None]
     slopes = np.concatenate([steep[:1], (1 - share) * steep[:-1] + share * steep[1:], steep[-1:]])
     left = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(width) - 1)
-    h, u = width[left, None], ((at - times[left]) / width[left])[:, None]
+    h = width[left, None]
+    u = ((at - times[left]) / width[left])[:, None]
     found: FloatArray = (
         values[left] * (1 + 2 * u) * (1 - u) ** 2 + values[left + 1] * u**2 * (3 - 2 * u)
         + h * (slopes[left] * u * (1 - u) ** 2 - slopes[left + 1] * u**2 * (1 - u))

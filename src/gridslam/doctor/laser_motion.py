@@ -10,21 +10,25 @@ from typing import final
 
 import numpy as np
 
-from gridslam.doctor.beam_times import BeamTimes
 from gridslam.doctor.laser_odometry import LaserOdometry
+from gridslam.doctor.lasers import field_of_view_rad, planar_mounting
+from gridslam.geometry.se2 import adjoint
 from gridslam.io.measurement import Measurement
+from gridslam.matching.beam_order import MIN_TURN_RAD, BeamOrder
 from gridslam.matching.gauss_newton import MIN_INFORMATION
 from gridslam.types import FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["LaserMotion", "LaserMotionEstimator", "laser_motion"]
+__all__ = ["BeamTimes", "LaserMotion", "LaserMotionEstimator", "laser_motion"]
 
 _MOST_BEAMS = 360
+_ORDER_SCANS = 300  # informative scans whose order of beams is tried: more cost time and change nothing
 _RANGES_M = (0.05, 30.0)
 _FEWEST_BEAMS = 20
 _STRETCH = 500  # scans that are matched, or skipped, together
 _WHOLE_STRETCHES = 40  # segments matched without a gap; of later ones fewer and fewer
 _BEAM_SIGMA_M = 0.06  # of a beam against the local map, correlation of neighbours included
-_FLOOR_M, _FLOOR_RAD = 0.004, 0.001  # what the grid of the map costs
+_FLOOR_M = 0.004  # what the grid of the map costs, and
+_FLOOR_RAD = 0.001
 
 
 @final
@@ -76,6 +80,61 @@ class LaserMotion:
         """Return the number of matched scans K."""
         return len(self.stamps_ns)
 
+    @property
+    def seconds(self) -> FloatArray:
+        """Times (K,) of the poses since the first, s."""
+        return np.asarray((self.stamps_ns - self.stamps_ns[:1]) * 1e-9, np.float64)
+
+
+@final
+@dataclass(slots=True)
+class BeamTimes:
+    """Beam times of a laser: as reported by its scans, or as of a mirror that turns once per scan.
+
+    Attributes
+    ----------
+    order : BeamOrder
+        Estimate from the scans.
+    period_s : float
+        Time from scan to scan, lately; NaN before the second.
+    """
+
+    order: BeamOrder = field(default_factory=BeamOrder)
+    period_s: float = math.nan
+    _last_ns: int | None = None
+
+    def update(self, scan: LaserScan) -> None:
+        """Take the stamp of the next scan."""
+        seconds = 0.0 if self._last_ns is None else (scan.stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = scan.stamp_ns
+        if seconds > 0:
+            before = seconds if math.isnan(self.period_s) else self.period_s
+            self.period_s = before + 0.1 * (min(seconds, 2 * before) - before)
+
+    def sweep_s(self, scan: LaserScan) -> float:
+        """Presumed time of a scan: its field of view of a turn; NaN where it is not known."""
+        return field_of_view_rad(scan.geometry.bearings) / math.tau * self.period_s
+
+    def of(self, scan: LaserScan, beams: IntArray) -> FloatArray | None:
+        """Times (K,) of beams (K,), relative to their mean, s; None where they are not known."""
+        if not len(beams):
+            return None
+        times = scan.beam_times_s
+        found = np.asarray(beams * (self.sweep_s(scan) / len(scan)) if times is None else times[beams])
+        return None if math.isnan(found[0]) else found - found.mean()
+
+    def is_informative(self, turned_rad: float) -> bool:
+        """Whether a scan in which the robot turns so much is to be tried in each order."""
+        return abs(turned_rad) > MIN_TURN_RAD and self.order.scans < _ORDER_SCANS
+
+    def deskew_times(self, times_s: FloatArray | None) -> FloatArray | None:
+        """The times (K,) by which to deskew a scan, in the order that is certain; None before, also if reported.
+
+        Scans deskewed in the wrong order would build a map that they fit best.
+        """
+        swept = self.order.sweep_factor
+        return None if times_s is None or not swept else math.copysign(1.0, swept) * times_s
+
 
 @final
 @dataclass(slots=True)
@@ -121,7 +180,8 @@ class LaserMotionEstimator:
         self.times.update(scan)
         if self._stamps and 0 <= scan.stamp_ns - self._last_ns < 1e9 / self.rate_hz:
             return
-        stretch, self._thinned = self._thinned // _STRETCH, self._thinned + 1
+        stretch = self._thinned // _STRETCH
+        self._thinned += 1
         if stretch >= _WHOLE_STRETCHES and stretch % (2 ** int(math.log2(stretch / _WHOLE_STRETCHES) + 1)):
             self._passed_over = True
             return
@@ -159,9 +219,8 @@ class LaserMotionEstimator:
             self._geometry = scan.geometry
             self._first = self._first or scan.geometry
             self._sensor = self._sensor or scan.sensor
-            yaw = _mounting(scan.geometry)[2]
-            c, s = math.cos(yaw), math.sin(yaw)
-            self._directions = scan.geometry.directions @ np.array([[c, -s], [s, c]])
+            turn = adjoint(planar_mounting(scan.geometry) * [0.0, 0.0, 1.0])[:2, :2]
+            self._directions = scan.geometry.directions @ turn
         used = scan.beams(*_RANGES_M).indices
         used = used[:: -(-len(used) // _MOST_BEAMS) or 1]
         return self._directions[used] * scan.ranges[used, None], used
@@ -172,10 +231,10 @@ class LaserMotionEstimator:
         rows = np.array(self._rows, np.float64).reshape(-1, 17)
         stamps = np.array(self._stamps, np.int64).reshape(-1, 2)
         geometry = self._first or ScanGeometry(np.zeros(0))
-        covariances = _covariances(rows[:, 8:].reshape(-1, 3, 3), rows[:, 2], rows[:, 3], len(self._directions))
+        covariances = _covariances(rows[:, 8:].reshape(-1, 3, 3), rows[:, :3], rows[:, 3], len(self._directions))
         return LaserMotion(
             self._sensor, stamps[:, 0], rows[:, :3], covariances, rows[:, 3], rows[:, 4].astype(np.int64), rows[:, 5:8],
-            stamps[:, 1], _mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0), self._scans,
+            stamps[:, 1], planar_mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0), self._scans,
         )  # fmt: skip
 
 
@@ -202,20 +261,12 @@ def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None)
     return estimator.motion
 
 
-def _mounting(geometry: ScanGeometry) -> FloatArray:
-    """Planar pose (3,) of the laser in the base frame: place, and direction of bearing 0."""
-    mounting = geometry.base_from_laser
-    return np.array([mounting[0, 3], mounting[1, 3], math.atan2(mounting[1, 0], mounting[0, 0])])
-
-
-def _covariances(information: FloatArray, headings: FloatArray, shares: FloatArray, beams: int) -> FloatArray:
+def _covariances(information: FloatArray, poses: FloatArray, shares: FloatArray, beams: int) -> FloatArray:
     """Covariances (K, 3, 3) in the laser's frame from normal matrices (K, 3, 3) in the track's frame.
 
     A direction of the position in which the match kept its guess gets 1 m^2. The first pose of a track is certain.
     """
-    c, s = np.cos(headings), np.sin(headings)
-    turn = np.zeros((len(headings), 3, 3))
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1
+    turn = adjoint(poses * [0.0, 0.0, 1.0])
     local = turn.transpose(0, 2, 1) @ information @ turn
     by_turn = local[:, :2, 2] / np.maximum(local[:, 2, 2], 1e-9)[:, None]
     place = local[:, :2, :2] - local[:, :2, 2, None] * by_turn[:, None]

@@ -1,44 +1,173 @@
-"""Reported mounting of each laser: several, tilted, tilting."""
+"""What is known of each laser from its scans alone: number, directions and status of its beams, and its mounting."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gridslam.doctor.finding import Finding, Severity
+from gridslam.doctor.finding import Figure, Finding, Series, Severity, Trace, percent
 from gridslam.geometry.angles import wrap
-from gridslam.io.measurement import Measurement
-from gridslam.types import FloatArray, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, ScanGeometry
 
-__all__ = ["LaserExaminer", "Mounted"]
+__all__ = ["BeamStatistics", "Mounting", "field_of_view_rad", "mounting_findings", "planar_mounting"]
+
+_MANY_LOST = 0.1  # ratio of beams lost by ones and twos: the pose's spread grows by 5 %; healthy: some thousandths
+_LONGEST_LOSS = 3  # beams: a longer run is a surface, or nothing in reach; beams are lost by chance one by one
+_FEW_HITS = 20  # beams: fewer hardly fix x, y and heading against people and clutter
+_OFTEN = 0.1  # share of scans with few hits from which on the map has holes; and half of them leaves no map
+_ALWAYS = 0.99  # a beam that is invalid this often is blocked, it is not lost by chance
+_COUNTS_KEPT = 16  # numbers of beams for which it is counted which are lost
 
 _TILTS_RAD = math.radians(1.0)  # vibration of a stiff mount stays below it; a laser that is made to tilt does not
 _NEAR_FLOOR_M = 8.0  # a beam that meets the floor nearer than most walls are draws the floor as a wall
-_SAME_M, _SAME_RAD = 1e-3, 1e-3
+_SAME = 1e-3  # m, and rad: two lasers that are no farther apart are in one place
+
+
+def field_of_view_rad(bearings: FloatArray) -> float:
+    """Angle over which beams with bearings (B,) are spread, one step for each beam, at most a full turn."""
+    if len(bearings) < 2:
+        return 0.0
+    return min(abs(float(bearings[-1] - bearings[0])) * len(bearings) / (len(bearings) - 1), math.tau)
+
+
+def planar_mounting(geometry: ScanGeometry) -> FloatArray:
+    """Where a laser is in the base frame and where bearing 0 points: [x m, y m, yaw rad]."""
+    mounting = geometry.base_from_laser
+    return np.array([mounting[0, 3], mounting[1, 3], math.atan2(mounting[1, 0], mounting[0, 0])])
 
 
 @final
 @dataclass(slots=True)
-class Mounted:
-    """The mounting of one laser, over all its scans."""
+class BeamStatistics:
+    """The beams of one laser, over all its scans: finds beam_count_varies, invalid_beams and few_hits."""
 
-    geometry: ScanGeometry
     scans: int = 0
+    counts: Counter[int] = field(default_factory=Counter)
+    beams: int = 0
+    invalid: int = 0
+    no_return: int = 0
+    not_numbers: int = 0
+    zeros: int = 0
+    scattered: int = 0
+    scans_without_hits: int = 0
+    _lost: dict[int, IntArray] = field(default_factory=dict)
+    _invalid_trace: Trace = field(default_factory=Trace)
+
+    def take(self, scan: LaserScan) -> None:
+        """Take the beams of the next scan."""
+        count = len(scan)
+        lost = scan.status == BeamStatus.INVALID
+        invalid = int(np.count_nonzero(lost))
+        hits = int(np.count_nonzero(scan.status == BeamStatus.HIT))
+        self.counts[count] += 1
+        self.beams += count
+        self.invalid += invalid
+        self.no_return += count - invalid - hits
+        self.scans_without_hits += hits < _FEW_HITS
+        self._invalid_trace.add(float(self.scans), invalid / max(count, 1))
+        self.scans += 1
+        if invalid:
+            self._note_lost(scan, lost)
+
+    def _note_lost(self, scan: LaserScan, lost: NDArray[np.bool_]) -> None:
+        readings = scan.ranges[lost]
+        self.not_numbers += int(np.count_nonzero(np.isnan(readings)))
+        self.zeros += int(np.count_nonzero(readings == 0))
+        edges = np.flatnonzero(np.diff(lost, prepend=False, append=False))
+        runs = edges[1::2] - edges[::2]
+        self.scattered += int(runs[runs <= _LONGEST_LOSS].sum())
+        if len(scan) in self._lost or len(self._lost) < _COUNTS_KEPT:
+            self._lost[len(scan)] = self._lost.get(len(scan), 0) + lost.astype(np.int64)
+
+    @property
+    def usual_count(self) -> int:
+        """The number of beams that most scans have."""
+        return self.counts.most_common(1)[0][0] if self.counts else 0
+
+    def findings(self, sensor: str) -> Iterator[Finding]:
+        """Yield the findings on the beams of the laser of that name."""
+        if len(self.counts) > 1:
+            yield self._varies(sensor)
+        if self.invalid:
+            yield self._invalid(sensor)
+        if self.scans_without_hits > _OFTEN * self.scans:
+            yield self._few_hits(sensor)
+
+    def _varies(self, sensor: str) -> Finding:
+        least = min(self.counts)
+        most = max(self.counts)
+        numbers = np.array(sorted(self.counts.items()), np.float64)
+        return Finding(
+            "beam_count_varies", Severity.WARNING,
+            f"The number of beams varies from {least} to {most}; {self.counts[self.usual_count]} of {self.scans} scans "
+            f"have {self.usual_count}.",
+            most - least, "beams",
+            "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
+            "for each scan, since a fixed increment with a varying number of beams bends the walls.",
+            sensor,
+            Figure("Beams of a scan", "beams", "scans", (Series("scans", numbers[:, 0], numbers[:, 1], "bars"),)),
+        )  # fmt: skip
+
+    def _invalid(self, sensor: str) -> Finding:
+        share = self.invalid / self.beams
+        scattered = self.scattered / self.beams
+        many = scattered > _MANY_LOST
+        kinds = [("not a number", self.not_numbers), ("zero", self.zeros),
+                 ("negative or too near", self.invalid - self.not_numbers - self.zeros)]  # fmt: skip
+        told = ", ".join(f"{percent(count / self.beams)} {kind}" for kind, count in kinds if count)
+        message = f"{percent(share)} of the beams are invalid ({told})"
+        if many:
+            message += (
+                f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
+            )
+        elif share > _MANY_LOST:
+            message += "; they lie side by side, as where nothing is in reach or the robot hides the view"
+        blocked = np.count_nonzero(self._lost.get(self.usual_count, 0) >= _ALWAYS * self.counts[self.usual_count])
+        if blocked:
+            message += f"; {blocked} of {self.usual_count} beams never measure anything"
+        remedy = (
+            "Clean the laser, and look for what disturbs it: sun, dark or shining surfaces, another laser, a cable."
+        )
+        course = Series("ratio of the beams of a scan", *self._invalid_trace.arrays())
+        return Finding(
+            "invalid_beams", Severity.WARNING if many else Severity.INFO, message + ".", share, "share",
+            remedy if many else "", sensor, Figure("Invalid beams", "scan", "share", (course,)) if many else None,
+        )  # fmt: skip
+
+    def _few_hits(self, sensor: str) -> Finding:
+        share = self.scans_without_hits / self.scans
+        return Finding(
+            "few_hits", Severity.ERROR if share > 0.5 else Severity.WARNING,
+            f"{percent(share)} of the scans have fewer than {_FEW_HITS} beams that hit anything "
+            f"({percent(self.no_return / max(self.beams, 1))} of all beams return nothing, "
+            f"{percent(self.invalid / max(self.beams, 1))} are invalid): they cannot be matched.",
+            share, "share",
+            "Drive where walls are within the laser's reach, and check its range limits.", sensor,
+        )  # fmt: skip
+
+
+@final
+@dataclass(slots=True)
+class Mounting:
+    """The geometry of one laser's latest scan, and how its axis tilted over all its scans."""
+
+    geometry: ScanGeometry = field(default_factory=lambda: ScanGeometry(np.zeros(0)))
     _lowest: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
     _highest: FloatArray = field(default_factory=lambda: np.full(2, -np.inf))
 
     def take(self, geometry: ScanGeometry) -> None:
         """Take the next scan's geometry."""
-        if self.scans == 0 or geometry is not self.geometry:
+        if geometry is not self.geometry:
             upright = geometry.base_from_laser[:2, 2]
             np.minimum(self._lowest, upright, out=self._lowest)
             np.maximum(self._highest, upright, out=self._highest)
             self.geometry = geometry
-        self.scans += 1
 
     @property
     def amplitude_rad(self) -> float:
@@ -51,86 +180,52 @@ class Mounted:
         """Angle between the laser's axis and the vertical, whichever way up it is."""
         return math.acos(min(1.0, abs(float(self.geometry.base_from_laser[2, 2]))))
 
-    @property
-    def upside_down(self) -> bool:
-        """Whether the laser's axis points down."""
-        return bool(self.geometry.base_from_laser[2, 2] < 0)
-
-    @property
-    def pose(self) -> FloatArray:
-        """Where the laser is on the robot and where bearing 0 points: [x m, y m, yaw rad]."""
-        mounting = self.geometry.base_from_laser
-        return np.array([mounting[0, 3], mounting[1, 3], math.atan2(mounting[1, 0], mounting[0, 0])])
-
     def floor_m(self) -> float:
         """Least distance at which a beam meets the floor below the base; infinite where none does."""
-        mounting, bearings = self.geometry.base_from_laser, self.geometry.bearings
+        mounting = self.geometry.base_from_laser
+        bearings = self.geometry.bearings
         falls = -(mounting[2, 0] * np.cos(bearings) + mounting[2, 1] * np.sin(bearings))
         steepest = float(falls.max(initial=0.0))
         height = float(mounting[2, 3])
         return height / steepest if height > 0 and steepest > 1e-6 else math.inf
 
 
-@final
-class LaserExaminer:
-    """Finds several_lasers and tilting_laser."""
-
-    def __init__(self) -> None:
-        """Begin with no laser seen."""
-        self.lasers: dict[str, Mounted] = {}
-
-    def take(self, measurement: Measurement) -> None:
-        """Look at the mounting of the next scan."""
-        scan = measurement.scan
-        laser = self.lasers.get(scan.sensor)
-        if laser is None:
-            laser = self.lasers[scan.sensor] = Mounted(scan.geometry)
-        laser.take(scan.geometry)
-
-    def findings(self) -> Iterator[Finding]:
-        """Yield the findings on the lasers."""
-        if len(self.lasers) > 1:
-            yield self._several()
-        for sensor, laser in self.lasers.items():
-            if laser.amplitude_rad > _TILTS_RAD:
-                yield _tilting(sensor, laser.amplitude_rad)
-            elif laser.floor_m() < _NEAR_FLOOR_M:
-                yield _tilted(sensor, laser)
-
-    def _several(self) -> Finding:
-        poses = [laser.pose for laser in self.lasers.values()]
-        away = [(pose - poses[0])[:2] for pose in poses[1:]]
-        turned = [abs(float(wrap(pose[2] - poses[0][2]))) for pose in poses[1:]]
-        same = any(np.hypot(*d) < _SAME_M and t < _SAME_RAD for d, t in zip(away, turned, strict=True))
-        told = "; ".join(f"{sensor} at {_describe(laser)}" for sensor, laser in self.lasers.items())
-        message = f"There are {len(poses)} lasers, whose scans are taken in turn: {told}."
-        if not same:
-            return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
-        return Finding(
-            "several_lasers", Severity.WARNING, f"{message} Two cannot be in one place: a mounting is missing.",
-            len(poses), "lasers", "State the mounting of each laser (a static transform to the base), or choose one "
-            "laser with --scan.",
-        )  # fmt: skip
+def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
+    """Yield several_lasers and tilting_laser, by the mountings of all lasers."""
+    if len(lasers) > 1:
+        yield _several(lasers)
+    for sensor, laser in lasers.items():
+        if laser.amplitude_rad > _TILTS_RAD:
+            yield Finding(
+                "tilting_laser", Severity.ERROR,
+                f"The laser tilts by {math.degrees(laser.amplitude_rad):.1f} degrees to either side while it scans: "
+                "this is a log of a 3D sensor, not of a level one.",
+                laser.amplitude_rad, "rad", "Hold the laser level and record again, or choose another laser with "
+                "--scan.", sensor,
+            )  # fmt: skip
+        elif laser.floor_m() < _NEAR_FLOOR_M:
+            yield Finding(
+                "tilting_laser", Severity.WARNING,
+                f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, and its beams meet the "
+                f"floor from {laser.floor_m():.1f} m on: the floor is mapped as a wall.",
+                laser.tilt_rad, "rad", f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.",
+                sensor,
+            )  # fmt: skip
 
 
-def _describe(laser: Mounted) -> str:
-    x, y, yaw = laser.pose.tolist()
-    return f"x {x:.2f} m, y {y:.2f} m, yaw {math.degrees(yaw):.0f} degrees"
-
-
-def _tilting(sensor: str, amplitude_rad: float) -> Finding:
+def _several(lasers: Mapping[str, Mounting]) -> Finding:
+    poses = np.array([planar_mounting(laser.geometry) for laser in lasers.values()])
+    away = poses[1:] - poses[0]
+    same = ((np.hypot(away[:, 0], away[:, 1]) < _SAME) & (np.abs(wrap(away[:, 2])) < _SAME)).any()
+    told = "; ".join(
+        f"{sensor} at x {x:.2f} m, y {y:.2f} m, yaw {math.degrees(yaw):.0f} degrees"
+        for sensor, (x, y, yaw) in zip(lasers, poses.tolist(), strict=True)
+    )
+    message = f"There are {len(poses)} lasers, whose scans are taken in turn: {told}."
+    if not same:
+        return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
     return Finding(
-        "tilting_laser", Severity.ERROR,
-        f"The laser tilts by {math.degrees(amplitude_rad):.1f} degrees to either side while it scans: this is a log of "
-        "a 3D sensor, not of a level one.",
-        amplitude_rad, "rad", "Hold the laser level and record again, or choose another laser with --scan.", sensor,
-    )  # fmt: skip
-
-
-def _tilted(sensor: str, laser: Mounted) -> Finding:
-    return Finding(
-        "tilting_laser", Severity.WARNING,
-        f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, and its beams meet the floor "
-        f"from {laser.floor_m():.1f} m on: the floor is mapped as a wall.",
-        laser.tilt_rad, "rad", f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.", sensor,
+        "several_lasers", Severity.WARNING, f"{message} Two cannot be in one place: a mounting is missing.",
+        len(poses), "lasers", "State the mounting of each laser (a static transform to the base), or choose one "
+        "laser with --scan.",
     )  # fmt: skip

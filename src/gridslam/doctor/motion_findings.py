@@ -1,40 +1,158 @@
-"""Findings from the motion of a laser."""
+"""Checks that need scan matching: the motion of each laser against odometry, mounting and clock."""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any, NamedTuple, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
 from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.intervals import turn_rates
-from gridslam.doctor.laser_motion import LaserMotion
-from gridslam.doctor.wheel_slip import Slip, wheel_slips
+from gridslam.doctor.laser_motion import LaserMotion, LaserMotionEstimator
 from gridslam.geometry.se2 import between
-from gridslam.types import FloatArray
+from gridslam.io.measurement import Measurement
+from gridslam.types import FloatArray, IntArray, ScanGeometry
 
-__all__ = ["motion_findings"]
+__all__ = ["MotionExaminer", "Slip", "motion_findings", "wheel_slips"]
+
+_OF_WHEELS = {"odometry_scale", "odometry_rotation_bias", "odometry_drift", "wheel_slip"}
+_SMEAR_RAD = 0.02  # over a scan: 10 cm at 5 m, two cells
+_HALF = 0.25  # of half the sweep, or deviations: how near to it a skew is that the sweep makes
+_HALF_SIGMAS = 4.0
 
 # Differences from which on they are reported, and are more than information. Wheel odometry errs by a percent or
 # two on every robot and matching compensates for it; larger errors can be measured and corrected.
-_SCALE, _SCALE_TOLD = 0.02, 0.012
-_TURN_SCALE, _TURN_SCALE_TOLD = 0.025, 0.015
-_DRIFT, _DRIFT_TOLD = 0.01, 0.006  # rad/m: half a degree a metre
-_YAW, _YAW_SPOILS = 0.06, 0.35  # rad: 6 % of the way sideways; from 20 degrees on matching begins too far off
+_SCALE_TOLD = 0.012
+_SCALE = 0.02
+_TURN_SCALE_TOLD = 0.015
+_TURN_SCALE = 0.025
+_DRIFT_TOLD = 0.006
+_DRIFT = 0.01  # rad/m: half a degree a metre
+_YAW = 0.06  # rad: 6 % of the way sideways
+_YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
 _SKEW = 0.014  # s: at 1 rad/s it moves what odometry alone would draw at 4 m by a cell
-_SKEW_HARMS_S, _SKEW_HARMS_RAD = 0.3, 0.5
+_SKEW_HARMS_S = 0.3
+_SKEW_HARMS_RAD = 0.5
 """Matching makes up for what is less: the maps of Intel, ACES and six simulated drives at about 1 rad/s had the same
 errors with skews of up to 1 s, six drives at 3 rad/s with 0.1 s; with 0.3 s two of these six were lost."""
 _FASTEST = 0.998  # quantile of the turn rates: the greatest but for single wrong matches
 _SKEW_SIGMAS = 3.0
-_OPPOSITE, _UNRELATED, _TURNED_RAD = -0.6, 0.5, 1.2  # one corner suffices
-_SLIP_M, _SLIP_RAD, _SLIP_SHARE = 0.22, 0.3, 0.01  # of one episode; of all the way
+_OPPOSITE = -0.6  # correlation of the turns
+_UNRELATED = 0.5
+_TURNED_RAD = 1.2  # one corner suffices
+_SLIP_M = 0.22  # of one episode
+_SLIP_RAD = 0.3
+_SLIP_SHARE = 0.01  # of all the way
 _CONFUSED = 0.02  # tracks lost per scan, from which on the laser is no reference
+
+_SUSPECT = np.array([0.06, 0.1])  # m, rad of an interval beyond what is explained: and `_SIGMAS` deviations
+_SIGMAS = 5.0
+_EPISODE = np.array([0.15, 0.25])  # m, rad of a whole episode
+_DETERMINED = np.array([0.028, 0.02])  # m, rad: greatest standard deviation of the laser's own increment
+_AROUND_S = 2.0  # what is made up for so soon was no slip: a message came late, or a match was wrong for a moment
+_KEPT = 0.6
+_MOSTLY = 0.75  # of the episodes have too much odometry: if as many have too little, it jitters
+_LEAP_M = 0.3  # larger jumps of odometry from one scan to the next: scans are missing, and the laser may be wrong
+
+
+@final
+@dataclass(slots=True)
+class _Laser:
+    """One laser: its motion, and the duration of a scan, reported or assumed."""
+
+    estimator: LaserMotionEstimator = field(default_factory=LaserMotionEstimator)
+    geometry: ScanGeometry | None = None
+    has_beam_times: bool = False
+    sweep_s: float = math.nan
+
+    def take(self, measurement: Measurement) -> None:
+        scan = measurement.scan
+        self.estimator.add(measurement)
+        if len(scan) and (scan.geometry is not self.geometry or math.isnan(self.sweep_s)):
+            times = scan.beam_times_s
+            self.geometry = scan.geometry
+            self.has_beam_times = times is not None
+            self.sweep_s = self.estimator.times.sweep_s(scan) if times is None else float(np.ptp(times))
+
+    def findings(self) -> list[Finding] | None:
+        """Findings of this laser; None if its motion is not reliable."""
+        motion = self.estimator.motion
+        if self.geometry is None or len(motion) < 2:
+            return None
+        calibration = calibrate(motion)
+        skewed = self._skewed(motion)
+        found = [skewed] if skewed else []
+        for finding in motion_findings(motion, calibration):
+            if not (skewed and finding.code == "clock_skew" and self._is_half_of_the_sweep(calibration.skew_s)):
+                found.append(finding)
+        return found if found or calibration.scale.determined else None
+
+    def _is_half_of_the_sweep(self, skew: ParameterEstimate) -> bool:
+        """Whether scans look late or early because they are stamped by their last beam, or by their first."""
+        half_s = 0.5 * self.sweep_s
+        apart_s = abs(abs(skew.value) - half_s)
+        return not self.has_beam_times and apart_s < max(_HALF * half_s, _HALF_SIGMAS * skew.sigma)
+
+    def _skewed(self, motion: LaserMotion) -> Finding | None:
+        """Find scans that are skewed by turning, and whether the log allows deskewing."""
+        rates = np.abs(turn_rates(motion))
+        fast = float(np.quantile(rates, _FASTEST))
+        size = fast * self.sweep_s
+        sweep_factor = self.estimator.times.order.sweep_factor
+        if not size >= _SMEAR_RAD or not (self.has_beam_times or sweep_factor):
+            return None
+        about = "" if self.has_beam_times else "about "
+        message = (
+            f"A scan takes {about}{1e3 * self.sweep_s:.0f} ms, in which the robot turns by up to {size:.2f} rad "
+            f"({fast:.1f} rad/s)"
+        )
+        if self.has_beam_times:
+            message += "; each beam has its time, and the scans are deskewed"
+            if sweep_factor < 0:
+                message += ", but by their reverse, which fits better: the driver reports them in reverse order"
+            return Finding("skewed_while_turning", Severity.INFO, message + ".", size, "rad", "", motion.sensor)
+        smear = Series("turn during a scan", motion.seconds, rates * self.sweep_s)
+        return Finding(
+            "skewed_while_turning", Severity.WARNING,
+            f"{message}, and the log has no beam times: walls are bent.", size, "rad",
+            "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more "
+            "slowly.",
+            motion.sensor, Figure("Turn during a scan", "time, s", "rad", (smear,), (Mark("harmful", _SMEAR_RAD),)),
+        )  # fmt: skip
+
+
+@final
+class MotionExaminer:
+    """Finds skewed_while_turning, and the `motion_findings` of each laser."""
+
+    def __init__(self) -> None:
+        """Begin with no laser seen."""
+        self._lasers: defaultdict[str, _Laser] = defaultdict(_Laser)
+
+    def take(self, measurement: Measurement) -> None:
+        """Match the next scan to those before it of the same laser."""
+        self._lasers[measurement.scan.sensor].take(measurement)
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield the findings of each laser; findings on the wheels once, if all lasers agree."""
+        told = [found for found in (laser.findings() for laser in self._lasers.values()) if found is not None]
+        # A laser that leaves a bare corridor backward may see the robot stand still.
+        agreed = _OF_WHEELS.intersection(*({finding.code for finding in found} for found in told))
+        for finding in chain.from_iterable(told):
+            if finding.code in agreed or finding.code not in _OF_WHEELS:
+                yield finding
+                agreed -= {finding.code}
 
 
 def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None = None) -> list[Finding]:
-    """Yield the findings on mounting, clock and odometry, by the motion of one laser.
+    """Return the findings on mounting, clock and odometry, by the motion of one laser.
 
     A fault is reported only if it is larger than what every robot has, and than four standard deviations of its
     estimate.
@@ -44,18 +162,12 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
     if len(motion) < 2 or motion.tracks[-1] + 1 > max(3, _CONFUSED * len(motion)):
         return []
     found = calibration or calibrate(motion)
-    if unrelated := _unrelated(motion, found):
-        return [unrelated]
-    told = [
-        _reflected(motion, found), _yaw(motion, found), _skew(motion, found), _scale(motion, found),
-        _rotation_bias(motion, found), _drift(motion, found), _slip(motion, found),
-    ]  # fmt: skip
-    return [finding for finding in told if finding is not None]
+    if abs(found.agreement) < _UNRELATED and min(found.laser_rad, found.odometry_rad) >= _TURNED_RAD:
+        return [_unrelated(motion, found)]
+    return [*_laser_findings(motion, found), *_odometry_findings(motion, found), *_slip_findings(motion, found)]
 
 
-def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    if not abs(found.agreement) < _UNRELATED or min(found.laser_rad, found.odometry_rad) < _TURNED_RAD:
-        return None
+def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
     return Finding(
         "odometry_unrelated", Severity.ERROR,
         f"Odometry turned by {found.odometry_rad:.1f} rad, the laser by {found.laser_rad:.1f} rad, but not at the same "
@@ -65,119 +177,107 @@ def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
     )  # fmt: skip
 
 
-def _reflected(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    if not found.agreement < _OPPOSITE or found.laser_rad < _TURNED_RAD:
-        return None
-    cause = (
-        "the log declares the laser upside-down, and its beams come in the order of an upright one"
-        if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
-    )  # fmt: skip
-    return Finding(
-        "reflected_laser", Severity.ERROR,
-        f"The laser sees the robot turn the other way than odometry does (correlation {found.agreement:+.2f} over "
-        f"{found.laser_rad:.0f} rad): {cause}; the map would be a mirror image.",
-        found.agreement, "1",
-        "Reverse the signs of angle_min, angle_max and angle_increment, or mount it upside-down in /tf_static.",
-        motion.sensor, _turns_figure(motion, 1.0),
-    )  # fmt: skip
-
-
-def _yaw(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
+def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
+    """Direction, yaw and clock of the laser."""
+    if found.agreement < _OPPOSITE and found.laser_rad >= _TURNED_RAD:
+        cause = (
+            "the log declares the laser upside-down, and its beams come in the order of an upright one"
+            if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
+        )  # fmt: skip
+        yield Finding(
+            "reflected_laser", Severity.ERROR,
+            f"The laser sees the robot turn the other way than odometry does (correlation {found.agreement:+.2f} over "
+            f"{found.laser_rad:.0f} rad): {cause}; the map would be a mirror image.",
+            found.agreement, "1",
+            "Reverse the signs of angle_min, angle_max and angle_increment, or mount it upside-down in /tf_static.",
+            motion.sensor, _turns_figure(motion, 1.0),
+        )  # fmt: skip
     yaw = found.yaw_rad
-    if not yaw.differs(0.0, _YAW):
-        return None
-    degrees, declared = math.degrees(yaw.value), math.degrees(found.mounting[2])
-    return Finding(
-        "yaw_offset", Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
-        f"The laser is rotated by {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees to the "
-        f"{_side(degrees)} relative to the declared mounting ({declared:.1f} degrees).",
-        yaw.value, "rad", f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.", motion.sensor,
-    )  # fmt: skip
-
-
-def _skew(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
+    if yaw.differs(0.0, _YAW):
+        degrees = math.degrees(yaw.value)
+        declared = math.degrees(found.mounting[2])
+        yield Finding(
+            "yaw_offset", Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
+            f"The laser is rotated by {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees to the "
+            f"{_side(degrees)} relative to the declared mounting ({declared:.1f} degrees).",
+            yaw.value, "rad", f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.",
+            motion.sensor,
+        )  # fmt: skip
     skew = found.skew_s
-    if not skew.differs(0.0, _SKEW, _SKEW_SIGMAS):
-        return None
-    milliseconds, late = 1e3 * skew.value, "late" if skew.value > 0 else "early"
-    wrong_rad = abs(skew.value) * float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
-    harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
-    return Finding(
-        "clock_skew", Severity.WARNING if harms else Severity.INFO,
-        f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured turns "
-        f"agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
-        f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs by "
-        f"up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
-        skew.value, "s",
-        "Stamp both when they are measured, by one clock; --repair all takes it out before mapping." if harms else "",
-        motion.sensor, _turns_figure(motion, -1.0 if found.reflected else 1.0),
-    )  # fmt: skip
+    if skew.differs(0.0, _SKEW, _SKEW_SIGMAS):
+        milliseconds = 1e3 * skew.value
+        late = "late" if skew.value > 0 else "early"
+        wrong_rad = abs(skew.value) * float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
+        harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
+        yield Finding(
+            "clock_skew", Severity.WARNING if harms else Severity.INFO,
+            f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured "
+            f"turns agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
+            f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs "
+            f"by up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
+            skew.value, "s",
+            "Stamp both when they are measured, by one clock; --repair all takes it out before mapping." if harms
+            else "",
+            motion.sensor, _turns_figure(motion, -1.0 if found.reflected else 1.0),
+        )  # fmt: skip
 
 
-def _grade(estimate: ParameterEstimate, usual: float, told: float, doubtful: float) -> Severity | None:
-    if estimate.differs(usual, doubtful):
-        return Severity.WARNING
-    return Severity.INFO if estimate.differs(usual, told) else None
+def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
+    """Systematic errors of the odometry."""
+    scale = found.scale
+    if scale.differs(1.0, _SCALE_TOLD):
+        percent = 100 * (scale.value - 1)
+        yield Finding(
+            "odometry_scale", Severity.WARNING if scale.differs(1.0, _SCALE) else Severity.INFO,
+            f"Odometry reports {abs(percent):.1f} +- {100 * scale.sigma:.1f} % {_more(percent)} distance than the "
+            f"laser measures, over {found.laser_m:.0f} m.",
+            scale.value - 1, "m/m", f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}.",
+            motion.sensor,
+        )  # fmt: skip
+    turn = found.turn_scale
+    if turn.differs(1.0, _TURN_SCALE_TOLD):
+        percent = 100 * (turn.value - 1)
+        yield Finding(
+            "odometry_rotation_bias", Severity.WARNING if turn.differs(1.0, _TURN_SCALE) else Severity.INFO,
+            f"Odometry turns {abs(percent):.1f} +- {100 * turn.sigma:.1f} % {_more(percent)} than the laser measures, "
+            f"over {found.laser_rad:.0f} rad.",
+            turn.value - 1, "rad/rad", f"Multiply the distance between the wheels by {turn.value:.3f}.", motion.sensor,
+        )  # fmt: skip
+    drift = found.drift_rad_per_m
+    if drift.differs(0.0, _DRIFT_TOLD):
+        degrees = math.degrees(drift.value)
+        yield Finding(
+            "odometry_drift", Severity.WARNING if drift.differs(0.0, _DRIFT) else Severity.INFO,
+            f"Odometry turns {abs(degrees):.2f} +- {math.degrees(drift.sigma):.2f} degrees to the {_side(degrees)} a "
+            f"metre driven, beyond what the laser saw over {found.laser_m:.0f} m.",
+            drift.value, "rad/m",
+            f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.", motion.sensor,
+        )  # fmt: skip
 
 
-def _scale(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _grade(found.scale, 1.0, _SCALE_TOLD, _SCALE)
-    if severity is None:
-        return None
-    percent, sigma = 100 * (found.scale.value - 1), 100 * found.scale.sigma
-    return Finding(
-        "odometry_scale", severity,
-        f"Odometry reports {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} distance than the laser measures, over "
-        f"{found.laser_m:.0f} m.",
-        found.scale.value - 1, "m/m",
-        f"Divide the odometry's distances (the wheels' diameter) by {found.scale.value:.3f}.", motion.sensor,
-    )  # fmt: skip
-
-
-def _rotation_bias(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _grade(found.turn_scale, 1.0, _TURN_SCALE_TOLD, _TURN_SCALE)
-    if severity is None:
-        return None
-    percent, sigma = 100 * (found.turn_scale.value - 1), 100 * found.turn_scale.sigma
-    return Finding(
-        "odometry_rotation_bias", severity,
-        f"Odometry turns {abs(percent):.1f} +- {sigma:.1f} % {_more(percent)} than the laser measures, over "
-        f"{found.laser_rad:.0f} rad.",
-        found.turn_scale.value - 1, "rad/rad",
-        f"Multiply the distance between the wheels by {found.turn_scale.value:.3f}.", motion.sensor,
-    )  # fmt: skip
-
-
-def _drift(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
-    severity = _grade(found.drift_rad_per_m, 0.0, _DRIFT_TOLD, _DRIFT)
-    if severity is None:
-        return None
-    degrees, sigma = math.degrees(found.drift_rad_per_m.value), math.degrees(found.drift_rad_per_m.sigma)
-    return Finding(
-        "odometry_drift", severity,
-        f"Odometry turns {abs(degrees):.2f} +- {sigma:.2f} degrees to the {_side(degrees)} a metre driven, beyond "
-        f"what the laser saw over {found.laser_m:.0f} m.",
-        found.drift_rad_per_m.value, "rad/m",
-        f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.",
-        motion.sensor,
-    )  # fmt: skip
-
-
-def _slip(motion: LaserMotion, found: MotionCalibration) -> Finding | None:
+def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
     slips = wheel_slips(motion, found)
     if not slips:
-        return None
+        return
     sizes = np.array([abs(slip.metres) for slip in slips])
     turns = np.array([abs(slip.radians) for slip in slips])
     matters = sizes.max() > _SLIP_M or turns.max() > _SLIP_RAD or sizes.sum() > _SLIP_SHARE * found.laser_m
     largest = slips[int((sizes / _SLIP_M + turns / _SLIP_RAD).argmax())]
-    seconds = (largest.stamp_ns - int(motion.stamps_ns[0])) * 1e-9
-    return Finding(
+    first_ns = int(motion.stamps_ns[0])
+    times = "once" if len(slips) == 1 else f"{len(slips)} times"
+    ways = sizes > _SLIP_M / 2
+    course = Series(
+        "odometry beyond the laser's motion", motion.seconds[found.intervals.begins], found.residuals[:, 0], "bars"
+    )
+    marks = tuple(Mark("slip", (slip.stamp_ns - first_ns) * 1e-9, "x") for slip in slips[:20])
+    yield Finding(
         "wheel_slip", Severity.WARNING if matters else Severity.INFO,
-        f"The wheels slipped {_times(len(slips))}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
-        f"{seconds:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in {largest.duration_s:.1f} s.",
-        *_size(sizes, turns), "Drive more gently there; scan matching compensates where walls constrain the motion.",
-        motion.sensor, _slip_figure(motion, found, slips),
+        f"The wheels slipped {times}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
+        f"{(largest.stamp_ns - first_ns) * 1e-9:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in "
+        f"{largest.duration_s:.1f} s.",
+        *((np.median(sizes[ways]), "m") if ways.any() else (np.median(turns), "rad")),
+        "Drive more gently there; scan matching compensates where walls constrain the motion.",
+        motion.sensor, Figure("Wheel slip", "time, s", "m", (course,), marks),
     )  # fmt: skip
 
 
@@ -189,32 +289,78 @@ def _side(angle: float) -> str:
     return "left" if angle > 0 else "right"
 
 
-def _times(count: int) -> str:
-    return "once" if count == 1 else f"{count} times"
-
-
-def _size(sizes: FloatArray, turns: FloatArray) -> tuple[float, str]:
-    """Median of the episodes of way, or of turns where there are none."""
-    ways = sizes > _SLIP_M / 2
-    return (float(np.median(sizes[ways])), "m") if ways.any() else (float(np.median(turns)), "rad")
-
-
 def _turns_figure(motion: LaserMotion, sign: float) -> Figure:
     """Turn rates of both over the part of the log in which the robot turns most."""
-    times = (motion.stamps_ns - motion.stamps_ns[0]) * 1e-9
+    times = motion.seconds
     steps = np.maximum(np.diff(times), 1e-3)
     laser = sign * between(motion.poses[:-1], motion.poses[1:])[:, 2] / steps
     odometry = np.nan_to_num(between(motion.odometry[:-1], motion.odometry[1:])[:, 2]) / steps
     width = min(len(laser), 150)
-    turned = np.convolve(np.abs(laser) * steps, np.ones(width), "valid")
-    part = slice(int(turned.argmax()), int(turned.argmax()) + width)
+    first = int(np.convolve(np.abs(laser) * steps, np.ones(width), "valid").argmax())
+    part = slice(first, first + width)
     series = (Series("laser", times[1:][part], laser[part]), Series("odometry", times[1:][part], odometry[part]))
     return Figure("Turn rate of laser and odometry", "time, s", "rad/s", series)
 
 
-def _slip_figure(motion: LaserMotion, found: MotionCalibration, slips: list[Slip]) -> Figure:
-    first = int(motion.stamps_ns[0])
-    times: FloatArray = np.asarray(motion.stamps_ns[found.intervals.begins] - first, np.float64) * 1e-9
-    marks = tuple(Mark("slip", (slip.stamp_ns - first) * 1e-9, "x") for slip in slips[:20])
-    course = Series("odometry beyond the laser's motion", times, found.residuals[:, 0], "bars")
-    return Figure("Wheel slip", "time, s", "m", (course,), marks)
+class Slip(NamedTuple):
+    """One episode: start, duration, and the excess of the odometry over the true motion (signed)."""
+
+    stamp_ns: int
+    duration_s: float
+    metres: float
+    radians: float
+
+
+def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Slip]:
+    """Find episodes in the residuals of a calibration, by the time they began.
+
+    Intervals in which the laser does not determine its motion well take no part. Wheels that slip turn more than the
+    robot moves; a log whose odometry is as often too small has another fault than slip.
+    """
+    parts = calibration.intervals
+    residuals = calibration.residuals[:, [0, 2]]
+    if not len(parts):
+        return []
+    spread = np.sqrt(np.diagonal(parts.covariances, axis1=1, axis2=2))
+    known = np.stack([spread[:, :2].max(axis=1), spread[:, 2]], axis=1) < _DETERMINED
+    even = _even(motion.odometry, parts.begins, parts.ends)
+    residuals = np.where(known & even[:, None], residuals, 0.0)
+    times = motion.stamps_ns[parts.begins] * 1e-9
+    until = motion.stamps_ns[parts.ends] * 1e-9
+    suspect = (np.abs(residuals) > np.maximum(_SUSPECT, _SIGMAS * np.nan_to_num(calibration.noise))).any(axis=1)
+    found: list[Slip] = []
+    short = 0
+    for first, last in _runs(suspect, times, until):
+        amount = residuals[max(first - 1, 0) : last + 2].sum(axis=0)  # it begins and ends within an interval
+        around = (times > times[first] - _AROUND_S) & (until < until[last] + _AROUND_S)
+        net = residuals[around].sum(axis=0)
+        large = (np.abs(amount) > _EPISODE) & (net / np.where(amount == 0, 1.0, amount) > _KEPT)
+        if not large.any():
+            continue
+        told = parts.odometry[first : last + 1, ::2].sum(axis=0)
+        if (amount * told)[large].max() <= 0:
+            short += 1
+        else:
+            stamp_ns = int(motion.stamps_ns[parts.begins[first]])
+            found.append(Slip(stamp_ns, float(until[last] - times[first]), float(amount[0]), float(amount[1])))
+    return found if len(found) >= _MOSTLY * (len(found) + short) else []
+
+
+def _even(odometry: FloatArray, begins: IntArray, ends: IntArray) -> NDArray[np.bool_]:
+    """Whether odometry moves evenly enough from scan to scan, in each of N intervals and just before it."""
+    steps = np.nan_to_num(between(odometry[:-1], odometry[1:])[:, :2])
+    leaps = np.concatenate([[False], np.hypot(*np.diff(steps, axis=0).T) > _LEAP_M, [False]])
+    before = np.concatenate([[0], np.cumsum(leaps)])
+    even: NDArray[np.bool_] = before[np.minimum(ends + 1, len(before) - 1)] == before[np.maximum(begins - 1, 0)]
+    return even
+
+
+def _runs(suspect: NDArray[np.bool_], times: NDArray[Any], until: NDArray[Any]) -> list[tuple[int, int]]:
+    """First and last of suspect intervals that follow one another without a pause."""
+    runs: list[tuple[int, int]] = []
+    for index in np.flatnonzero(suspect).tolist():
+        if runs and runs[-1][1] == index - 1 and times[index] - until[index - 1] < 0.5:
+            runs[-1] = (runs[-1][0], index)
+        else:
+            runs.append((index, index))
+    return runs

@@ -6,31 +6,38 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 
-from gridslam.doctor.examiner import LogHistogram, Trace, percent
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, Trace, percent
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, LaserScan, Odometry
+from gridslam.types import BeamStatus, LaserScan
 
 __all__ = ["OdometryExaminer"]
 
 _WINDOW_S = 1.0
-_STILL_M, _STILL_RAD = 0.01, 0.01  # in a second: slower than any robot drives, more than encoders flicker
-_CHANGED_M, _CHANGED_SHARE = 0.1, 0.02  # change of a range above noise: m, and ratio of the range
+_STILL = 0.01  # m, and rad, in a second: slower than any robot drives, more than encoders flicker
+_CHANGED_M = 0.1  # change of a range above noise, and
+_CHANGED_SHARE = 0.02  # of the range
 _MOST_CHANGED = 0.5  # of the beams: people who pass change fewer
-_FROZEN_WINDOWS, _FROZEN_SHARE = 3, 0.1  # a shorter stop of the wheels' messages is what matching is for
+_FROZEN_WINDOWS = 3  # a shorter stop of the wheels' messages is what matching is for
+_FROZEN_SHARE = 0.1  # of the time: from here on the map is unusable
 _STILL_WORTH_S = 10.0  # seconds that are worth a line
-_MOSTLY_STILL, _NEVER_MOVED_M, _NEVER_MOVED_RAD = 0.5, 0.5, 0.5
-_LEAP_M, _LEAP_RAD = 1.0, 1.0  # between scans, and faster than any robot with wheels that maps by a planar laser:
-_LEAP_M_S, _LEAP_RAD_S = 10.0, 12.0
+_MOSTLY_STILL = 0.5  # of the time
+_NEVER_MOVED = 0.5  # m, and rad
+_LEAP_M = 1.0  # between scans, and faster than any robot with wheels that maps by a planar laser:
+_LEAP_RAD = 1.0
+_LEAP_M_S = 10.0
+_LEAP_RAD_S = 12.0
 _LEAST_S = 0.05  # between scans whose stamps jitter, go back or repeat
-_KEY_M, _KEY_RAD = 0.5, 0.25  # when the particles are stepped
+_KEY_M = 0.5  # when the particles are stepped, or from
+_KEY_RAD = 0.25
 _OVERLAP = 0.5  # share of the field of view that two scans that follow each other must have in common
 _GUESS_RAD = 1.0  # odometry errs by 5 % of a turn: 0.5 m at 10 m, as far as matching reaches
 _FAST_SHARE = 0.005  # of all scans: from one in 200 on it is how the robot drives, not a hitch
+
+_Place: TypeAlias = tuple[float, float, float]  # x m, y m, theta rad
 
 
 @final
@@ -46,16 +53,15 @@ class OdometryExaminer:
     key_scans: int = 0
     scans: int = 0
     without: int = 0
-    turn_rates: LogHistogram = field(default_factory=LogHistogram)
-    fastest_rad: float = 0.0
+    _fastest_rad: float = 0.0
     _fields: dict[str, float] = field(default_factory=dict)
     _too_far: Counter[str] = field(default_factory=Counter)
-    _previous: dict[str, tuple[int, tuple[float, float, float]]] = field(default_factory=dict)
+    _previous: dict[str, _Place] = field(default_factory=dict)
     _first_ns: int | None = None
-    _last: tuple[int, tuple[float, float, float]] | None = None
+    _last: tuple[int, _Place] | None = None
     _jumps: list[tuple[float, float, float]] = field(default_factory=list)  # s, m, rad
-    _key: tuple[float, float, float] | None = None
-    _window: tuple[int, tuple[float, float, float], LaserScan] | None = None
+    _key: _Place | None = None
+    _window: tuple[_Place, LaserScan] | None = None
     _frozen: int = 0
     _watched_s: float = 0.0
     _still_s: float = 0.0
@@ -68,73 +74,72 @@ class OdometryExaminer:
         self.scans += 1
         if odometry is None:
             self.without += 1
-            self._last, self._window = None, None
+            self._last = None
+            self._window = None
             self._previous.pop(scan.sensor, None)
             return
-        x, y, theta = place = tuple(odometry.pose.tolist())
-        self._note_way(scan.stamp_ns, (x, y, theta))
+        place = tuple(odometry.pose.tolist())
+        self._note_way(scan.stamp_ns, place)
         self._note_key(place)
         self._note_turn(scan, place)
-        self._note_window(odometry, scan, place)
+        self._note_window(scan, place)
 
-    def _note_way(self, stamp_ns: int, place: tuple[float, float, float]) -> None:
+    def _note_way(self, stamp_ns: int, place: _Place) -> None:
         """Add path length and rotation since the last scan, or record a jump that is faster than a robot can move."""
-        before, self._last = self._last, (stamp_ns, place)
-        if before is None:
-            self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
-            return
-        moved, turned = math.dist(place[:2], before[1][:2]), abs(_turn(before[1], place))
-        seconds = max((stamp_ns - before[0]) * 1e-9, _LEAST_S)
+        last_ns, before = self._last or (stamp_ns, place)
+        self._last = (stamp_ns, place)
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        moved, turned = _motion(before, place)
+        seconds = max((stamp_ns - last_ns) * 1e-9, _LEAST_S)
         if moved > max(_LEAP_M, _LEAP_M_S * seconds) or turned > max(_LEAP_RAD, _LEAP_RAD_S * seconds):
-            self._jumps.append(((stamp_ns - (self._first_ns or 0)) * 1e-9, moved, turned))
-            return
-        self.metres += moved
-        self.radians += turned
+            self._jumps.append(((stamp_ns - self._first_ns) * 1e-9, moved, turned))
+        else:
+            self.metres += moved
+            self.radians += turned
 
-    def _note_key(self, place: tuple[float, float, float]) -> None:
+    def _note_key(self, place: _Place) -> None:
         """Count the scans at which the particles will be stepped."""
-        key = self._key
-        if key is None or math.dist(place[:2], key[:2]) > _KEY_M or abs(_turn(key, place)) > _KEY_RAD:
-            self._key, self.key_scans = place, self.key_scans + 1
+        moved, turned = (math.inf, 0.0) if self._key is None else _motion(self._key, place)
+        if moved > _KEY_M or turned > _KEY_RAD:
+            self._key = place
+            self.key_scans += 1
 
-    def _note_turn(self, scan: LaserScan, place: tuple[float, float, float]) -> None:
+    def _note_turn(self, scan: LaserScan, place: _Place) -> None:
         """Compare the turn since this laser's scan before with what the two can have in common."""
         before = self._previous.get(scan.sensor)
-        self._previous[scan.sensor] = scan.stamp_ns, place
+        self._previous[scan.sensor] = place
         if scan.sensor not in self._fields:
             bearings = scan.geometry.bearings
             self._fields[scan.sensor] = min(float(np.ptp(bearings)), math.tau) if len(bearings) else 0.0
-        if before is None:
-            return
-        turned, seconds = abs(_turn(before[1], place)), (scan.stamp_ns - before[0]) * 1e-9
-        self._turns.add(float(self.scans), turned)
-        self._too_far[scan.sensor] += turned > self._limit(scan.sensor)
-        self.fastest_rad = max(self.fastest_rad, turned)
-        if seconds > 0 and turned > 0:
-            self.turn_rates.add(turned / seconds)
+        if before is not None:
+            _, turned = _motion(before, place)
+            self._turns.add(float(self.scans), turned)
+            self._too_far[scan.sensor] += turned > self._limit(scan.sensor)
+            self._fastest_rad = max(self._fastest_rad, turned)
 
     def _limit(self, sensor: str) -> float:
         """Turn between two scans from which on they are hard to match, rad; for a single beam there is none."""
         field_rad = self._fields[sensor]
         return min(_GUESS_RAD, _OVERLAP * field_rad) if field_rad else math.inf
 
-    def _note_window(self, odometry: Odometry, scan: LaserScan, place: tuple[float, float, float]) -> None:
+    def _note_window(self, scan: LaserScan, place: _Place) -> None:
         """Compare odometry and ranges with those of a second ago."""
         if self._window is None:
-            self._window = scan.stamp_ns, place, scan
+            self._window = (place, scan)
             return
-        began, start, first = self._window
-        seconds = (scan.stamp_ns - began) * 1e-9
+        start, first = self._window
+        seconds = (scan.stamp_ns - first.stamp_ns) * 1e-9
         if seconds < _WINDOW_S or scan.sensor != first.sensor:
             return
         self._watched_s += seconds
-        moved, turned = math.dist(place[:2], start[:2]), abs(_turn(start, place))
-        if moved < _STILL_M and turned < _STILL_RAD:
+        moved, turned = _motion(start, place)
+        if moved < _STILL and turned < _STILL:
             frozen = _share_changed(first, scan) > _MOST_CHANGED
             self._frozen += frozen
             self._frozen_s += frozen * seconds
             self._still_s += (not frozen) * seconds
-        self._window = scan.stamp_ns, place, scan
+        self._window = (place, scan)
 
     def findings(self) -> Iterator[Finding]:
         """Yield the findings on the odometry, and on how the robot was driven."""
@@ -182,7 +187,7 @@ class OdometryExaminer:
 
     def _standing_still(self) -> Iterator[Finding]:
         share = self._still_s / self._watched_s
-        never = self.metres < _NEVER_MOVED_M and self.radians < _NEVER_MOVED_RAD and not self._frozen
+        never = self.metres < _NEVER_MOVED and self.radians < _NEVER_MOVED and not self._frozen
         if never and share > _MOSTLY_STILL:
             message = f"The robot never moves (odometry: {self.metres:.2f} m): there is only one view to map."
             remedy = "Record while the robot drives."
@@ -201,15 +206,16 @@ class OdometryExaminer:
             turns = Series("turn since the scan before", *self._turns.arrays())
             yield Finding(
                 "fast_turning", Severity.WARNING,
-                f"The robot turns by up to {self.fastest_rad:.2f} rad from one scan to the next, and by more than "
+                f"The robot turns by up to {self._fastest_rad:.2f} rad from one scan to the next, and by more than "
                 f"{limit:.2f} rad before {count} of {self.scans} scans: too little is seen in both.",
-                self.fastest_rad, "rad", "Turn more slowly, or let the laser scan faster.", sensor,
+                self._fastest_rad, "rad", "Turn more slowly, or let the laser scan faster.", sensor,
                 Figure("Turn between scans", "scan", "rad", (turns,), (Mark("limit", limit),)),
             )  # fmt: skip
 
 
-def _turn(before: tuple[float, float, float], after: tuple[float, float, float]) -> float:
-    return (after[2] - before[2] + math.pi) % math.tau - math.pi
+def _motion(before: _Place, after: _Place) -> tuple[float, float]:
+    """Metres and radians between two poses, both positive."""
+    return math.dist(before[:2], after[:2]), abs((after[2] - before[2] + math.pi) % math.tau - math.pi)
 
 
 def _share_changed(before: LaserScan, after: LaserScan) -> float:
@@ -217,7 +223,7 @@ def _share_changed(before: LaserScan, after: LaserScan) -> float:
     if len(before) != len(after):
         return 0.0
     both = (before.status == BeamStatus.HIT) & (after.status == BeamStatus.HIT)
-    old, new = before.ranges[both], after.ranges[both]
+    old = before.ranges[both]
     if len(old) < 20:
         return 0.0
-    return float(np.mean(np.abs(new - old) > _CHANGED_M + _CHANGED_SHARE * old))
+    return float(np.mean(np.abs(after.ranges[both] - old) > _CHANGED_M + _CHANGED_SHARE * old))

@@ -9,14 +9,14 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from gridslam.doctor.examiner import percent
-from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
-from gridslam.io.measurement import Measurement
+from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity, percent
 from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan
 
-__all__ = ["RangeCounts", "RangeExaminer"]
+__all__ = ["RangeCounts"]
 
-_BIN_M, _BINS, _SECTORS = 0.01, 20_000, 16
+_BIN_M = 0.01
+_BINS = 20_000
+_SECTORS = 16
 _BLOCK = 1 << 16  # readings that are counted together
 _USED_M = 30.0  # the configuration's range_max_m: farther readings are neither matched nor mapped
 
@@ -44,7 +44,7 @@ class _RangePeak(NamedTuple):
 @final
 @dataclass(slots=True)
 class RangeCounts:
-    """How often one laser reported which range, by sector of its field of view."""
+    """How often one laser reported which range, by sector of its field of view: finds range_limits."""
 
     range_min_m: float = 0.0
     range_max_m: float = math.inf
@@ -57,7 +57,8 @@ class RangeCounts:
 
     def take(self, scan: LaserScan) -> None:
         """Take the ranges of the next scan."""
-        self.range_min_m, self.range_max_m = scan.range_min_m, scan.range_max_m
+        self.range_min_m = scan.range_min_m
+        self.range_max_m = scan.range_max_m
         self.readings += len(scan)
         hits = (scan.status == BeamStatus.HIT).nonzero()[0]
         self._waiting.append((scan.ranges[hits], hits * _SECTORS // max(len(scan), 1)))
@@ -76,7 +77,9 @@ class RangeCounts:
             self._hits += np.bincount(bins * _SECTORS + sectors, minlength=self._hits.size).reshape(self._hits.shape)
         if self._waiting_beyond:
             self._beyond += np.bincount(_bins(np.concatenate(self._waiting_beyond)), minlength=_BINS + 1)
-        self._waiting, self._waiting_beyond, self._pending = [], [], 0
+        self._waiting.clear()
+        self._waiting_beyond.clear()
+        self._pending = 0
 
     def find_peak(self) -> _RangePeak | None:
         """The value near the far end at which hits pile up as walls never do, if there is one."""
@@ -112,72 +115,52 @@ class RangeCounts:
             return 0.0, 0.0
         return total / self.readings, float(np.flatnonzero(self._beyond)[-1]) * _BIN_M
 
-    def figure(self, marks: tuple[Mark, ...]) -> Figure:
+    def findings(self, sensor: str) -> Iterator[Finding]:
+        """Report where the true limits of the laser of that name differ from the declared ones."""
+        self.count()
+        peak = self.find_peak()
+        if peak is not None:
+            yield self._range_peak(sensor, peak)
+        share, farthest_m = self.share_beyond_limit()
+        if share > _BEYOND_SHARE:
+            much = share > _MUCH_LOST
+            yield Finding(
+                "range_limits", Severity.WARNING if much else Severity.INFO,
+                f"{percent(share)} of the readings are ranges beyond the stated limit of {self.range_max_m:g} m, up to "
+                f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
+                self.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,
+                self._figure(Mark("stated limit", self.range_max_m, "x")),
+            )  # fmt: skip
+
+    def _range_peak(self, sensor: str, peak: _RangePeak) -> Finding:
+        limited = math.isfinite(self.range_max_m)
+        stated = f"{self.range_max_m:g} m" if limited else "unlimited"
+        message = (
+            f"{peak.readings} readings ({percent(peak.share)} of the hits) are {peak.value_m:.2f} m and next to none "
+            f"is farther, while the range limit is {stated}: beams that hit nothing are reported as walls"
+        )
+        if peak.value_m >= _USED_M:
+            message += f"; harmless, for readings from {_USED_M:g} m on are not used"
+            severity = Severity.INFO
+            remedy = f"Leave range_max_m below {peak.value_m - _MARGIN_M:.2f} m."
+        else:
+            severity = Severity.ERROR if peak.share > _SPOILING else Severity.WARNING
+            remedy = f"Map with --set range_max_m={peak.value_m - _MARGIN_M:.2f}, or let the driver report inf."
+        return Finding(
+            "range_limits", severity, message + ".", self.range_max_m / peak.value_m if limited else None, "m/m",
+            remedy, sensor, self._figure(Mark(f"{peak.value_m:.2f} m", peak.value_m, "x")),
+        )  # fmt: skip
+
+    def _figure(self, mark: Mark) -> Figure:
         """How often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""
         by_bin = self._hits.sum(axis=1) + self._beyond
         coarse = np.add.reduceat(by_bin, np.arange(0, len(by_bin), 10))
         coarse = coarse[: int(np.flatnonzero(coarse)[-1]) + 1]
-        at: FloatArray = (np.arange(len(coarse), dtype=np.float64) + 0.5) * 10 * _BIN_M
-        logarithms: FloatArray = np.log10(1.0 + coarse.astype(np.float64))
-        bars = Series("readings in 10 cm", at, logarithms, "bars")
-        return Figure("Ranges", "range, m", "log10(1 + readings)", (bars,), marks)
+        at = (np.arange(len(coarse), dtype=np.float64) + 0.5) * 10 * _BIN_M
+        bars = Series("readings in 10 cm", at, np.log10(1.0 + coarse), "bars")
+        return Figure("Ranges", "range, m", "log10(1 + readings)", (bars,), (mark,))
 
 
 def _bins(ranges: FloatArray) -> IntArray:
     bins: IntArray = (np.minimum(ranges, _BINS * _BIN_M) / _BIN_M + 0.5).astype(np.int64)
     return bins
-
-
-@final
-class RangeExaminer:
-    """Finds range_limits of each laser."""
-
-    def __init__(self) -> None:
-        """Begin with no laser seen."""
-        self.ranges: dict[str, RangeCounts] = {}
-
-    def take(self, measurement: Measurement) -> None:
-        """Look at the ranges of the next scan."""
-        scan = measurement.scan
-        counts = self.ranges.get(scan.sensor)
-        if counts is None:
-            counts = self.ranges[scan.sensor] = RangeCounts()
-        counts.take(scan)
-
-    def findings(self) -> Iterator[Finding]:
-        """Report where the true limits differ from the declared ones."""
-        for sensor, counts in self.ranges.items():
-            counts.count()
-            if (peak := counts.find_peak()) is not None:
-                yield _range_peak(sensor, counts, peak)
-            share, farthest_m = counts.share_beyond_limit()
-            if share > _BEYOND_SHARE:
-                yield _too_small(sensor, counts, share, farthest_m)
-
-
-def _range_peak(sensor: str, counts: RangeCounts, peak: _RangePeak) -> Finding:
-    stated = f"{counts.range_max_m:g} m" if math.isfinite(counts.range_max_m) else "unlimited"
-    message = (
-        f"{peak.readings} readings ({percent(peak.share)} of the hits) are {peak.value_m:.2f} m and next to none is "
-        f"farther, while the range limit is {stated}: beams that hit nothing are reported as walls"
-    )
-    if peak.value_m >= _USED_M:
-        message += f"; harmless, for readings from {_USED_M:g} m on are not used"
-        severity, remedy = Severity.INFO, f"Leave range_max_m below {peak.value_m - _MARGIN_M:.2f} m."
-    else:
-        severity = Severity.ERROR if peak.share > _SPOILING else Severity.WARNING
-        remedy = f"Map with --set range_max_m={peak.value_m - _MARGIN_M:.2f}, or let the driver report inf."
-    marks = (Mark(f"{peak.value_m:.2f} m", peak.value_m, "x"),)
-    size = counts.range_max_m / peak.value_m if math.isfinite(counts.range_max_m) else None
-    return Finding("range_limits", severity, message + ".", size, "m/m", remedy, sensor, counts.figure(marks))
-
-
-def _too_small(sensor: str, counts: RangeCounts, share: float, farthest_m: float) -> Finding:
-    much = share > _MUCH_LOST
-    return Finding(
-        "range_limits", Severity.WARNING if much else Severity.INFO,
-        f"{percent(share)} of the readings are ranges beyond the stated limit of {counts.range_max_m:g} m, up to "
-        f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
-        counts.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,
-        counts.figure((Mark("stated limit", counts.range_max_m, "x"),)),
-    )  # fmt: skip

@@ -1,29 +1,41 @@
-"""A log with its faults taken out: the laser's direction and yaw, the clock's skew, the errors of odometry."""
+"""A log that is read as it should have been recorded: laser, clock and odometry without their faults."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import final
+from functools import cache
+from pathlib import Path
+from typing import Literal, final
 
 import numpy as np
 
 from gridslam.doctor.calibration import MotionCalibration, ParameterEstimate, calibrate
-from gridslam.doctor.laser_motion import LaserMotionEstimator
-from gridslam.geometry.se2 import between, compose, exp, log
+from gridslam.doctor.laser_motion import LaserMotionEstimator, laser_motion
+from gridslam.doctor.range_limits import RangeCounts
+from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import adjoint, between, compose, exp, log
+from gridslam.io.log import Log, LogOptions, LogSource, open_if_path
+from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
-from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+from gridslam.types import BeamStatus, FloatArray, Odometry, ScanGeometry
 
-__all__ = ["Repair", "calibrate_early", "find_full_repair", "find_needed_repair", "repair_measurements"]
+__all__ = [
+    "Repair", "RepairedLog", "calibrate_early", "find_full_repair", "find_needed_repair", "open_repaired",
+    "repair_measurements",
+]  # fmt: skip
 
-_EARLY_SCANS, _EARLY_M, _EARLY_RAD = 1000, 8.0, 6.0
+_EARLY_SCANS = 1000
+_EARLY = (8.0, 6.0)  # m, rad
 _LOOKS = ((2.0, 1.6), (4.0, 3.2))  # m, rad: a log without faults is recognized sooner
 _EARLY_HZ = 7.0  # every other scan of 10 Hz is as informative
 _NO_ODOMETRY_SCANS = 50
-_SURELY_REFLECTED, _TURNED_RAD = -0.7, 1.2
-_SPOILING_YAW_RAD, _SIGMAS = 0.35, 6.0
+_SURELY_REFLECTED = -0.7
+_TURNED_RAD = 1.2
+_SPOILING_YAW_RAD = 0.35
+_SIGMAS = 6.0
 
 
 @final
@@ -117,21 +129,19 @@ def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:
     That settles the two faults of `find_needed_repair` in a fraction of a second, and mostly after 2 m and 1.6 rad
     where neither is there; a log without odometry settles neither.
     """
-    estimator, sensor, last = LaserMotionEstimator(rate_hz=_EARLY_HZ), None, None
-    moved, looks = np.zeros(2), list(_LOOKS)
-    for measurement in measurements:
-        odometry, scan = measurement
-        sensor = scan.sensor if sensor is None else sensor
-        if scan.sensor != sensor:
-            continue
+    estimator = LaserMotionEstimator(rate_hz=_EARLY_HZ)
+    last: FloatArray | None = None
+    moved = np.zeros(2)
+    looks = list(_LOOKS)
+    for measurement in _of_first_laser(measurements):
         estimator.add(measurement)
-        if odometry is not None:
-            step = between(odometry.pose if last is None else last, odometry.pose)
+        if measurement.odometry is not None:
+            pose = measurement.odometry.pose
+            step = between(pose if last is None else last, pose)
             moved += [math.hypot(step[0], step[1]), abs(step[2])]
-            last = odometry.pose
-        if last is None and len(estimator) >= _NO_ODOMETRY_SCANS:
-            break
-        if len(estimator) >= _EARLY_SCANS or (moved > [_EARLY_M, _EARLY_RAD]).all():
+            last = pose
+        enough = _NO_ODOMETRY_SCANS if last is None else _EARLY_SCANS
+        if len(estimator) >= enough or (moved > _EARLY).all():
             break
         if looks and (moved > looks[0]).all():
             looks.pop(0)
@@ -162,57 +172,34 @@ def repair_measurements(
         Odometry is that of the time at which the scan was taken; within one skew of the log's begin or end it is the
         first or last that is known.
     """
-    geometries: dict[ScanGeometry, ScanGeometry] = {}
-    corrected = _Odometer(repair)
+
+    @cache
+    def turned(geometry: ScanGeometry) -> ScanGeometry:
+        mounting = geometry.base_from_laser.copy()
+        mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
+        return ScanGeometry(-geometry.bearings if repair.reflected else geometry.bearings, mounting)
+
+    told: FloatArray | None = None
+    pose = np.zeros(3)
     for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
-        seen = (
-            _limit_ranges(_turn_laser(scan, repair, geometries), repair.range_max_m) if scan.sensor == sensor else scan
-        )
-        yield Measurement(None if odometry is None else corrected(odometry), seen)
+        if scan.sensor == sensor:
+            if repair.reflected or repair.yaw_rad:
+                scan = replace(scan, geometry=turned(scan.geometry))
+            if repair.range_max_m is not None:
+                false = (scan.status == BeamStatus.HIT) & (scan.ranges >= repair.range_max_m)
+                scan = replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
+        if odometry is not None:
+            pose = odometry.pose if told is None else compose(pose, _true_increment(told, odometry.pose, repair))
+            told = odometry.pose
+            odometry = replace(odometry, pose=pose)
+        yield Measurement(odometry, scan)
 
 
-def _turn_laser(scan: LaserScan, repair: Repair, geometries: dict[ScanGeometry, ScanGeometry]) -> LaserScan:
-    if not (repair.reflected or repair.yaw_rad):
-        return scan
-    geometry = geometries.get(scan.geometry)
-    if geometry is None:
-        c, s = math.cos(repair.yaw_rad), math.sin(repair.yaw_rad)
-        mounting = scan.geometry.base_from_laser.copy()
-        mounting[:2, :3] = np.array([[c, -s], [s, c]]) @ mounting[:2, :3]
-        bearings = -scan.geometry.bearings if repair.reflected else scan.geometry.bearings
-        geometry = geometries[scan.geometry] = ScanGeometry(bearings, mounting)
-    return replace(scan, geometry=geometry)
-
-
-def _limit_ranges(scan: LaserScan, range_max_m: float | None) -> LaserScan:
-    if range_max_m is None:
-        return scan
-    false = (scan.status == BeamStatus.HIT) & (scan.ranges >= range_max_m)
-    if not false.any():
-        return scan
-    return replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
-
-
-@final
-class _Odometer:
-    """Rebuilds odometry from corrected increments."""
-
-    def __init__(self, repair: Repair) -> None:
-        self._repair = repair
-        self._told: FloatArray | None = None
-        self._pose = np.zeros(3)
-
-    def __call__(self, odometry: Odometry) -> Odometry:
-        repair = self._repair
-        if self._told is None:
-            self._pose = odometry.pose
-        else:
-            x, y, turn = (log(between(self._told, odometry.pose)) / [repair.scale, repair.scale, 1.0]).tolist()
-            turn = (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale
-            self._pose = compose(self._pose, exp([x, y, turn]))
-        self._told = odometry.pose
-        return Odometry(odometry.stamp_ns, self._pose, odometry.covariance)
+def _true_increment(before: FloatArray, after: FloatArray, repair: Repair) -> FloatArray:
+    """Pose (3,) of `after` seen from `before`, without the errors of odometry."""
+    x, y, turn = (log(between(before, after)) / [repair.scale, repair.scale, 1.0]).tolist()
+    return exp([x, y, (turn - repair.drift_rad_per_m * math.copysign(math.hypot(x, y), x)) / repair.turn_scale])
 
 
 def _remove_skew(measurements: Iterable[Measurement], skew_s: float, sensor: str | None) -> Iterator[Measurement]:
@@ -242,8 +229,91 @@ def _at(measurement: Measurement, readings: deque[Odometry], skew_ns: int, senso
     taken = scan.stamp_ns - skew_ns
     while len(readings) > 2 and readings[1].stamp_ns <= taken:
         readings.popleft()
-    before, after = readings[0], readings[min(1, len(readings) - 1)]
+    before = readings[0]
+    after = readings[min(1, len(readings) - 1)]
     passed = after.stamp_ns - before.stamp_ns
     share = min(max((taken - before.stamp_ns) / passed, 0.0), 1.0) if passed > 0 else 0.0
     pose = compose(before.pose, exp(share * log(between(before.pose, after.pose))))
-    return Measurement(Odometry(odometry.stamp_ns, pose, odometry.covariance), scan)
+    return Measurement(replace(odometry, pose=pose), scan)
+
+
+@final
+class RepairedLog:
+    """A log from which the faults of the laser's mounting, of the clocks and of the odometry are taken out.
+
+    Parameters
+    ----------
+    log : Log
+        What is read. What is wrong with its first laser is found out before the first iteration, from a reading of its
+        own.
+    kind : "needed" or "all"
+        Only faults that make any map unusable, estimated from the begin of the log (see `find_needed_repair`), or all
+        faults that are certain, estimated from the whole log (see `find_full_repair`).
+    tell : callable
+        Gets the repair, if there is any, before the first measurement.
+
+    Attributes
+    ----------
+    repair : Repair or None
+        What is taken out; None before the first iteration.
+    """
+
+    def __init__(
+        self, log: Log, kind: Literal["needed", "all"] = "needed", tell: Callable[[Repair], None] = lambda repair: None
+    ) -> None:
+        """Nothing is read before the iteration."""
+        self._log = log
+        self._kind = kind
+        self._tell = tell
+        self.repair: Repair | None = None
+
+    @property
+    def path(self) -> Path:
+        """The file or folder."""
+        return self._log.path
+
+    @property
+    def statistics(self) -> LogStatistics:
+        """What the latest iteration has met so far."""
+        return self._log.statistics
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start."""
+        if self.repair is None:
+            self.repair = self._find_repair()
+            if self.repair:
+                self._tell(self.repair)
+        return repair_measurements(self._log, self.repair) if self.repair else iter(self._log)
+
+    def _find_repair(self) -> Repair:
+        counts = RangeCounts()
+
+        def counted() -> Iterator[Measurement]:
+            for measurement in _of_first_laser(self._log):
+                counts.take(measurement.scan)
+                yield measurement
+
+        if self._kind == "all":
+            full = calibrate(laser_motion(counted()))
+            return find_full_repair(full, counts.false_hits_m())
+        early = calibrate_early(counted())
+        return find_needed_repair(early, counts.false_hits_m())
+
+
+def _of_first_laser(measurements: Iterable[Measurement]) -> Iterator[Measurement]:
+    sensor: str | None = None
+    for measurement in measurements:
+        sensor = measurement.scan.sensor if sensor is None else sensor
+        if measurement.scan.sensor == sensor:
+            yield measurement
+
+
+def open_repaired(log: LogSource, options: LogOptions | None, kind: Literal["needed", "all", "none"]) -> Log:
+    """Open a log as `open_if_path` does, with the corrections of `RepairedLog`, or none.
+
+    Raises ArgumentError for another `kind`, too.
+    """
+    if kind not in ("needed", "all", "none"):
+        raise ArgumentError("repair", "needed, all or none", kind)
+    read = open_if_path(log, options)
+    return read if kind == "none" else RepairedLog(read, kind)

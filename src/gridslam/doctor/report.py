@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from gridslam import __version__
-from gridslam.doctor.diagnosis import Diagnosis, LaserFacts
-from gridslam.doctor.examiner import percent
-from gridslam.doctor.finding import Finding, Severity
+from gridslam.doctor.diagnose import Diagnosis, LaserFacts
+from gridslam.doctor.finding import Finding, Severity, percent
 
 __all__ = ["SCHEMA", "document", "markdown", "picture_name", "text"]
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
 from gridslam.types import IntArray
@@ -55,16 +56,18 @@ class TileArena:
         ArgumentError
             A dtype or shape is wrong, id 0 is not empty, or an id is unknown or unused.
         """
-        _check("roots", roots, np.int32, ())
-        _check("pages", pages, np.int32, (PAGE, PAGE))
-        _check("log_odds", log_odds, np.int16, (TILE, TILE))
-        _check("field", field, np.uint8, (TILE, TILE))
-        if len(field) != len(log_odds):
-            raise ArgumentError("field", f"{len(log_odds)} tiles", len(field))
-        if pages[0].any() or (log_odds[0] != UNKNOWN).any() or field[0].any():
+        require_array("roots", roots, np.int32, (None, None, None))
+        require_array("pages", pages, np.int32, (None, PAGE, PAGE))
+        require_array("log_odds", log_odds, np.int16, (None, TILE, TILE))
+        require_array("field", field, np.uint8, log_odds.shape)
+        if not len(roots):
+            raise ArgumentError("roots", "at least one map", "none")
+        if pages[:1].any() or (log_odds[:1] != UNKNOWN).any() or field[:1].any() or not (len(pages) and len(log_odds)):
             raise ArgumentError("pages, log_odds, field", "an empty page and an empty tile first", "something in them")
         arena = cls()
-        arena.pages, arena.log_odds, arena.field = pages.copy(), log_odds.copy(), field.copy()
+        arena.pages = pages.copy()
+        arena.log_odds = log_odds.copy()
+        arena.field = field.copy()
         arena.page_refs = _count_uses("roots", roots, len(pages))
         arena.tile_refs = _count_uses("pages", pages, len(log_odds))
         arena._free_pages = arena._free_tiles = np.zeros(0, np.int32)
@@ -112,28 +115,20 @@ class TileArena:
 
     def retain(self, roots: Int32Array) -> None:
         """Count one more use of every page in `roots`."""
-        counts = np.bincount(roots.ravel(), minlength=len(self.page_refs))
-        counts[0] = 0
-        self.page_refs += counts.astype(np.int32)
+        self.page_refs += _uses(roots, len(self.page_refs))
 
     def release(self, roots: Int32Array) -> None:
         """Count one use less of every page in `roots`; what nothing uses any more becomes free."""
-        counts = np.bincount(roots.ravel(), minlength=len(self.page_refs))
-        counts[0] = 0
-        self.page_refs -= counts.astype(np.int32)
-        dead_pages = np.flatnonzero((counts > 0) & (self.page_refs == 0))
-        if not len(dead_pages):
-            return
-        self._free_pages = np.concatenate([self._free_pages, dead_pages.astype(np.int32)])
-        tiles = np.bincount(self.pages[dead_pages].ravel(), minlength=len(self.tile_refs))
-        tiles[0] = 0
-        self.tile_refs -= tiles.astype(np.int32)
-        dead_tiles = np.flatnonzero((tiles > 0) & (self.tile_refs == 0))
-        self._free_tiles = np.concatenate([self._free_tiles, dead_tiles.astype(np.int32)])
+        dead_pages = _release(self.page_refs, roots)
+        if len(dead_pages):
+            dead_tiles = _release(self.tile_refs, self.pages[dead_pages])
+            self._free_pages = np.concatenate([self._free_pages, dead_pages])
+            self._free_tiles = np.concatenate([self._free_tiles, dead_tiles])
 
     def tiles_of(self, roots: Int32Array) -> int:
         """Number of tiles on the pages of `roots`, each counted once."""
-        pages, tiles = np.zeros(len(self.pages), np.bool_), np.zeros(len(self.log_odds), np.bool_)
+        pages = np.zeros(len(self.pages), np.bool_)
+        tiles = np.zeros(len(self.log_odds), np.bool_)
         pages[roots] = True
         tiles[self.pages[pages]] = True
         return int(np.count_nonzero(tiles[1:]))
@@ -150,7 +145,8 @@ class TileArena:
             self.field[first : first + len(tiles)] = self.field[tiles]
         self.log_odds.resize((len(used), TILE, TILE), refcheck=False)
         self.field.resize((len(used), TILE, TILE), refcheck=False)
-        self.tile_refs, self._free_tiles = self.tile_refs[used], np.zeros(0, np.int32)
+        self.tile_refs = self.tile_refs[used]
+        self._free_tiles = np.zeros(0, np.int32)
 
 
 def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:
@@ -162,18 +158,25 @@ def renumber(ids: Int32Array) -> tuple[Int32Array, IntArray]:
     return new[index.ravel()[1:]].reshape(ids.shape), old[order].astype(np.int64)
 
 
-def _check(name: str, array: NDArray[Any], dtype: type, block: tuple[int, ...]) -> None:
-    if array.dtype != dtype or array.ndim != 3 or not len(array) or (block and array.shape[1:] != block):
-        expected = f"{np.dtype(dtype)} of shape (at least 1, {', '.join(map(str, block)) or 'any, any'})"
-        raise ArgumentError(name, expected, f"{array.dtype} of shape {array.shape}")
+def _uses(ids: Int32Array, size: int) -> Int32Array:
+    """How often each id below `size` occurs in `ids`, 0 for the empty one."""
+    counts = np.bincount(ids.ravel(), minlength=size).astype(np.int32)
+    counts[0] = 0
+    return counts
+
+
+def _release(refs: Int32Array, ids: Int32Array) -> Int32Array:
+    """Count uses less in `refs`; the ids that nothing uses any more."""
+    uses = _uses(ids, len(refs))
+    refs -= uses
+    return np.flatnonzero((uses > 0) & (refs == 0)).astype(np.int32)
 
 
 def _count_uses(name: str, ids: Int32Array, size: int) -> Int32Array:
     """How often each id below `size` occurs in `ids`, 0 for the empty one; every other one must."""
     if ids.size and (ids.min() < 0 or ids.max() >= size):
         raise ArgumentError(name, f"ids from 0 to {size - 1}", f"{ids.min()} to {ids.max()}")
-    counts = np.bincount(ids.ravel(), minlength=size).astype(np.int32)
-    counts[0] = 0
+    counts = _uses(ids, size)
     if not counts[1:].all():
         raise ArgumentError(name, f"every id from 1 to {size - 1} in use", f"no use of {1 + int(counts[1:].argmin())}")
     return counts

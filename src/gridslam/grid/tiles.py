@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, final
 
@@ -13,9 +12,10 @@ from gridslam.errors import ArgumentError
 from gridslam.grid.arena import Int32Array, TileArena, renumber
 from gridslam.grid.cells import LOG_ODDS_UNIT, Evidence, cell_corner, cells_of
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
+from gridslam.kernels.reference_update import cell_addresses
 from gridslam.types import BeamEnds, FloatArray, IntArray, OccupancyGrid, Rows
 
-__all__ = ["TileMaps", "TiledGrid", "cut"]
+__all__ = ["TileMaps", "TiledGrid"]
 
 
 @final
@@ -35,48 +35,36 @@ class TiledGrid:
         World coordinates of the lower left corner of cell [0, 0].
     """
 
-    __slots__ = ("_corner", "_cut", "_maps", "origin", "resolution_m", "shape")
+    __slots__ = ("_corner", "_maps", "origin", "resolution_m", "shape")
 
     def __init__(self, maps: TileMaps, row: int) -> None:
         """Take map `row` as it is now."""
         self._maps = maps.snapshot(np.array([row]))
-        ids, (row0, column0) = maps.tile_ids(row)
-        self._cut = rows, columns = cut(ids)
-        self._corner = (row0 + rows.start) * TILE, (column0 + columns.start) * TILE
-        self.shape = (rows.stop - rows.start) * TILE, (columns.stop - columns.start) * TILE
-        if not ids.any():
-            self._corner, self.shape = (0, 0), (1, 1)
+        ids, (tile_row, tile_column) = maps.tile_ids(row)
+        self._corner = tile_row * TILE, tile_column * TILE
+        self.shape = (len(ids) * TILE, ids.shape[1] * TILE) if ids.any() else (1, 1)
         self.resolution_m = maps.resolution_m
         self.origin = cell_corner(*self._corner, maps.resolution_m)
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
         """Unfold rows `first` to `last` - 1."""
-        width = self.shape[1]
-        log_odds, known = np.empty((last - first, width), np.float32), np.empty((last - first, width), np.bool_)
-        ids = self._maps.tile_ids(0)[0][self._cut]
-        for tile_row in range(first // TILE, -(-last // TILE)):
-            strip = self._maps.tiles(ids[tile_row]).swapaxes(0, 1).reshape(TILE, -1)[:, :width]
-            begin, end = max(first, tile_row * TILE), min(last, (tile_row + 1) * TILE)
-            cells, to = strip[begin - tile_row * TILE : end - tile_row * TILE], slice(begin - first, end - first)
-            np.not_equal(cells, UNKNOWN, out=known[to])
-            log_odds[to] = np.where(known[to], cells, 0)
+        ids = self._maps.tile_ids(0)[0][first // TILE : -(-last // TILE)]
+        log_odds = np.empty((len(ids) * TILE, ids.shape[1] * TILE), np.float32)
+        known = np.empty(log_odds.shape, np.bool_)
+        for tile_row, strip_ids in enumerate(ids):
+            strip = slice(tile_row * TILE, (tile_row + 1) * TILE)
+            cells = self._maps.tiles(strip_ids).swapaxes(0, 1).reshape(TILE, -1)
+            np.not_equal(cells, UNKNOWN, out=known[strip])
+            log_odds[strip] = np.where(known[strip], cells, 0)
         log_odds *= LOG_ODDS_UNIT
         row, column = self._corner
-        return OccupancyGrid(log_odds, known, self.resolution_m, cell_corner(row + first, column, self.resolution_m))
+        part = slice(first % TILE, first % TILE + last - first), slice(self.shape[1])
+        corner = cell_corner(row + first, column, self.resolution_m)
+        return OccupancyGrid(log_odds[part], known[part], self.resolution_m, corner)
 
     def whole(self) -> OccupancyGrid:
         """Unfold all of it."""
         return self.rows(0, self.shape[0])
-
-
-def cut(ids: NDArray[np.int32]) -> tuple[slice, slice]:
-    """The rows and columns of ids (R, C) of tiles from the first to the last that is not 0; the first, if all are."""
-    rows, columns = (np.append(np.flatnonzero(ids.any(axis=axis)), [0] * (not ids.any())) for axis in (1, 0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-_PAGE_CELLS = TILE * PAGE
-_TILE_BITS, _PAGE_BITS = TILE.bit_length() - 1, _PAGE_CELLS.bit_length() - 1  # shifts take a tenth of a division's time
 
 
 @final
@@ -108,7 +96,10 @@ class TileMaps:
             raise ArgumentError("resolution_m", "a positive length in m", resolution_m)
         if not 1 <= reach_cells <= 15.5:  # a cone must fit between the corners of two neighbouring tiles
             raise ArgumentError("reach_cells", "1 to 15.5 cells", reach_cells)
-        self.resolution_m, self.reach_cells, self.evidence, self.threads = resolution_m, reach_cells, evidence, threads
+        self.resolution_m = resolution_m
+        self.reach_cells = reach_cells
+        self.evidence = evidence
+        self.threads = threads
         self._arena = TileArena()
         self._roots: Int32Array = np.zeros((rows, 1, 1), np.int32)
         self._first = (0, 0)
@@ -232,13 +223,9 @@ class TileMaps:
 
     def is_known(self, row: int, points: FloatArray) -> NDArray[np.bool_]:
         """Whether the cells of points (B, 2) of the world were observed, in one map."""
-        y, x = np.ascontiguousarray(cells_of(points, self.resolution_m).T)
-        page_y, page_x = (y >> _PAGE_BITS) - self._first[0], (x >> _PAGE_BITS) - self._first[1]
-        (_, rows, columns) = self._roots.shape
-        inside = (page_y >= 0) & (page_y < rows) & (page_x >= 0) & (page_x < columns)
-        pages = self._roots[row, page_y * inside, page_x * inside] * inside  # beyond the table: the empty one
-        tiles = self._arena.pages[pages, (y >> _TILE_BITS) & (PAGE - 1), (x >> _TILE_BITS) & (PAGE - 1)]
-        found: NDArray[np.bool_] = self._arena.log_odds[tiles, y & (TILE - 1), x & (TILE - 1)] != UNKNOWN
+        roots, first, pages, log_odds, _ = self._view
+        y, x = cells_of(points, self.resolution_m).T
+        found: NDArray[np.bool_] = log_odds.reshape(-1)[cell_addresses(roots, first, pages, row, y, x)] != UNKNOWN
         return found
 
     def tiled(self, row: int) -> TiledGrid:
@@ -254,22 +241,26 @@ class TileMaps:
 
         255 at an occupied cell, falling with the distance to 0 at the field's reach.
         """
-        ids, (row0, column0) = self.tile_ids(row)
+        ids, (tile_row, tile_column) = self.tile_ids(row)
         if not ids.any():
             return np.zeros((1, 1), np.uint8), (0, 0)
-        rows, columns = cut(ids)
-        blocks = self._arena.field[ids[rows, columns]]
-        corner = (row0 + rows.start) * TILE, (column0 + columns.start) * TILE
-        return blocks.swapaxes(1, 2).reshape(len(blocks) * TILE, -1), corner
+        blocks = self._arena.field[ids]
+        return blocks.swapaxes(1, 2).reshape(len(blocks) * TILE, -1), (tile_row * TILE, tile_column * TILE)
 
     def tile_ids(self, row: int) -> tuple[Int32Array, tuple[int, int]]:
         """Ids (R, C) of the tiles of one map, 0 where there is none, and of their corner the (row, column) in tiles.
 
-        Maps that have a tile in common have the same id there; a tile that one map has alone is written in place.
+        They are cut to those that hold something; a single 0 at (0, 0) if there is none. Maps that have a tile in
+        common have the same id there; a tile that one map has alone is written in place.
         """
         pages = self._arena.pages[self._roots[row]]  # (P, Q, PAGE, PAGE)
         ids = pages.swapaxes(1, 2).reshape(len(pages) * PAGE, -1)
-        return ids, (self._first[0] * PAGE, self._first[1] * PAGE)
+        rows = np.flatnonzero(ids.any(axis=1))
+        columns = np.flatnonzero(ids.any(axis=0))
+        if not len(rows):
+            return np.zeros((1, 1), np.int32), (0, 0)
+        corner = self._first[0] * PAGE + int(rows[0]), self._first[1] * PAGE + int(columns[0])
+        return ids[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], corner
 
     def tiles(self, ids: Int32Array) -> NDArray[np.int16]:
         """Copies (K, 32, 32) of tiles by id (K,): log-odds in units of `LOG_ODDS_UNIT`; `UNKNOWN` where nothing is."""
@@ -322,7 +313,9 @@ class TileMaps:
             raise ArgumentError("first", "two integers", f"{first.dtype} of shape {first.shape}")
         arena = TileArena.from_arrays(*(np.asarray(arrays[name]) for name in names))
         maps = cls(1, resolution_m=resolution_m, reach_cells=reach_cells, evidence=evidence, threads=threads)
-        maps._arena, maps._roots, maps._first = arena, arrays["roots"].copy(), (int(first[0]), int(first[1]))
+        maps._arena = arena
+        maps._roots = arrays["roots"].copy()
+        maps._first = (int(first[0]), int(first[1]))
         return maps
 
     def _make_writable(self, tiles_to_write: Int32Array) -> None:
@@ -339,18 +332,15 @@ class TileMaps:
 
     def _cover(self, poses: FloatArray, beams: BeamEnds) -> None:
         """Grow the tables until every cell that the scan can write lies inside."""
-        reach = beams.reach_m + 2 * self.reach_m
-        page_m = self.resolution_m * _PAGE_CELLS
-        xs, ys, _ = poses.T.tolist()
-        x0, y0, x1, y1 = min(xs), min(ys), max(xs), max(ys)
-        low = (math.floor((y0 - reach) / page_m), math.floor((x0 - reach) / page_m))
-        high = (math.floor((y1 + reach) / page_m) + 1, math.floor((x1 + reach) / page_m) + 1)
-        (row, column), (_, rows, columns) = self._first, self._roots.shape
-        if low[0] >= row and low[1] >= column and high[0] <= row + rows and high[1] <= column + columns:
-            return
-        first = (min(row, low[0]), min(column, low[1]))
-        last = (max(row + rows, high[0]), max(column + columns, high[1]))
-        roots = np.zeros((len(self._roots), last[0] - first[0], last[1] - first[1]), np.int32)
-        row, column = row - first[0], column - first[1]
-        roots[:, row : row + rows, column : column + columns] = self._roots
-        self._roots, self._first = roots, first
+        reach_m = beams.reach_m + 2 * self.reach_m
+        page_m = self.resolution_m * TILE * PAGE
+        places = poses[:, 1::-1]  # [y, x]
+        low = np.floor((places.min(axis=0) - reach_m) / page_m).astype(np.int64)
+        high = np.floor((places.max(axis=0) + reach_m) / page_m).astype(np.int64) + 1
+        begin = np.array(self._first)
+        end = begin + self._roots.shape[1:]
+        margins = np.stack([begin - np.minimum(begin, low), np.maximum(end, high) - end], axis=1)
+        if margins.any():
+            self._roots = np.pad(self._roots, [(0, 0), *margins.tolist()])
+            row, column = (begin - margins[:, 0]).tolist()
+            self._first = row, column

@@ -10,7 +10,7 @@ from typing import final
 
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
-from gridslam.io.text import compute_sha256
+from gridslam.io.text import compute_digest
 
 __all__ = ["DATASETS", "MIRROR", "PUBLIC", "Dataset", "DatasetError", "fetch_dataset", "find_dataset"]
 
@@ -109,7 +109,7 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     """
     dataset, target = find_dataset(name), Path(folder)
     file = target / dataset.file
-    if file.is_file() and file.stat().st_size == dataset.size and compute_sha256(file) == dataset.sha256:
+    if file.is_file() and file.stat().st_size == dataset.size and compute_digest(file) == dataset.sha256:
         return file
     source = f"{(url or os.environ.get(MIRROR) or PUBLIC).rstrip('/')}/{dataset.file}"
     with OutputFolder(target) as out:

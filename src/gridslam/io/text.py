@@ -1,4 +1,4 @@
-"""Lines of a possibly compressed text file, a block at a time; distinguishes truncated from damaged files."""
+"""Bytes and lines of files, compressed or not, a block at a time; distinguishes truncated from damaged files."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import os
 import re
 import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 from typing import IO, cast, final
 
 from gridslam.errors import InputError
 
-__all__ = ["TextSource", "compute_sha256", "open_for_reading", "read_head", "read_text"]
+__all__ = ["TextSource", "compute_digest", "open_for_reading", "read_head", "read_numbered_lines", "read_text"]
 
 _BLOCK_BYTES = 1 << 17  # some hundred scans: large enough to parse in one go, small enough to stream
 _LONGEST_LINE_BYTES = 1 << 20
@@ -60,13 +60,43 @@ def read_head(path: str | Path, size: int) -> bytes:
     return head
 
 
-def compute_sha256(path: str | Path) -> str:
-    """SHA-256 of the file's bytes as they stand on disk (compressed where it is), in hexadecimal."""
+def compute_digest(path: str | Path) -> str:
+    """SHA-256, in hexadecimal, of a file's bytes as they stand on disk, or of what a folder holds.
+
+    Of a folder it is the SHA-256 of lines `<SHA-256 of the file>  <path in the folder>`, as `sha256sum` writes them,
+    one for each file below it that is not empty, sorted by path: where the folder stands does not matter. Raises
+    InputError where there is nothing at `path` or a file cannot be read.
+    """
+    where = Path(path)
     digest = hashlib.sha256()
-    with open_for_reading(path) as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
+    if where.is_dir():
+        files = {file.relative_to(where).as_posix(): file for file in where.rglob("*") if file.is_file()}
+        for name, file in sorted(files.items()):
+            if file.stat().st_size:
+                digest.update(f"{compute_digest(file)}  {name}\n".encode())
+    else:
+        with open_for_reading(where) as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
     return digest.hexdigest()
+
+
+def read_numbered_lines(path: str | Path, *, with_comments: bool = False) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text file with their numbers, from 1.
+
+    Blank lines and those that begin with # are left out, unless `with_comments`. Raises InputError where the file
+    cannot be read, or ends in the middle.
+    """
+    source = TextSource(path)
+    number = 0
+    for number, line in enumerate(chain.from_iterable(source), 1):
+        if source.is_truncated:  # what is left of a line
+            break
+        text = line.rstrip("\r")
+        if with_comments or (text.strip() and not text.lstrip().startswith("#")):
+            yield number, text
+    if source.is_truncated:
+        raise InputError(path, "the compressed file ends in the middle", number)
 
 
 def _decompressed(file: IO[bytes]) -> IO[bytes]:
@@ -119,9 +149,7 @@ class TextSource:
             yield [rest.decode("latin-1")]
 
     def _chunks(self) -> Iterator[bytes]:
-        with ExitStack() as stack:
-            file = stack.enter_context(open_for_reading(self.path))
-            stream = stack.enter_context(_decompressed(file))
+        with open_for_reading(self.path) as file, _decompressed(file) as stream:
             while chunk := self._read(stream):
                 if self.bytes_read == 0 and _NOT_TEXT.search(chunk):
                     raise InputError(self.path, "expected a text file, got binary data")

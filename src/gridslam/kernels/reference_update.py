@@ -62,9 +62,17 @@ def _cells(poses: FloatArray, points: FloatArray, resolution: float) -> IntArray
 
 
 def cell_addresses(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, rows: NDArray[np.integer], y: IntArray, x: IntArray
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    rows: NDArray[np.integer] | int,
+    y: IntArray,
+    x: IntArray,
 ) -> IntArray:
-    """Positions (...) of cells y, x (...) of maps `rows` (...) in the flattened tiles; tile 0's where there is none."""
+    """Positions (...) of cells y, x (...) of maps `rows` (...), or of one, in the flattened tiles.
+
+    That of tile 0 where there is none.
+    """
     ty, tx = y >> _TILE_BITS, x >> _TILE_BITS
     py, px = (ty >> _PAGE_BITS) - first[0], (tx >> _PAGE_BITS) - first[1]
     inside = (py >= 0) & (py < roots.shape[1]) & (px >= 0) & (px < roots.shape[2])

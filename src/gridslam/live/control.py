@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -36,24 +37,23 @@ class Control:
     ----------
     speed : float or None, > 0
         Factor on real time; None: as fast as possible.
+
+    Attributes
+    ----------
+    speed : float or None
+        Maximum factor on real time, see `set_speed`.
+    paused : bool
+        Whether the run is paused.
     """
 
     def __init__(self, speed: float | None = None) -> None:
         """Start without a pause."""
+        self.speed = speed
+        self.paused = False
         self._changed = threading.Condition()
-        self._speed, self._paused, self._ended = speed, False, False
-        self._steps, self._to_key_scan = 0, False
+        self._ended = False
+        self._steps = 0.0  # scans to pass during a pause; infinite up to the next key scan
         self._anchor: tuple[float, int] | None = None  # a time and the corresponding stamp
-
-    @property
-    def paused(self) -> bool:
-        """Whether the run is paused."""
-        return self._paused
-
-    @property
-    def speed(self) -> float | None:
-        """Maximum factor on real time; None without limit."""
-        return self._speed
 
     def pause(self) -> None:
         """Pause before the next scan."""
@@ -65,20 +65,19 @@ class Control:
 
     def step(self, *, to_key_scan: bool) -> None:
         """Pass one scan, or all up to the next key scan, then pause."""
-        with self._changed:
-            self._steps, self._to_key_scan = (0, True) if to_key_scan else (1, False)
-        self._change(paused=True)
+        self._change(paused=True, steps=math.inf if to_key_scan else 1)
 
     def set_speed(self, speed: float | None) -> None:
         """Set the speed as a multiple of real time; None for maximum speed."""
         with self._changed:
-            self._speed, self._anchor = speed, None
+            self.speed = speed
+            self._anchor = None
             self._changed.notify_all()
 
     def end(self) -> None:
         """Stop delaying scans."""
         self._ended = True
-        self._change(paused=False)
+        self.resume()
         self.set_speed(None)
 
     def wake(self) -> None:
@@ -88,7 +87,8 @@ class Control:
 
     def on_key_scan(self) -> None:
         """End a step to the next key scan."""
-        self._to_key_scan = False
+        if self._steps == math.inf:
+            self._steps = 0
 
     def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
         """Wait until the scan of this stamp may be processed, calling `on_wait`; return whether that took a wait."""
@@ -103,29 +103,26 @@ class Control:
             on_wait()
             waited = True
 
-    def _change(self, *, paused: bool) -> None:
+    def _change(self, *, paused: bool, steps: float = 0) -> None:
         with self._changed:
-            self._paused = paused and not self._ended
-            if not paused:
-                self._steps, self._to_key_scan = 0, False
+            self.paused = paused and not self._ended
+            self._steps = steps
             self._anchor = None
             self._changed.notify_all()
 
     def _delay(self, stamp_ns: int) -> float:
         """Return the remaining delay of the scan, s."""
-        if self._paused:
-            if self._to_key_scan:
-                return 0.0
-            if self._steps:
-                self._steps -= 1
-                return 0.0
-            return float("inf")
-        if self._speed is None:
+        if self.paused:
+            if not self._steps:
+                return math.inf
+            self._steps -= 1
+            return 0.0
+        if self.speed is None:
             return 0.0
         now = time.perf_counter()
         if self._anchor is None:
             self._anchor = now, stamp_ns
-        passed = (stamp_ns - self._anchor[1]) * 1e-9 / self._speed
+        passed = (stamp_ns - self._anchor[1]) * 1e-9 / self.speed
         due = self._anchor[0] + passed
         if passed < 0 or now - due > 1.0:  # decreasing stamps, or a slower filter: restart the clock
             self._anchor = now, stamp_ns
@@ -135,7 +132,7 @@ class Control:
 
 @final
 class RobotControl:
-    """Replacement of `Control` for a live robot, whose scans can be dropped but not delayed.
+    """What viewers can do with a live robot, whose scans can be dropped but not delayed.
 
     Parameters
     ----------
@@ -148,7 +145,8 @@ class RobotControl:
     speed = None
 
     def __init__(self, is_paused: Callable[[], bool], pause: Callable[[bool], None]) -> None:
-        self._is_paused, self._pause = is_paused, pause
+        self._is_paused = is_paused
+        self._pause = pause
 
     @property
     def paused(self) -> bool:
@@ -170,16 +168,3 @@ class RobotControl:
     def set_speed(self, speed: float | None) -> None:
         """Raise ArgumentError."""
         raise ArgumentError("do", "pause or resume, as a robot drives on", "speed")
-
-    def end(self) -> None:
-        """Do nothing: the robot continues."""
-
-    def wake(self) -> None:
-        """Do nothing: no thread waits."""
-
-    def on_key_scan(self) -> None:
-        """Do nothing: there are no steps."""
-
-    def wait(self, stamp_ns: int, on_wait: Callable[[], None]) -> bool:
-        """Return at once."""
-        return False

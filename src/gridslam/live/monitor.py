@@ -1,4 +1,4 @@
-"""Interface between filters and the page: sampled in the filter's thread, rendered in the server's.
+"""Monitors of filters: they collect what the page shows, in the filter's thread; the server's thread renders it.
 
 SLAM and localization send the same data to the page; what one of them does not have (pasts, closures, maps of its own)
 is empty there.
@@ -6,95 +6,218 @@ is empty there.
 
 from __future__ import annotations
 
-from enum import Enum
-from typing import Any, Protocol, TypeVar
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, final
 
-from gridslam.live.scene import AncestryTree, Float32Array
-from gridslam.live.tiles import TileChanges
-from gridslam.types import FloatArray, LaserScan
+import numpy as np
 
-__all__ = ["BEST", "CORRECTED", "LOST", "FilterMonitor", "ScanReport", "StateView"]
+from gridslam.geometry.se2 import between, compose
+from gridslam.live.scene import Frame, RowBuffer, thin_tree
+from gridslam.live.tiles import EMPTY_BOX, Box, TileChangeDetector, TileChanges
+from gridslam.localization import LocalizationReport, MonteCarloState
+from gridslam.slam.grid_fastslam.state import GridFastSlamState
+from gridslam.types import BeamStatus, FloatArray, IntArray, LaserScan, OccupancyGrid, StepReport
+from gridslam.viz.cloud import select_representatives
+
+__all__ = ["BEST", "CORRECTED", "LOST", "FilterMonitor", "LocalizationMonitor", "MappingMonitor", "StateView"]
 
 BEST = 0
 """The channel that always shows the map of the best particle."""
-LOST, CORRECTED = 1, 8
-"""Flags of a key scan: the robot was lost (as in a record); a correction of the trajectory followed."""
+LOST = 1
+"""Flag of a key scan: the robot was lost (as in a record)."""
+CORRECTED = 8
+"""Flag of a key scan: a correction of the trajectory followed."""
 
-R = TypeVar("R", contravariant=True)
-S = TypeVar("S", contravariant=True)
-
-
-class ScanReport(Protocol):
-    """Common attributes of the reports of all filters, as in `gridslam.types.StepReport`."""
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the scan."""
-
-    @property
-    def pose(self) -> FloatArray:
-        """Pose of the robot, (3,)."""
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance of the pose, (3, 3)."""
-
-    @property
-    def lost(self) -> bool:
-        """Whether the robot is lost."""
-
-    @property
-    def n_eff(self) -> float:
-        """Effective sample size."""
-
-    @property
-    def skipped(self) -> Enum | None:
-        """Why the particles were not updated; None if they were."""
-
-    @property
-    def poses(self) -> FloatArray | None:
-        """Poses (N, 3) of the particles; None if they were not updated."""
+_DIED_OUT = -1
+_MAX_RESAMPLINGS = 256
+_STEPS_PER_UNIT = np.float32(64)  # per m and rad: poses are rounded to 1.6 cm and 0.9 degrees, which compress better
 
 
-class StateView(Protocol):
-    """An immutable view of a filter's state; its methods are called in the server's thread."""
+@final
+class StateView(NamedTuple):
+    """An immutable view of a filter's state.
 
-    @property
-    def maps(self) -> dict[int, TileChanges]:
-        """Changed tiles of the map of each channel."""
+    Attributes
+    ----------
+    maps : dict of int to TileChanges
+        Changed tiles of the map of each channel.
+    rows : dict of int to int
+        Particle of each channel; -1 if it has no descendants.
+    resolution_m : float, m
+        Side of the maps' cells.
+    status : dict
+        Further values for the page, as JSON values; including ``particles``, their number.
+    make_frame : callable
+        Returns path, particles and loop closures; called in the server's thread, as it takes time.
+    """
 
-    @property
-    def rows(self) -> dict[int, int]:
-        """Particle of each channel; -1 if it has no descendants."""
-
-    @property
-    def resolution_m(self) -> float:
-        """Side of the maps' cells, m."""
-
-    def particles(self) -> Float32Array:
-        """Return the displayed particles (K, 4): x m, y m, theta rad and weight."""
-
-    def path_and_tree(self) -> tuple[Float32Array, AncestryTree]:
-        """Return the path (T, 2) that all particles share, and the tree of their differing paths."""
-
-    def closures(self) -> Float32Array:
-        """Return the end points x, y of each loop closure, (C, 4), m."""
-
-    def status(self) -> dict[str, Any]:
-        """Further values for the page, as JSON values; including ``particles``, their number."""
+    maps: dict[int, TileChanges]
+    rows: dict[int, int]
+    resolution_m: float
+    status: dict[str, Any]
+    make_frame: Callable[[], Frame]
 
 
-class FilterMonitor(Protocol[R, S]):
+class FilterMonitor(Protocol):
     """Collects what changes from a filter's reports and states; used by the filter's thread only."""
 
     def reset(self) -> None:
         """Start before the first scan."""
 
-    def record(self, report: R, scan: LaserScan | None) -> int:
+    def record(self, report: Any, scan: LaserScan | None) -> int:  # noqa: ANN401
         """Record a scan; returns flags such as `LOST`."""
 
     def show_particle(self, channel: int, particle: int, keys: int) -> None:
         """Show the map of a particle and its descendants (see `LiveObserver.show_particle`)."""
 
-    def view(self, report: R, state: S) -> StateView:
+    def view(self, report: Any, state: Any) -> StateView:  # noqa: ANN401
         """Return a view of the current state, with all changes since the last view."""
+
+
+@final
+class MappingMonitor:
+    """Monitor of a filter that maps.
+
+    Parameters
+    ----------
+    range_max_m : float, m
+        Beams of this range or more do not change the map; infinite if unknown.
+    """
+
+    def __init__(self, range_max_m: float) -> None:
+        """Start before the first scan."""
+        self._range_max_m = range_max_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Start before the first scan of a new session with new maps."""
+        self._all_changed = True
+        self._keys = 0
+        self._written: list[tuple[FloatArray, LaserScan | None]] = []
+        self._closures: list[tuple[int, int]] = []
+        self._resamplings: deque[tuple[int, IntArray]] = deque(maxlen=_MAX_RESAMPLINGS)
+        self._detectors = {BEST: TileChangeDetector()}
+        self._lines: dict[int, IntArray] = {}  # of each channel the descendants of the selected particle
+
+    def record(self, report: StepReport, scan: LaserScan | None) -> int:
+        """Record a scan; return `CORRECTED` if the trajectory was corrected."""
+        self._closures += report.closures
+        if report.skipped is not None:
+            return 0
+        self._keys += 1
+        self._all_changed |= report.corrected
+        if report.poses is not None:
+            self._written.append((report.poses, scan))
+        if report.parents is not None:
+            self._resamplings.append((self._keys, report.parents))
+            self._lines = {channel: _find_children(line, report.parents) for channel, line in self._lines.items()}
+        return CORRECTED * report.corrected
+
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
+        """Show the map of a particle and its descendants as a channel; -1 closes the channel."""
+        if particle < 0:
+            self._detectors.pop(channel, None)
+            self._lines.pop(channel, None)
+            return
+        line = np.array([particle])
+        for key, parents in self._resamplings:
+            if key > keys:
+                line = _find_children(line, parents)
+        self._detectors[channel] = TileChangeDetector()
+        self._lines[channel] = line
+
+    def view(self, report: StepReport, state: GridFastSlamState) -> StateView:
+        """Return a view of the current state, with all changes of the maps since the last view."""
+        rows = {channel: int(line[0]) if len(line) else _DIED_OUT for channel, line in self._lines.items()}
+        rows[BEST] = state.best
+        written = None if self._all_changed else self._written_box()
+        maps = {
+            channel: detector.find_changes(state.maps, rows[channel], written)
+            for channel, detector in self._detectors.items()
+            if rows[channel] != _DIED_OUT
+        }
+        self._all_changed = False
+        self._written = []
+        poses = state.poses
+        log_weights = state.log_weights
+        ancestry = state.ancestry.snapshot()
+        closures = np.array(self._closures, np.int64).reshape(-1, 2)
+
+        def make_frame() -> Frame:
+            now = compose(poses, report.key_from_base) if report.skipped else poses
+            particles = np.column_stack([now, np.exp(log_weights)]).astype(np.float32)
+            ends = ancestry.trajectory(rows[BEST])[closures, :2].reshape(-1, 4)  # corrections move them
+            path, tree = thin_tree(ancestry)
+            return Frame(path, tree, particles, ends.astype(np.float32))
+
+        status = {
+            "particles": len(poses), "best": state.best, "closures": len(closures), "bytes": state.maps.nbytes,
+        }  # fmt: skip
+        return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
+
+    def _written_box(self) -> Box | None:
+        """Return the box in which maps may have changed since the last view; None if unknown."""
+        if not self._written:
+            return EMPTY_BOX
+        reach = 0.0
+        for _, scan in self._written:
+            if scan is None:
+                return None
+            hits = scan.ranges[(scan.status == BeamStatus.HIT) & (scan.ranges < self._range_max_m)]
+            reach = max(reach, float(hits.max(initial=0.0)) + float(np.hypot(*scan.geometry.origin)))
+        return Box.around(np.concatenate([poses for poses, _ in self._written]), reach)
+
+
+@final
+class LocalizationMonitor:
+    """Monitor of a filter that localizes in a known map.
+
+    Parameters
+    ----------
+    known : OccupancyGrid
+        The map.
+    """
+
+    def __init__(self, known: OccupancyGrid) -> None:
+        """Start before the first scan."""
+        self._resolution_m = known.resolution_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Start before the first scan."""
+        self._path = RowBuffer(2)
+
+    def record(self, report: LocalizationReport, scan: LaserScan | None) -> int:
+        """Record the pose at a scan, NaN if the robot is lost."""
+        if report.skipped is None:
+            self._path.append(np.full((1, 2), np.nan) if report.lost else report.pose[None, :2])
+        return 0
+
+    def show_particle(self, channel: int, particle: int, keys: int) -> None:
+        """Do nothing: all particles share one map."""
+
+    def view(self, report: LocalizationReport, state: MonteCarloState) -> StateView:
+        """Return a view of the current state."""
+        path = self._path.rows
+        state = state.snapshot()
+
+        def make_frame() -> Frame:
+            """Return at most a thousand particles, predicted by odometry since the last update."""
+            chosen, ratios = select_representatives(np.exp(state.log_weights))
+            moved = between(state.estimate.pose, report.pose)
+            poses = compose(state.poses[chosen], moved).astype(np.float32)
+            rounded = np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
+            return Frame(path, particles=np.column_stack([rounded, ratios.astype(np.float32)]))
+
+        status = {
+            "particles": report.particles,
+            "lost_probability": report.lost_probability,
+            "inlier_ratio": report.inlier_ratio,
+        }
+        return StateView({}, {BEST: 0}, self._resolution_m, status, make_frame)
+
+
+def _find_children(line: IntArray, parents: IntArray) -> IntArray:
+    """Return the particles whose parent is one of `line`."""
+    return np.flatnonzero(np.isin(parents, line))

@@ -9,15 +9,18 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, final
 
-from gridslam.live.control import Control, RobotControl
-from gridslam.live.monitor import LOST, FilterMonitor, ScanReport, StateView
+from gridslam.live.control import Control
+from gridslam.live.monitor import LOST, FilterMonitor, StateView
+from gridslam.localization import LocalizationReport
 from gridslam.pipeline import Stopwatch
-from gridslam.types import LaserScan, Odometry
+from gridslam.types import LaserScan, Odometry, StepReport
 
 __all__ = ["UNVIEWED_PERIOD_S", "VIEWED_PERIOD_S", "LiveObserver", "Snapshot"]
 
-VIEWED_PERIOD_S, UNVIEWED_PERIOD_S = 0.1, 1.0
-"""Time between snapshots with and without viewers, s."""
+VIEWED_PERIOD_S = 0.1
+"""Time between snapshots with viewers, s."""
+UNVIEWED_PERIOD_S = 1.0
+"""Time between snapshots without viewers, s."""
 
 _Measured = TypeVar("_Measured", bound="tuple[Odometry | None, LaserScan]")
 _FINAL_SNAPSHOT_S = 1.0  # to wait for the previous snapshot after the last scan, so that the page shows the end
@@ -30,7 +33,7 @@ class Snapshot:
 
     Attributes
     ----------
-    report : ScanReport
+    report : StepReport or LocalizationReport
         Report on that scan.
     view : StateView
         View of the filter's state after it.
@@ -47,7 +50,7 @@ class Snapshot:
         `time.perf_counter()` of the snapshot.
     """
 
-    report: ScanReport
+    report: StepReport | LocalizationReport
     view: StateView
     scan: LaserScan | None
     scans: int
@@ -68,7 +71,7 @@ class LiveObserver:
     ----------
     post : callable
         Called with each snapshot in the filter's thread; must not block.
-    control : Control or RobotControl
+    control : Control
         Delays the scans that pass through `pace`.
     monitor : FilterMonitor
         Monitor of the filter.
@@ -81,14 +84,15 @@ class LiveObserver:
         Returns how much of the source is read, in [0, 1]; NaN where that is unknown.
     """
 
-    def __init__(
-        self, post: Callable[[Snapshot], None], control: Control | RobotControl, monitor: FilterMonitor[Any, Any]
-    ) -> None:
+    def __init__(self, post: Callable[[Snapshot], None], control: Control, monitor: FilterMonitor) -> None:
         """Start before the first scan."""
         self.period_s = UNVIEWED_PERIOD_S
         self.progress: Callable[[], float] = lambda: math.nan
-        self._post, self._control, self._monitor = post, control, monitor
-        self._due, self._busy = 0.0, False
+        self._post = post
+        self._control = control
+        self._monitor = monitor
+        self._due = 0.0
+        self._busy = False
         self.reset()
 
     def reset(self) -> None:
@@ -96,7 +100,7 @@ class LiveObserver:
         self._scans = self._keys = 0
         self._is_new = False
         self._scan: LaserScan | None = None
-        self._latest: tuple[ScanReport, Any] | None = None
+        self._latest: tuple[StepReport | LocalizationReport, Any] | None = None
         self._series: list[tuple[float, float, float, int, int]] = []
         self._requests: deque[tuple[int, int, int]] = deque()
         self._monitor.reset()
@@ -122,10 +126,11 @@ class LiveObserver:
             self._scan = measurement[1]
             yield measurement
 
-    def __call__(self, report: ScanReport, state: Any, seconds: float) -> None:  # noqa: ANN401
+    def __call__(self, report: StepReport | LocalizationReport, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record one scan, and take a snapshot if it is due."""
         self._scans += 1
-        self._latest, self._is_new = (report, state), True
+        self._latest = (report, state)
+        self._is_new = True
         flags = LOST * report.lost | self._monitor.record(report, self._scan)
         if report.skipped is None:
             self._keys += 1
@@ -155,7 +160,9 @@ class LiveObserver:
     def _take_snapshot(self, now: float) -> None:
         if self._latest is None or self._busy:
             return
-        self._due, self._busy, self._is_new = max(self._due + self.period_s, now), True, False
+        self._due = max(self._due + self.period_s, now)
+        self._busy = True
+        self._is_new = False
         while self._requests:
             self._monitor.show_particle(*self._requests.popleft())
         report, state = self._latest

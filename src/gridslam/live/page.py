@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar, final
+from typing import TypeVar, final
 
 from gridslam.live.control import Control, RobotControl
-from gridslam.live.localization_monitor import LocalizationMonitor
-from gridslam.live.mapping_monitor import MappingMonitor
-from gridslam.live.monitor import FilterMonitor
+from gridslam.live.monitor import FilterMonitor, LocalizationMonitor, MappingMonitor
 from gridslam.live.observer import LiveObserver, Snapshot
 from gridslam.live.options import LiveOptions
 from gridslam.live.run import LiveRun
@@ -46,8 +44,8 @@ class LivePage:
 
     Attributes
     ----------
-    control : Control or RobotControl
-        Pause, step and speed.
+    control : Control
+        Pause, step and speed of the source that passes through `pace`.
     observer : LiveObserver
         Observer to pass to the pipeline.
     """
@@ -63,11 +61,11 @@ class LivePage:
     ) -> None:
         """Create the page without serving it."""
         options = options or LiveOptions()
-        self.control = robot or Control(options.speed)
-        self._run = LiveRun(title, self.control, range_max_m, known)
+        self.control = Control(options.speed)
+        self._run = LiveRun(title, robot or self.control, range_max_m, known)
         self._server = PageServer(self._run, options)
         self._last_stage = "final refinement" if known is None else "writing"
-        monitor: FilterMonitor[Any, Any] = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
+        monitor: FilterMonitor = MappingMonitor(range_max_m) if known is None else LocalizationMonitor(known)
         self.observer = LiveObserver(self._post, self.control, monitor)
         self._run.observer = self.observer
 

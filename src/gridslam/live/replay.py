@@ -1,7 +1,8 @@
-"""The page of a finished run, read from its folder: each viewer has its own time line."""
+"""The page of a finished run, read from the folder of its command: each viewer has its own time line."""
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,17 +10,23 @@ from typing import Any, final
 
 import numpy as np
 
-from gridslam.errors import ArgumentError
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.g2o import read_g2o
+from gridslam.io.landmarks import read_landmarks
+from gridslam.io.maps import read_map
+from gridslam.io.results.record import read_record
+from gridslam.io.text import read_text
+from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.live.control import check_particle, check_speed
-from gridslam.live.finished import open_finished_run
-from gridslam.live.options import LiveOptions
-from gridslam.live.results import ReplayFrame
-from gridslam.live.scene import NO_POINTS, RobotPath, Scene, SentState
-from gridslam.live.server import PageServer
+from gridslam.live.results import MappedRun, Results, StaticMap, TrajectoryRun
+from gridslam.live.scene import Scene, SentState, make_run_info
 from gridslam.live.tiles import TileReplica
-from gridslam.types import OccupancyGrid
+from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
-__all__ = ["Replay", "ReplayPage", "ReplayViewer"]
+__all__ = ["Replay", "ReplayViewer"]
+
+_BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
+_WRITERS = "gridslam map, localize, grid or landmarks"
 
 
 @final
@@ -29,17 +36,26 @@ class Replay:
     Parameters
     ----------
     folder : str or Path
-        OUT of the run.
+        OUT of `gridslam map`, `localize`, `grid` or `landmarks`.
 
     Raises
     ------
     InputError
-        The folder contains no results, or they are malformed (see `open_finished_run`).
+        A file is missing or malformed, the files are not of one run, or another command wrote the folder.
     """
 
     def __init__(self, folder: str | Path) -> None:
         """Read the folder."""
-        self.results, self.run_info, self.missing = open_finished_run(folder)
+        out = Path(folder)
+        document = _read_document(out / "run.json")
+        kind = str(document.get("schema", "")).rpartition("/")[0]
+        if kind not in _READERS:
+            raise InputError(out / "run.json", f"expected what {_WRITERS} wrote, got schema {kind or 'none'}")
+        source = document.get("input")
+        title = Path(str(source.get("path") if isinstance(source, dict) else "") or out.resolve()).name
+        self.results = results = _READERS[kind](out, document)
+        mode = "still" if isinstance(results, StaticMap) else "replay"
+        self.run_info = make_run_info(title, mode, results.layers, results.step, results.grid)
         self.replica = TileReplica() if self.results.grid is None else TileReplica.of(self.results.grid)
 
     def add_viewer(self, notify: Callable[[], None]) -> ReplayViewer:
@@ -57,13 +73,17 @@ class ReplayViewer:
 
     def __init__(self, replay: Replay) -> None:
         """Start at the end."""
-        self._replay, self._results, self._sent = replay, replay.results, SentState()
+        self._replay = replay
+        self._results = replay.results
+        self._sent = SentState()
         self._last = len(self._results.times_s) - 1
-        self._at, self._time_s = self._last, float(self._results.times_s[-1])
-        self._speed, self._played_until = 10.0, 0.0
+        self._at = self._last
+        self._time_s = float(self._results.times_s[-1])
+        self._speed = 10.0
+        self._played_until = 0.0
         self._playing = False
         self._selected: int | None = None
-        self._frame: tuple[int, ReplayFrame] | None = None
+        self._frame = self._results.frame(self._at)
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
@@ -73,24 +93,25 @@ class ReplayViewer:
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command; raises ArgumentError, KeyError, TypeError or ValueError if it is invalid."""
-        what = command["do"]
-        if what == "pause":
-            self._playing = False
-        elif what == "resume":
-            if self._at == self._last:
-                self._seek(0)
-            self._playing, self._played_until = True, time.perf_counter()
-        elif what == "step":
-            self._playing = False
-            self._seek(min(self._at + 1, self._last))
-        elif what == "seek":
-            self._seek(min(max(int(command["at"]), 0), self._last))
-        elif what == "speed":
-            self._speed = check_speed(command["factor"]) or self._speed
-        elif what == "select":
-            self._select(command["particle"])
-        else:
-            raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
+        match command["do"]:
+            case "pause":
+                self._playing = False
+            case "resume":
+                if self._at == self._last:
+                    self._seek(0)
+                self._playing = True
+                self._played_until = time.perf_counter()
+            case "step":
+                self._playing = False
+                self._seek(min(self._at + 1, self._last))
+            case "seek":
+                self._seek(min(max(int(command["at"]), 0), self._last))
+            case "speed":
+                self._speed = check_speed(command["factor"]) or self._speed
+            case "select":
+                self._select(command["particle"])
+            case what:
+                raise ArgumentError("do", "pause, resume, step, seek, speed or select", what)
 
     def close(self) -> None:
         """Do nothing: the replay keeps no list of viewers."""
@@ -105,62 +126,118 @@ class ReplayViewer:
         self._move_to(max(int(np.searchsorted(times, self._time_s, "right")) - 1, 0))
 
     def _seek(self, at: int) -> None:
-        self._time_s, self._played_until = float(self._results.times_s[at]), time.perf_counter()
+        self._time_s = float(self._results.times_s[at])
+        self._played_until = time.perf_counter()
         self._move_to(at)
 
     def _move_to(self, at: int) -> None:
-        if self._selected is not None:
-            self._selected = self._results.find_relative(self._selected, self._at, at)
+        if at == self._at:
+            return
+        ancestry = self._results.ancestry
+        if self._selected is not None and ancestry is not None:
+            self._selected = ancestry.find_relative(self._selected, self._at, at)
         self._at = at
+        self._frame = self._results.frame(at)
 
     def _select(self, particle: int | None) -> None:
         self._selected = None if particle is None else check_particle(particle, self._results.particles)
 
     def _scene(self) -> Scene:
-        """Return the current scene; unchanged parts are the same objects as before."""
-        results, frame = self._results, self._current_frame()
+        results = self._results
         status = {
             **results.status(self._at, self._time_s), "at": self._at, "last": self._last, "time_s": self._time_s,
             "total_s": float(results.times_s[-1]), "stage": "running" if self._playing else "paused",
-            "speed": self._speed, "selected_particle": self._selected, "message": self._replay.missing,
+            "speed": self._speed, "selected_particle": self._selected, "message": results.missing,
         }  # fmt: skip
         return Scene(
-            self._replay.run_info, status, self._replay.replica, RobotPath(frame.path), frame.tree, frame.particles,
-            NO_POINTS, frame.closures, results.series, results.path, results.landmarks,
+            self._replay.run_info, status, self._replay.replica, self._frame, results.series, plan=results.path,
+            landmarks=results.landmarks,
         )  # fmt: skip
 
-    def _current_frame(self) -> ReplayFrame:
-        if self._frame is None or self._frame[0] != self._at:
-            self._frame = self._at, self._results.frame(self._at)
-        return self._frame[1]
+
+def _read_mapping(out: Path, document: dict[str, Any]) -> Results:
+    record = read_record(out / "record.npz")
+    poses = read_g2o(out / "graph.g2o").graph.poses
+    trajectory = read_tum(out / "trajectory.tum")
+    grid = read_map(out / "map.yaml")
+    if not len(record) or len(poses) != len(record):
+        raise InputError(out / "record.npz", f"expected {len(poses)} key scans, got {len(record)}")
+    return MappedRun(record, trajectory, poses, grid, _read_closures(document, len(record)))
 
 
-@final
-class ReplayPage:
-    """Serves the page of a finished run while its context is entered; the constructor reads the run (InputError).
+def _read_localization(out: Path, document: dict[str, Any]) -> Results:
+    trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
+    belief = _read_belief(out / "belief.csv")
+    if len(belief) != len(trajectory):
+        raise InputError(out / "belief.csv", f"expected {len(trajectory)} scans, got {len(belief)}")
+    grid, missing = _read_known_map(document)
+    return TrajectoryRun(trajectory, covariances, grid, belief=belief, missing=missing)
 
-    Attributes
-    ----------
-    missing : str
-        A message about missing files of the run; empty if nothing is missing.
-    """
 
-    def __init__(self, folder: str | Path, options: LiveOptions | None = None) -> None:
-        """Read the run without serving it."""
-        replay = Replay(folder)
-        self.missing = replay.missing
-        self._server = PageServer(replay, options or LiveOptions())
+def _read_landmark_run(out: Path, document: dict[str, Any]) -> Results:
+    trajectory, covariances = read_trajectory_csv(out / "trajectory.csv")
+    path = out / "landmarks.csv"
+    if not path.is_file():  # a localization with known landmarks
+        return TrajectoryRun(trajectory, covariances)
+    found = read_landmarks(path)
+    rows = np.column_stack([found.positions, found.covariances[:, [0, 0, 1], [0, 1, 1]]]).astype(np.float32)
+    return TrajectoryRun(trajectory, covariances, landmarks=rows)
 
-    def __enter__(self) -> ReplayPage:
-        """Serve; raises OutputError if the port is in use."""
-        self._server.__enter__()
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close the page."""
-        self._server.__exit__()
+def _read_grid(out: Path, document: dict[str, Any]) -> Results:
+    return StaticMap(read_map(out / "map.yaml"))
 
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        return self._server.url
+
+_READERS = {
+    "gridslam.run": _read_mapping,
+    "gridslam.localization": _read_localization,
+    "gridslam.landmarks": _read_landmark_run,
+    "gridslam.landmark_localization": _read_landmark_run,
+    "gridslam.grid": _read_grid,
+}
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(path, f"no such file; expected the folder that {_WRITERS} wrote")
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(path, f"expected JSON, got: {error}") from None
+    if not isinstance(document, dict):
+        raise InputError(path, "expected a JSON object")
+    return document
+
+
+def _read_closures(document: dict[str, Any], keys: int) -> IntArray:
+    """Return the key scans (C, 2) of the loop closures, the older one first, without those not in the record."""
+    source = document.get("loop_closure") or {}
+    pairs = np.array([closure["key_scans"] for closure in source.get("closures", [])], np.int64).reshape(-1, 2)
+    return pairs[(pairs >= 0).all(axis=1) & (pairs < keys).all(axis=1)]
+
+
+def _read_known_map(document: dict[str, Any]) -> tuple[OccupancyGrid | None, str]:
+    """Return the map of a localization from its original path; None and a message if it cannot be read."""
+    source = document.get("input")
+    path = Path(str(source.get("map") or "")) if isinstance(source, dict) else Path()
+    try:
+        return read_map(path), ""
+    except InputError as error:
+        return None, f"without the map: {error}"
+
+
+def _read_belief(path: Path) -> FloatArray:
+    """Read belief.csv as (T, 5): lost, lost probability, inlier ratio, particles, effective sample size (or NaN)."""
+    header, *lines = read_text(path).splitlines() or [""]
+    if header != _BELIEF_HEADER:
+        raise InputError(path, f"expected the columns {_BELIEF_HEADER}, got {header!r:.200}", 1)
+    rows = []
+    for number, line in enumerate(lines, 2):
+        try:
+            _, *numbers, _ = (float(word or "nan") for word in line.split(","))
+        except ValueError:
+            raise InputError(path, f"expected numbers ({_BELIEF_HEADER}), got {line!r:.200}", number) from None
+        if len(numbers) != 5:
+            raise InputError(path, f"expected seven numbers ({_BELIEF_HEADER}), got {line!r:.200}", number)
+        rows.append(numbers)
+    return np.array(rows).reshape(-1, 5)

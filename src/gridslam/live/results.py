@@ -2,74 +2,76 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 
 from gridslam.io.results.record import Record, RecordFlag
-from gridslam.live.ancestry_replay import AncestryReplay
 from gridslam.live.monitor import LOST
-from gridslam.live.run import finite_or_none
-from gridslam.live.scene import (
-    NO_CLOSURES,
-    NO_LANDMARKS,
-    NO_PARTICLES,
-    NO_POINTS,
-    NO_SERIES,
-    NO_TREE,
-    AncestryTree,
-    Float32Array,
-    full_tree,
-)  # fmt: skip
+from gridslam.live.scene import NO_LANDMARKS, NO_POINTS, NO_SERIES, Float32Array, Frame, finite_or_none, full_tree
+from gridslam.particles.ancestry import Ancestry
 from gridslam.types import FloatArray, IntArray, OccupancyGrid, Trajectory
 
-__all__ = ["MappedRun", "ReplayFrame", "Results", "StaticMap", "TrajectoryRun"]
+__all__ = ["AncestryReplay", "MappedRun", "Results", "StaticMap", "TrajectoryRun"]
+
+_SNAPSHOTS = 32  # of the ancestry, evenly over the record: seeking back replays at most one interval
 
 
-class ReplayFrame(NamedTuple):
-    """The parts of a `gridslam.live.scene.Scene` at one step; the path ends at that step."""
+@final
+class AncestryReplay:
+    """Replays the ancestry of a record, forwards step by step and backwards from the previous snapshot.
 
-    path: Float32Array
-    particles: Float32Array = NO_PARTICLES
-    tree: AncestryTree = NO_TREE
-    closures: Float32Array = NO_CLOSURES
+    Parameters
+    ----------
+    record : Record
+        At least one key scan.
+    """
 
+    def __init__(self, record: Record) -> None:
+        """Start at the first key scan."""
+        self._record = record
+        self._interval = max(len(record) // _SNAPSHOTS, 1)
+        self._at = 0
+        self._ancestry = Ancestry.start(record.poses[0])
+        self._snapshots = {0: self._ancestry.snapshot()}
 
-class Results(Protocol):
-    """A finished run of T steps, T >= 1."""
-
-    @property
-    def grid(self) -> OccupancyGrid | None:
-        """The map; None if there is none."""
-
-    @property
-    def particles(self) -> int:
-        """Number of selectable particles."""
-
-    @property
-    def times_s(self) -> FloatArray:
-        """Times (T,) of the steps since the first one, never going back."""
-
-    @property
-    def series(self) -> Float32Array:
-        """As in a scene; (T, 5), or (0, 5) without charts."""
-
-    @property
-    def path(self) -> Float32Array:
-        """The full path (T, 2); (0, 2) if there is none."""
-
-    @property
-    def landmarks(self) -> Float32Array:
-        """As in a scene."""
-
-    def frame(self, at: int) -> ReplayFrame:
-        """Return the frame at a step."""
-
-    def status(self, at: int, time_s: float) -> dict[str, Any]:
-        """Values at a time at or after step `at`, as JSON values."""
+    def at(self, key: int) -> Ancestry:
+        """Return the ancestry at a key scan, before its resampling; valid until the next call."""
+        near = max(kept for kept in self._snapshots if kept <= key)
+        if not near <= self._at <= key:
+            self._at = near
+            self._ancestry = self._snapshots[near].snapshot()
+        while self._at < key:
+            self._advance()
+        return self._ancestry
 
     def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Return the descendant or ancestor at step `after` of a particle at `before`; -1 if there is none."""
+        """Return the descendant or ancestor at key scan `after` of a particle at `before`; -1 if there is none.
+
+        Of several descendants it is the first.
+        """
+        parents = self._record.parents
+        if particle < 0:
+            return -1
+        for key in range(before - 1, after - 1, -1):
+            particle = int(parents[key, particle])
+        if after <= before:
+            return particle
+        ancestors = np.arange(parents.shape[1])
+        for key in range(after - 1, before - 1, -1):
+            ancestors = parents[key, ancestors]
+        descendants = np.flatnonzero(ancestors == particle)
+        return int(descendants[0]) if len(descendants) else -1
+
+    def _advance(self) -> None:
+        record = self._record
+        at = self._at
+        if record.flags[at] & RecordFlag.RESAMPLED:
+            self._ancestry.resample(record.parents[at])
+        self._ancestry.extend(record.poses[at + 1])
+        self._at = at + 1
+        if self._at % self._interval == 0 and self._at not in self._snapshots:
+            self._snapshots[self._at] = self._ancestry.snapshot()
 
 
 @final
@@ -90,34 +92,36 @@ class MappedRun:
         Key scans of the loop closures, the older one first.
     """
 
+    layers = ("map", "path", "ancestry", "particles", "weights", "closures", "n_eff", "latency")
+    step = "key scan"
+    missing = ""
     landmarks = NO_LANDMARKS
 
     def __init__(
         self, record: Record, trajectory: Trajectory, key_poses: FloatArray, grid: OccupancyGrid, closures: IntArray
     ) -> None:
         """Prepare the data of all times."""
-        self.grid, self.particles = grid, record.poses.shape[1]
+        self.grid = grid
+        self.particles = record.poses.shape[1]
+        self.ancestry = AncestryReplay(record)
         self.times_s = _elapsed(record.stamps_ns, record.stamps_ns[0])
         self.path: Float32Array = key_poses[:, :2].astype(np.float32)
         columns = (self.times_s, record.n_eff, 1e3 * record.latency_s, record.flags)
         counts = np.full(len(record), self.particles)
         self.series: Float32Array = np.column_stack([*columns, counts]).astype(np.float32)
-        self._record, self._trajectory, self._ancestry = record, trajectory, AncestryReplay(record)
+        self._record = record
+        self._trajectory = trajectory
         self._scan_times_s = _elapsed(trajectory.stamps_ns, record.stamps_ns[0])
         self._closure_steps: IntArray = np.sort(closures[:, 1])  # at which step each closure was found
         order = np.argsort(closures[:, 1], kind="stable")
         self._closure_ends = key_poses[closures[order], :2].reshape(-1, 4).astype(np.float32)
 
-    def frame(self, at: int) -> ReplayFrame:
+    def frame(self, at: int) -> Frame:
         """Return the frame at a key scan."""
         record = self._record
         particles = np.column_stack([record.poses[at], np.exp(record.log_weights[at])]).astype(np.float32)
-        return ReplayFrame(
-            self.path[: at + 1],
-            particles,
-            full_tree(self._ancestry.at(at)),
-            self._closure_ends[: self._count_closures(at)],
-        )
+        closures = self._closure_ends[: self._count_closures(at)]
+        return Frame(self.path[: at + 1], full_tree(self.ancestry.at(at)), particles, closures)
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Values at a time at or after a key scan."""
@@ -129,10 +133,6 @@ class MappedRun:
             "best": int(record.parents[at, record.best[at]]), "closures": self._count_closures(at),
             "particles": self.particles,
         }  # fmt: skip
-
-    def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Return the descendant or ancestor at key scan `after` of a particle at `before`; -1 if there is none."""
-        return self._ancestry.find_relative(particle, before, after)
 
     def _count_closures(self, at: int) -> int:
         return int(np.searchsorted(self._closure_steps, at, "right"))
@@ -155,9 +155,12 @@ class TrajectoryRun:
     belief : (T, 5) float64, optional
         For each pose the lost flag, the lost probability, the inlier ratio, the number of particles, and
         the effective sample size, NaN where nothing was weighed.
+    missing : str
+        A message about missing files; empty if nothing is missing.
     """
 
     particles = 0
+    ancestry = None
 
     def __init__(
         self,
@@ -166,27 +169,35 @@ class TrajectoryRun:
         grid: OccupancyGrid | None = None,
         landmarks: Float32Array = NO_LANDMARKS,
         belief: FloatArray | None = None,
+        missing: str = "",
     ) -> None:
         """Prepare the data of all times."""
-        self.grid, self.landmarks = grid, landmarks
+        self.grid = grid
+        self.landmarks = landmarks
         self.times_s = _elapsed(trajectory.stamps_ns, trajectory.stamps_ns[0])
         self.path: Float32Array = trajectory.poses[:, :2].astype(np.float32)
         self.series = NO_SERIES
-        self._poses, self._covariances, self._belief = trajectory.poses, covariances, belief
+        self._poses = trajectory.poses
+        self._covariances = covariances
+        self._belief = belief
+        self.missing = missing
+        self.step = "step" if belief is None else "scan"
+        shown = {"map": grid is not None, "path": True, "landmarks": len(landmarks) > 0}
+        shown |= dict.fromkeys(("n_eff", "lost_probability"), belief is not None)
+        self.layers = tuple(layer for layer, is_shown in shown.items() if is_shown)
         if belief is not None:
             lost, _, _, particles, n_eff = belief.T
             unknown = np.full(len(lost), np.nan)
-            weighed_of = np.fmax(
-                np.append(particles[:1], particles[:-1]), n_eff
-            )  # a lower bound while the robot is lost
+            before = np.append(particles[:1], particles[:-1])
+            weighed_of = np.fmax(before, n_eff)  # a lower bound while the robot is lost
             self.series = np.column_stack([self.times_s, n_eff, unknown, LOST * lost, weighed_of]).astype(np.float32)
             self.path[lost > 0] = np.nan
             weighed = np.where(np.isnan(n_eff), 0, np.arange(len(n_eff)))
             self._weighed: IntArray = np.maximum.accumulate(weighed)  # the last step with a known n_eff
 
-    def frame(self, at: int) -> ReplayFrame:
+    def frame(self, at: int) -> Frame:
         """Return the frame at a pose."""
-        return ReplayFrame(self.path[: at + 1])
+        return Frame(self.path[: at + 1])
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Values at a pose."""
@@ -200,10 +211,6 @@ class TrajectoryRun:
             "inlier_ratio": inlier_ratio, "particles": int(particles), "n_eff": n_eff,
         }  # fmt: skip
 
-    def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Return -1: there are no particles."""
-        return -1
-
 
 @final
 class StaticMap:
@@ -215,24 +222,54 @@ class StaticMap:
         The map.
     """
 
-    particles, path, series, landmarks = 0, NO_POINTS, NO_SERIES, NO_LANDMARKS
+    layers = ("map",)
+    step = "key scan"
+    missing = ""
+    particles = 0
+    ancestry = None
+    path = NO_POINTS
+    series = NO_SERIES
+    landmarks = NO_LANDMARKS
 
     def __init__(self, grid: OccupancyGrid) -> None:
         """Create a single step."""
-        self.grid, self.times_s = grid, np.zeros(1)
+        self.grid = grid
+        self.times_s = np.zeros(1)
 
-    def frame(self, at: int) -> ReplayFrame:
+    def frame(self, at: int) -> Frame:
         """Return the only frame."""
-        return ReplayFrame(self.path)
+        return Frame(self.path)
 
     def status(self, at: int, time_s: float) -> dict[str, Any]:
         """Return the size of the map."""
         height, width = (side * self.grid.resolution_m for side in self.grid.known.shape)
         return {"size_m": [width, height]}
 
-    def find_relative(self, particle: int, before: int, after: int) -> int:
-        """Return -1: there are no particles."""
-        return -1
+
+Results: TypeAlias = MappedRun | TrajectoryRun | StaticMap
+"""A finished run of T steps, T >= 1.
+
+Attributes
+----------
+layers : tuple of str
+    What there is to show.
+step : str
+    What a step is.
+missing : str
+    A message about missing files; empty if nothing is missing.
+grid : OccupancyGrid or None
+    The map; None if there is none.
+particles : int
+    Number of selectable particles.
+ancestry : AncestryReplay or None
+    Their ancestry; None if there are none.
+times_s : (T,) float64
+    Times of the steps since the first one, never going back.
+path : (T, 2) float32
+    The full path; (0, 2) if there is none.
+series, landmarks
+    As in a scene.
+"""
 
 
 def _elapsed(stamps_ns: IntArray, first_ns: int) -> FloatArray:

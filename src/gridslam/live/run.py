@@ -3,50 +3,26 @@
 from __future__ import annotations
 
 import math
-import secrets
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
 import numpy as np
 
-from gridslam import __version__
 from gridslam.errors import ArgumentError
-from gridslam.kernels import TILE
 from gridslam.live.control import Control, RobotControl, check_particle, check_speed
 from gridslam.live.monitor import BEST
 from gridslam.live.observer import UNVIEWED_PERIOD_S, VIEWED_PERIOD_S, LiveObserver, Snapshot
-from gridslam.live.protocol import STEP_NATS
-from gridslam.live.scene import NO_CLOSURES, NO_PARTICLES, NO_POINTS, NO_TREE, RobotPath, RowBuffer, Scene, SentState
-from gridslam.live.tiles import TileReplica, split_into_tiles, tile_offset
+from gridslam.live.scene import NO_POINTS, Frame, RowBuffer, Scene, SentState, finite_or_none, make_run_info
+from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid
 
-__all__ = ["LIVE_SLAM", "LiveRun", "LiveViewer", "make_run_info"]
+__all__ = ["LiveRun", "LiveViewer"]
 
-LIVE_SLAM = "map", "path", "ancestry", "particles", "weights", "scan", "closures", "n_eff", "latency"
+_LIVE_SLAM = "map", "path", "ancestry", "particles", "weights", "scan", "closures", "n_eff", "latency"
 _LIVE_LOCALIZATION = "map", "path", "particles", "scan", "n_eff", "latency", "lost_probability"
 _MAX_CHANNELS = 8
-_RATE_SNAPSHOTS = 12  # snapshots
-
-
-def make_run_info(
-    title: str, mode: str, layers: tuple[str, ...], step: str = "key scan", grid: OccupancyGrid | None = None
-) -> dict[str, Any]:
-    """Build the first message to a viewer.
-
-    `session` identifies a start of the server, `layers` names the layers and figures that there are, and `step`
-    is the meaning of a row of the series. The cells of a known `grid` lie off the tiles' by `offset_m`.
-    """
-    return {
-        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "layers": layers,
-        "step": step, "tile": TILE, "step_nats": STEP_NATS, "resolution_m": None if grid is None else grid.resolution_m,
-        "offset_m": (0.0, 0.0) if grid is None else tile_offset(grid),
-    }  # fmt: skip
-
-
-def finite_or_none(value: float) -> float | None:
-    """The value, or None if JSON cannot represent it."""
-    return value if math.isfinite(value) else None
+_RATE_SNAPSHOTS = 12
 
 
 @final
@@ -75,24 +51,27 @@ class LiveRun:
         """Start before the first snapshot."""
         self.observer: LiveObserver | None = None
         self.control = control
-        self._title, self._range_max_m, self._known = title, range_max_m, known
+        self._title = title
+        self._range_max_m = range_max_m
+        self._known = known
         self._viewers: dict[LiveViewer, Callable[[], None]] = {}
-        self._channels, self._message = 0, ""
+        self._channels = 0
+        self._message = ""
         self.reset()
 
     def reset(self) -> None:
         """Start before the first snapshot of a session, with an empty map or the known one."""
         mode = "live" if isinstance(self.control, Control) else "robot"
         if self._known is None:
-            self._run_info = make_run_info(self._title, mode, LIVE_SLAM)
+            self._run_info = make_run_info(self._title, mode, _LIVE_SLAM)
         else:
             self._run_info = make_run_info(self._title, mode, _LIVE_LOCALIZATION, "update", self._known)
         self._replicas = {BEST: TileReplica() if self._known is None else TileReplica.of(self._known)}
         self._rows = {BEST: 0}
         self._stage = "waiting"
         self._status: dict[str, Any] = {"keys": 0, "scans": 0, "particles": 0}
-        self._path, self._tree = RobotPath(), NO_TREE
-        self._particles, self._scan, self._closures = NO_PARTICLES, NO_POINTS, NO_CLOSURES
+        self._frame = Frame()
+        self._scan = NO_POINTS
         self._series = RowBuffer(5)
         self._first_s: float | None = None
         self._rate_window: deque[tuple[float, int, float]] = deque(maxlen=_RATE_SNAPSHOTS)
@@ -112,12 +91,7 @@ class LiveRun:
                 self._replicas[channel].apply(changes)
         self._rows = view.rows
         self._append_series(snapshot)
-        path, self._tree = view.path_and_tree()
-        self._path = self._path.with_positions(path)
-        closures = view.closures()
-        if not np.array_equal(closures, self._closures):
-            self._closures = closures
-        self._particles = view.particles()
+        self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
             self._scan = snapshot.scan.beams(0.05, self._range_max_m).ends.astype(np.float32)
@@ -127,10 +101,8 @@ class LiveRun:
         """Show the final result: the map, poses (T, 3) of the key scans, and ends (C, 4) of the loop closures, m."""
         for replica in self._replicas.values():
             replica.replace(split_into_tiles(grid))
-        self._path = self._path.with_positions(poses[:, :2].astype(np.float32))
-        self._tree = NO_TREE
-        self._closures = closures.astype(np.float32)
-        self._particles, self._scan = NO_PARTICLES, NO_POINTS
+        self._frame = Frame(poses[:, :2].astype(np.float32), closures=closures.astype(np.float32))
+        self._scan = NO_POINTS
         self.set_stage("writing")
 
     def set_stage(self, stage: str) -> None:
@@ -195,10 +167,8 @@ class LiveRun:
             "viewers": len(self._viewers), "channel": channel,
             "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
         }  # fmt: skip
-        return Scene(
-            self._run_info, status, self._replicas.get(channel, self._replicas[BEST]), self._path, self._tree,
-            self._particles, self._scan, self._closures, self._series.rows,
-        )  # fmt: skip
+        replica = self._replicas.get(channel, self._replicas[BEST])
+        return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan)
 
     def notify_viewers(self) -> None:
         """Notify all viewers of a change."""
@@ -228,7 +198,7 @@ class LiveRun:
         self._status = {
             "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - first_s,
             "pose": report.pose.tolist(), "covariance": report.covariance.tolist(), "lost": bool(report.lost),
-            "n_eff": n_eff, "progress": finite_or_none(snapshot.progress), **snapshot.view.status(), **rates,
+            "n_eff": n_eff, "progress": finite_or_none(snapshot.progress), **snapshot.view.status, **rates,
         }  # fmt: skip
         self.notify_viewers()
 
@@ -239,7 +209,9 @@ class LiveViewer:
 
     def __init__(self, run: LiveRun) -> None:
         """Show the best particle's map."""
-        self._run, self._sent, self._channel = run, SentState(), BEST
+        self._run = run
+        self._sent = SentState()
+        self._channel = BEST
 
     def next_message(self) -> bytes | None:
         """Return the next message for the viewer; None if there is nothing new."""
@@ -247,19 +219,20 @@ class LiveViewer:
 
     def command(self, command: Mapping[str, Any]) -> None:
         """Execute a command of the viewer; raises ArgumentError, KeyError or TypeError if it is invalid."""
-        run, what = self._run, command["do"]
-        if what == "pause":
-            run.control.pause()
-        elif what == "resume":
-            run.control.resume()
-        elif what == "step":
-            run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
-        elif what == "speed":
-            run.control.set_speed(check_speed(command["factor"]))
-        elif what == "select":
-            self._select(command["particle"])
-        else:
-            raise ArgumentError("do", "pause, resume, step, speed or select", what)
+        run = self._run
+        match command["do"]:
+            case "pause":
+                run.control.pause()
+            case "resume":
+                run.control.resume()
+            case "step":
+                run.control.step(to_key_scan=bool(command.get("to_key_scan", True)))
+            case "speed":
+                run.control.set_speed(check_speed(command["factor"]))
+            case "select":
+                self._select(command["particle"])
+            case what:
+                raise ArgumentError("do", "pause, resume, step, speed or select", what)
         run.notify_viewers()
 
     def close(self) -> None:
@@ -272,8 +245,8 @@ class LiveViewer:
         self._channel = BEST
 
     def _select(self, particle: int | None) -> None:
-        before, self._channel = self._channel, BEST
-        if before != BEST:
-            self._run.close_channel(before)
+        if self._channel != BEST:
+            self._run.close_channel(self._channel)
+        self._channel = BEST
         if particle is not None:
             self._channel = self._run.open_channel(particle)

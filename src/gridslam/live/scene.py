@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, final
+import math
+import secrets
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.live.protocol import encode, pack_tiles
-from gridslam.live.tiles import TileReplica
+from gridslam import __version__
+from gridslam.kernels import TILE
+from gridslam.live.protocol import STEP_NATS, encode, pack_tiles
+from gridslam.live.tiles import TileReplica, tile_offset
 from gridslam.particles.ancestry import Ancestry
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = [
-    "NO_CLOSURES",
-    "NO_LANDMARKS",
-    "NO_PARTICLES",
-    "NO_POINTS",
-    "NO_SERIES",
-    "NO_TREE",
-    "AncestryTree",
-    "RobotPath",
-    "RowBuffer",
-    "Scene",
-    "SentState",
-    "full_tree",
-    "thin_tree",
+    "NO_LANDMARKS", "NO_POINTS", "NO_SERIES", "NO_TREE", "AncestryTree", "Float32Array", "Frame", "RowBuffer", "Scene",
+    "SentState", "finite_or_none", "full_tree", "make_run_info", "thin_tree",
 ]  # fmt: skip
 
-Float32Array = NDArray[np.float32]
+Float32Array: TypeAlias = NDArray[np.float32]
 
 _MAX_TILES = 1024
 _MAX_NODES = 1500  # of an ancestry tree; larger trees are thinned to every second, third, ... step
@@ -55,7 +47,8 @@ class RowBuffer:
 
     def __init__(self, width: int) -> None:
         """Start without rows."""
-        self._rows, self._count = np.zeros((256, width), np.float32), 0
+        self._rows: Float32Array = np.zeros((256, width), np.float32)
+        self._count = 0
 
     def append(self, rows: FloatArray) -> None:
         """Add rows (K, width)."""
@@ -72,23 +65,7 @@ class RowBuffer:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotPath:
-    """Positions (T, 2) of the robot at the key scans, NaN where lost; paths of one `revision` share their prefix."""
-
-    positions: Float32Array = field(default_factory=lambda: NO_POINTS)
-    revision: int = 0
-
-    def with_positions(self, positions: Float32Array) -> RobotPath:
-        """Return the path with new positions: of the same revision if positions were only appended."""
-        common = min(len(positions), len(self.positions))
-        same = np.array_equal(positions[:common], self.positions[:common], equal_nan=True)
-        return RobotPath(positions, self.revision if same else self.revision + 1)
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class AncestryTree:
+class AncestryTree(NamedTuple):
     """The part of the particles' paths that they do not share.
 
     Attributes
@@ -148,9 +125,30 @@ def full_tree(ancestry: Ancestry) -> AncestryTree:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
-class Scene:
-    """Everything displayed at one time; unchanged parts are the same objects as in the previous scene.
+class Frame(NamedTuple):
+    """A run at one time.
+
+    Attributes
+    ----------
+    path : (T, 2) float32, m
+        Positions of the robot at the key scans that all particles share, NaN where lost.
+    tree : AncestryTree
+        The differing paths of the particles.
+    particles : (N, 4) float32
+        x m, y m, theta rad, and weight.
+    closures : (C, 4) float32, m
+        End points x, y of each loop closure.
+    """
+
+    path: Float32Array = NO_POINTS
+    tree: AncestryTree = NO_TREE
+    particles: Float32Array = NO_PARTICLES
+    closures: Float32Array = NO_CLOSURES
+
+
+@final
+class Scene(NamedTuple):
+    """Everything displayed at one time.
 
     Attributes
     ----------
@@ -160,19 +158,13 @@ class Scene:
         Values that change with every scene.
     replica : TileReplica
         The displayed map.
-    path : RobotPath
-        Path of the robot that all particles share.
-    tree : AncestryTree
-        The differing paths of the particles.
-    particles : (N, 4) float32
-        x m, y m, theta rad, and weight.
-    scan : (K, 2) float32, m
-        End points of the current scan in the robot frame.
-    closures : (C, 4) float32, m
-        End points x, y of each loop closure.
+    frame : Frame
+        Path, particles and loop closures.
     series : (S, 5) float32
         For each key scan its time since the first, s, effective sample size, latency, ms, flags
         (`gridslam.live.monitor`) and number of particles; NaN if unknown.
+    scan : (K, 2) float32, m
+        End points of the current scan in the robot frame.
     plan : (P, 2) float32, m
         The future path of the robot; empty if unknown.
     landmarks : (L, 5) float32
@@ -182,21 +174,38 @@ class Scene:
     run_info: dict[str, Any]
     status: dict[str, Any]
     replica: TileReplica
-    path: RobotPath
-    tree: AncestryTree
-    particles: Float32Array
-    scan: Float32Array
-    closures: Float32Array
+    frame: Frame
     series: Float32Array
-    plan: Float32Array = field(default_factory=lambda: NO_POINTS)
-    landmarks: Float32Array = field(default_factory=lambda: NO_LANDMARKS)
+    scan: Float32Array = NO_POINTS
+    plan: Float32Array = NO_POINTS
+    landmarks: Float32Array = NO_LANDMARKS
+
+
+def make_run_info(
+    title: str, mode: str, layers: tuple[str, ...], step: str = "key scan", grid: OccupancyGrid | None = None
+) -> dict[str, Any]:
+    """Build the first message to a viewer.
+
+    `session` identifies a start of the server, `layers` names the layers and figures that there are, and `step`
+    is the meaning of a row of the series. The cells of a known `grid` lie off the tiles' by `offset_m`.
+    """
+    return {
+        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "layers": layers,
+        "step": step, "tile": TILE, "step_nats": STEP_NATS, "resolution_m": None if grid is None else grid.resolution_m,
+        "offset_m": (0.0, 0.0) if grid is None else tile_offset(grid),
+    }  # fmt: skip
+
+
+def finite_or_none(value: float) -> float | None:
+    """The value, or None if JSON cannot represent it."""
+    return value if math.isfinite(value) else None
 
 
 @final
 class SentState:
     """What a viewer has received; `next_message` encodes the rest."""
 
-    __slots__ = ("_length", "_number", "_objects", "_replica", "_revision", "_run_info", "_series", "_status")
+    __slots__ = ("_arrays", "_number", "_replica", "_rows", "_run_info", "_status")
 
     def __init__(self) -> None:
         """Start with a viewer that has received nothing."""
@@ -204,11 +213,11 @@ class SentState:
 
     def _reset(self) -> None:
         self._run_info: dict[str, Any] = {}
+        self._status: dict[str, Any] = {}
         self._replica: TileReplica | None = None
         self._number = 0
-        self._revision, self._length, self._series = -1, 0, 0
-        self._objects: dict[str, Any] = {}
-        self._status: dict[str, Any] = {}
+        self._rows = {"path": NO_POINTS, "series": NO_SERIES}
+        self._arrays: dict[str, NDArray[Any]] = {}
 
     def next_message(self, scene: Scene) -> bytes | None:
         """Encode the missing part of a scene; None if nothing is missing. Many tiles take several messages."""
@@ -221,38 +230,46 @@ class SentState:
         if scene.status != self._status:
             header["status"] = self._status = scene.status
         self._add_tiles(scene.replica, header, arrays)
-        self._add_path(scene.path, header, arrays)
-        if self._series != len(scene.series):
-            first = self._series if self._series < len(scene.series) else 0
-            header["series"] = first
-            arrays["series"], self._series = scene.series[first:], len(scene.series)
-        for name in ("particles", "scan", "closures", "plan", "landmarks"):
-            self._add_whole(name, getattr(scene, name), {name: getattr(scene, name)}, arrays)
-        tree = scene.tree
-        named = {"tree": tree.positions, "tree_parents": tree.parents, "tree_leaves": tree.leaves}
-        self._add_whole("tree", tree, named, arrays)
+        self._add_rows("path", scene.frame.path, header, arrays)
+        self._add_rows("series", scene.series, header, arrays)
+        self._add_whole({"particles": scene.frame.particles}, arrays)
+        self._add_whole({"closures": scene.frame.closures}, arrays)
+        self._add_whole({"scan": scene.scan}, arrays)
+        self._add_whole({"plan": scene.plan}, arrays)
+        self._add_whole({"landmarks": scene.landmarks}, arrays)
+        positions, parents, leaves = scene.frame.tree
+        self._add_whole({"tree": positions, "tree_parents": parents, "tree_leaves": leaves}, arrays)
         return encode(header, arrays) if header or arrays else None
 
-    def _add_whole(
-        self, name: str, value: object, parts: dict[str, NDArray[Any]], arrays: dict[str, NDArray[Any]]
-    ) -> None:
-        if self._objects.get(name) is not value:
-            self._objects[name] = value
-            arrays.update(parts)
+    def _add_whole(self, parts: dict[str, NDArray[Any]], arrays: dict[str, NDArray[Any]]) -> None:
+        """Add arrays that belong together if one of them has changed."""
+        if not all(name in self._arrays and _equal(self._arrays[name], array) for name, array in parts.items()):
+            self._arrays |= parts
+            arrays |= parts
+
+    def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+        """Add what follows the rows that the viewer has, or all of them where those have changed."""
+        before = self._rows[name]
+        first = min(len(before), len(rows))
+        if not _equal(before[:first], rows[:first]):
+            first = 0
+        if first < max(len(before), len(rows)):
+            header[name] = first
+            arrays[name] = rows[first:]
+            self._rows[name] = rows
 
     def _add_tiles(self, replica: TileReplica, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         if replica is not self._replica:
-            self._replica, self._number = replica, 0
+            self._replica = replica
+            self._number = 0
             header["clear"] = True
         if replica.sequence > self._number:
             at, looks, self._number = replica.since(self._number, _MAX_TILES)
-            arrays["tiles_at"], arrays["tiles"] = at, pack_tiles(looks)
+            arrays["tiles_at"] = at
+            arrays["tiles"] = pack_tiles(looks)
             if replica.sequence > self._number:
                 header["more"] = True
 
-    def _add_path(self, path: RobotPath, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-        if (path.revision, len(path.positions)) == (self._revision, self._length):
-            return
-        first = min(self._length, len(path.positions)) if path.revision == self._revision else 0
-        header["path"], arrays["path"] = first, path.positions[first:]
-        self._revision, self._length = path.revision, len(path.positions)
+
+def _equal(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    return a is b or np.array_equal(a, b, equal_nan=a.dtype.kind == "f")

@@ -21,6 +21,7 @@ __all__ = ["BeamCounts", "bayes_map", "counting_map"]
 # cell in which a beam of the scan ends is not missed by the others.
 _LIMIT: Final = 16_000  # more beams than any scan has
 _ONE_EACH: Final = Evidence(*(LOG_ODDS_UNIT * steps for steps in (1, -1, -_LIMIT, _LIMIT, _LIMIT)))
+_CERTAIN: Final = math.log(1e7)  # what was always or never reflected gets a probability 1e-7 off 1 or 0
 _ROW: Final = np.zeros(1, np.int32)
 
 
@@ -41,16 +42,14 @@ class BeamCounts:
         Threads of the kernels; never changes a result.
     """
 
-    __slots__ = ("_first", "_hits", "_kept", "_net", "_scan", "_slots", "_used")
+    __slots__ = ("_hits", "_kept", "_net", "_scan", "_slots")
 
     def __init__(self, resolution_m: float, half_life_scans: float | None = None, threads: int = 1) -> None:
         if half_life_scans is not None and not 0 < half_life_scans < math.inf:
             raise ArgumentError("half_life_scans", "a number of scans above 0, or None", half_life_scans)
         self._kept = 1.0 if half_life_scans is None else 0.5 ** (1 / half_life_scans)
         self._scan = TileMaps(1, resolution_m=resolution_m, reach_cells=1.0, evidence=_ONE_EACH, threads=threads)
-        self._slots: IntArray = np.zeros((0, 0), np.int64)  # of the tiles in a rectangle; 0 where there is none
-        self._first: IntArray = np.zeros(2, np.int64)  # row and column of its first tile
-        self._used = 1
+        self._slots: dict[tuple[int, int], int] = {}  # of each tile (row, column); 0 is the empty one
         self._hits: FloatArray = np.zeros((64, TILE, TILE))
         self._net: FloatArray = np.zeros((64, TILE, TILE))  # hits less misses
 
@@ -82,37 +81,24 @@ class BeamCounts:
 
         Both are 0 in cells that were not observed.
         """
-        if not self._slots.size:
+        if not self._slots:
             return np.zeros((1, 1)), np.zeros((1, 1)), (0, 0)
-        shape = tuple(TILE * side for side in self._slots.shape)
-        hits, net = (tiles[self._slots].swapaxes(1, 2).reshape(shape) for tiles in (self._hits, self._net))
-        row, column = (TILE * self._first).tolist()
+        tiles = np.array(list(self._slots))
+        first = tiles.min(axis=0)
+        slots = np.zeros(np.ptp(tiles, axis=0) + 1, np.int64)
+        slots[tuple((tiles - first).T)] = list(self._slots.values())
+        shape = tuple(TILE * side for side in slots.shape)
+        hits, net = (counts[slots].swapaxes(1, 2).reshape(shape) for counts in (self._hits, self._net))
+        row, column = (TILE * first).tolist()
         return hits, np.maximum(hits - net, 0.0), (row, column)
 
-    def _slots_of(self, tiles: IntArray) -> IntArray:
+    def _slots_of(self, tiles: IntArray) -> list[int]:
         """Slots (K,) of tiles (K, 2) = [row, column], new ones where need be."""
-        low, high = tiles.min(axis=0), tiles.max(axis=0) + 1
-        if not self._slots.size:
-            self._first = low
-        first = np.minimum(low, self._first)
-        last = np.maximum(high, self._first + self._slots.shape)
-        if (last - first > self._slots.shape).any():
-            above, left = (self._first - first).tolist()
-            below, right = (last - self._first - self._slots.shape).tolist()
-            self._slots, self._first = np.pad(self._slots, ((above, below), (left, right))), first
-        at = tuple((tiles - self._first).T)
-        slots: IntArray = self._slots[at]
-        new = np.flatnonzero(slots == 0)
-        slots[new] = self._used + np.arange(len(new))
-        self._slots[at] = slots
-        self._used += len(new)
-        while self._used > len(self._hits):
+        slots = [self._slots.setdefault((row, column), len(self._slots) + 1) for row, column in tiles.tolist()]
+        while len(self._slots) >= len(self._hits):
             self._hits = np.concatenate([self._hits, np.zeros_like(self._hits)])
             self._net = np.concatenate([self._net, np.zeros_like(self._net)])
         return slots
-
-
-_CERTAIN: Final = math.log(1e7)  # what was always or never reflected gets a probability 1e-7 off 1 or 0
 
 
 def bayes_map(counts: BeamCounts, inverse_sensor: InverseSensorModel) -> OccupancyGrid:

@@ -49,7 +49,10 @@ class KnownPoses:
         if not max_gap_s > 0:
             raise ArgumentError("max_gap_s", "a time above 0 s", max_gap_s)
         order = np.argsort(trajectory.stamps_ns, kind="stable")
-        self._stamps, self._poses = trajectory.stamps_ns[order], trajectory.poses[order]
+        self._stamps = trajectory.stamps_ns[order]
+        self._poses = trajectory.poses[order]
+        self._passed_ns = (self._stamps - self._stamps[0]).astype(np.float64)
+        self._coordinates = *self._poses[:, :2].T.copy(), np.unwrap(self._poses[:, 2])
         self._max_gap_ns = max_gap_s * 1e9
         self._asked = Counter[int]()
 
@@ -63,17 +66,17 @@ class KnownPoses:
 
         Where several poses have just this stamp, as where several scans had it, they are given one after the other.
         """
-        low, high = (int(np.searchsorted(self._stamps, stamp_ns, side)) for side in ("left", "right"))
+        low = int(self._stamps.searchsorted(stamp_ns))
+        high = int(self._stamps.searchsorted(stamp_ns, "right"))
         if low < high:
             self._asked[stamp_ns] += 1
             pose: FloatArray = self._poses[min(low + self._asked[stamp_ns], high) - 1].copy()
             return pose
-        before, after = self._neighbours(stamp_ns)
-        sooner, later = stamp_ns - int(self._stamps[before]), int(self._stamps[after]) - stamp_ns
-        if min(abs(sooner), abs(later)) > _EXACT_NS:
-            if sooner < 0 or later < 0:
+        passed = self._stamps[max(low - 1, 0) : low + 1] - stamp_ns  # of the poses before and after
+        if abs(passed).min() > _EXACT_NS:
+            if len(passed) == 1:
                 return NoPoseReason.OUTSIDE
-            if sooner + later > self._max_gap_ns:
+            if passed[1] - passed[0] > self._max_gap_ns:
                 return NoPoseReason.GAP
         return self._interpolate(stamp_ns)
 
@@ -88,18 +91,8 @@ class KnownPoses:
             return beams
         return beams.deskew(log(between(self._interpolate(start), self._interpolate(end))) / (1e-9 * (end - start)))
 
-    def _neighbours(self, stamp_ns: int) -> tuple[int, int]:
-        """Indices of the poses before and after; of the two outermost where there is only one side."""
-        last = len(self._stamps) - 1
-        after = min(max(int(np.searchsorted(self._stamps, stamp_ns)), min(1, last)), last)
-        return max(after - 1, 0), after
-
     def _interpolate(self, stamp_ns: int) -> FloatArray:
-        before, after = self._neighbours(stamp_ns)
-        span = max(int(self._stamps[after] - self._stamps[before]), 1)
-        share = min(max((stamp_ns - int(self._stamps[before])) / span, 0.0), 1.0)
-        step = self._poses[after] - self._poses[before]
-        step[2] = wrap(step[2])
-        pose: FloatArray = self._poses[before] + share * step
-        pose[2] = wrap(pose[2])
-        return pose
+        """Pose (3,) at a stamp; the first or the last one beyond them."""
+        passed_ns = stamp_ns - int(self._stamps[0])
+        x, y, theta = (np.interp(passed_ns, self._passed_ns, values) for values in self._coordinates)
+        return np.array([x, y, wrap(theta)])

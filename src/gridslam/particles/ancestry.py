@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping
 from typing import Any, NamedTuple, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
 from gridslam.types import FloatArray, IntArray
 
@@ -37,14 +39,14 @@ class Ancestry:
     A state has one owner: `extend` and `resample` change the object; `snapshot` keeps a copy for later.
     """
 
-    __slots__ = ("_leaves", "_levels", "_trunk", "_trunk_length")
+    __slots__ = ("_leaves", "_levels", "_trunk", "_width")
 
     def __init__(self, leaves: IntArray, levels: list[_Level], trunk: FloatArray) -> None:
         """Take the parts as they are; use `start` or `from_arrays`."""
         self._leaves = leaves  # (N,) each particle's place in the newest level
         self._levels = levels
-        self._trunk = trunk  # only the first _trunk_length rows are in use
-        self._trunk_length = len(trunk)
+        self._trunk = array("d", trunk.tobytes())
+        self._width: int = trunk.shape[1]
 
     @classmethod
     def start(cls, poses: ArrayLike) -> Ancestry:
@@ -59,7 +61,7 @@ class Ancestry:
     @classmethod
     def from_trajectory(cls, trajectory: FloatArray, particles: int) -> Ancestry:
         """Begin with N particles that all share one past, poses (T, 3)."""
-        return cls(np.zeros(particles, dtype=np.int64), [], trajectory.copy())
+        return cls(np.zeros(particles, dtype=np.int64), [], trajectory)
 
     def extend(self, poses: ArrayLike) -> None:
         """Add one step: particle i, whichever its past, is now at poses[i] of (N, 3), which is copied.
@@ -67,7 +69,7 @@ class Ancestry:
         Raises ArgumentError if there is not one pose for each particle.
         """
         copy = np.array(poses, dtype=np.float64)
-        expected = len(self), self._trunk.shape[1]
+        expected = len(self), self._width
         if copy.shape != expected:
             raise ArgumentError("poses", f"shape {expected}", copy.shape)
         self._levels.append(_Level(copy, self._leaves))
@@ -112,7 +114,7 @@ class Ancestry:
 
     def snapshot(self) -> Ancestry:
         """Return an independent copy; it shares the levels, which are never written to, and copies the trunk."""
-        return Ancestry(self._leaves, list(self._levels), self._trunk[: self._trunk_length].copy())
+        return Ancestry(self._leaves, list(self._levels), self._trunk_poses)
 
     def __len__(self) -> int:
         """Return the number of particles N."""
@@ -121,17 +123,12 @@ class Ancestry:
     @property
     def steps(self) -> int:
         """Number T of steps so far."""
-        return self._trunk_length + len(self._levels)
+        return len(self._trunk) // self._width + len(self._levels)
 
     @property
-    def common_steps(self) -> int:
-        """How many first steps are one and the same node for all particles."""
-        return self._trunk_length
-
-    @property
-    def node_count(self) -> int:
-        """Number of nodes kept."""
-        return self._trunk_length + sum(len(level.parents) for level in self._levels)
+    def _trunk_poses(self) -> FloatArray:
+        """Poses (S, 3) of the steps that all particles share."""
+        return np.array(self._trunk).reshape(-1, self._width)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the whole state as plain arrays, for a file.
@@ -145,9 +142,9 @@ class Ancestry:
             `leaves` (N,) int64: each particle's place among the nodes of the last step.
         """
         return {
-            "trunk": self._trunk[: self._trunk_length].copy(),
+            "trunk": self._trunk_poses,
             "counts": np.array([len(level.parents) for level in self._levels], dtype=np.int64),
-            "poses": np.concatenate([self._trunk[:0], *(level.poses for level in self._levels)]),
+            "poses": np.concatenate([np.empty((0, self._width)), *(level.poses for level in self._levels)]),
             "parents": np.concatenate([np.empty(0, dtype=np.int64), *(level.parents for level in self._levels)]),
             "leaves": self._leaves.copy(),
         }
@@ -158,14 +155,15 @@ class Ancestry:
 
         Raises ArgumentError if the arrays are not such a state: a wrong shape or type, or a node that is nobody's past.
         """
-        trunk = _checked(arrays, "trunk", np.float64, (-1, 3))
-        counts = _checked(arrays, "counts", np.int64, (-1,))
+        trunk = _checked(arrays, "trunk", np.float64, (None, 3))
+        counts = _checked(arrays, "counts", np.int64, (None,))
         if (counts < 1).any():
             raise ArgumentError("counts", "at least one node a step", counts.min())
         ends = np.cumsum(counts)
-        poses = _checked(arrays, "poses", np.float64, (int(counts.sum()), 3))
-        parents = _checked(arrays, "parents", np.int64, (int(counts.sum()),))
-        leaves = _checked(arrays, "leaves", np.int64, (-1,))
+        nodes = int(counts.sum())
+        poses = _checked(arrays, "poses", np.float64, (nodes, 3))
+        parents = _checked(arrays, "parents", np.int64, (nodes,))
+        leaves = _checked(arrays, "leaves", np.int64, (None,))
         levels = [_Level(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
         places = [*(level.parents for level in levels), leaves]
         for count, used in zip([1, *counts], places, strict=True):
@@ -196,34 +194,25 @@ class Ancestry:
     def _coalesce(self) -> None:
         """Move the leading levels of a single node into the trunk."""
         lone = next((k for k, level in enumerate(self._levels) if len(level.parents) > 1), len(self._levels))
-        if lone == 0:
-            return
-        length = self._trunk_length + lone
-        if length > len(self._trunk):
-            longer = np.empty((max(length, 2 * len(self._trunk)), self._trunk.shape[1]))
-            longer[: self._trunk_length] = self._trunk[: self._trunk_length]
-            self._trunk = longer
-        self._trunk[self._trunk_length : length] = np.concatenate([level.poses for level in self._levels[:lone]])
-        self._trunk_length = length
+        for level in self._levels[:lone]:
+            self._trunk.frombytes(level.poses.tobytes())
         del self._levels[:lone]
 
     def _trajectories(self, places: IntArray) -> FloatArray:
         """Poses (len(places), T, 3) along the pasts of nodes of the newest level."""
-        past = np.empty((len(places), self.steps, self._trunk.shape[1]))
-        past[:, : self._trunk_length] = self._trunk[: self._trunk_length]
+        trunk = self._trunk_poses
+        past = np.empty((len(places), self.steps, self._width))
+        past[:, : len(trunk)] = trunk
         for k in range(len(self._levels) - 1, -1, -1):
             poses, parents = self._levels[k]
-            past[:, self._trunk_length + k] = poses[places]
+            past[:, len(trunk) + k] = poses[places]
             places = parents[places]
         return past
 
 
-def _checked(arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Copy one array of the schema; -1 in `shape` means any length."""
+def _checked(arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
+    """Copy one array of the schema; None in `shape` means any length."""
     if name not in arrays:
         raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-    array = np.array(arrays[name])
-    fits = array.ndim == len(shape) and all(want in (-1, got) for want, got in zip(shape, array.shape, strict=True))
-    if array.dtype != dtype or not fits:
-        raise ArgumentError(name, f"{np.dtype(dtype)} {shape} (-1: any)", f"{array.dtype} {array.shape}")
-    return array
+    require_array(name, arrays[name], dtype, shape)
+    return arrays[name].copy()

@@ -12,12 +12,13 @@ from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
 from gridslam.api.mapping import map_log
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.maps.map_server import write_map
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.maps import write_map
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
-from gridslam.live.replay import ReplayPage
+from gridslam.live.replay import Replay
+from gridslam.live.server import PageServer
 from gridslam.sim import OdometryNoise
 from gridslam.slam.landmarks.report import LandmarkMap
 from support.browsing import PATIENCE_S, click, pixels_of, shown, text, told, wait
@@ -68,7 +69,7 @@ def test_particles_are_seen_to_converge(browser, place, screenshot):
 
 def test_a_localization_is_seen_again(browser, place, tmp_path, screenshot):
     localize(place / "flat.clf", place / "flat.yaml", seed=2).save(tmp_path / "out")
-    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
         wait(lambda: pixels_of(browser, "path") > 100, "the way")
@@ -87,7 +88,7 @@ def seek(browser, at):
 
 def test_a_map_with_known_poses_is_seen_without_a_time_line(browser, place, tmp_path, screenshot):
     map_with_poses(place / "flat.clf", place / "truth.tum").save(tmp_path / "out")
-    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: int(told(browser).get("tiles", "0")) > 10, "the map")
         assert [name for name in ("pause", "step", "speed", "line", "follow", "robot") if shown(browser, name)] == []
@@ -103,7 +104,7 @@ def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
     covariances = np.tile(np.diag([0.04, 0.01, 0.001]), (len(log.truth), 1, 1))
     write_trajectory_csv(tmp_path / "trajectory.csv", log.truth, covariances)
     (tmp_path / "run.json").write_text('{"schema": "gridslam.landmarks/2", "input": {"path": "park.txt"}}')
-    with ReplayPage(tmp_path, LiveOptions(port=0)) as page:
+    with PageServer(Replay(tmp_path), LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: pixels_of(browser, "landmark") > 6 * 30, "six squares")
         assert not shown(browser, "save-map")
@@ -114,7 +115,7 @@ def test_landmarks_are_seen_with_the_way(browser, place, tmp_path, screenshot):
 def test_a_mapped_run_has_a_time_line(browser, drive, tmp_path, screenshot):
     write_carmen(tmp_path / "loop.clf.gz", drive[:200])
     map_log(tmp_path / "loop.clf.gz", configuration=PROVOKED, repair="none").save(tmp_path / "out")
-    with ReplayPage(tmp_path / "out", LiveOptions(port=0)) as page:
+    with PageServer(Replay(tmp_path / "out"), LiveOptions(port=0)) as page:
         browser.get(page.url)
         wait(lambda: told(browser).get("tiles", "0") != "0", "the map")
         line = browser.find_element("id", "line")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gridslam.doctor.beam_times import BeamTimes
+from gridslam.doctor.laser_motion import BeamTimes
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.types import LaserScan, ScanGeometry
 

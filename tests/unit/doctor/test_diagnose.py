@@ -8,6 +8,7 @@ import tracemalloc
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.doctor import CheckedLog, Doctor, Finding, Severity, diagnose, quick_check
-from gridslam.doctor.diagnosis import Diagnosis
 from gridslam.doctor.report import document, markdown, picture_name, text, verdict
 from gridslam.errors import InputError
 from gridslam.io.log import Log
@@ -178,7 +178,8 @@ FINDINGS = (
 
 
 def diagnosis_of(*found):
-    return Diagnosis.of(Path("a.log"), found, {}, LogStatistics(), 1.0, 2.0)
+    log = SimpleNamespace(path=Path("a.log"), statistics=LogStatistics())
+    return Doctor(matching=False).diagnosis(log, found)
 
 
 def test_the_report_tells_the_worst_first_and_fits_into_json():

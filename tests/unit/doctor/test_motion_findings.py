@@ -11,9 +11,7 @@ import pytest
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.finding import Severity
 from gridslam.doctor.laser_motion import laser_motion
-from gridslam.doctor.motion_examiner import MotionExaminer
-from gridslam.doctor.motion_findings import motion_findings
-from gridslam.doctor.wheel_slip import wheel_slips
+from gridslam.doctor.motion_findings import MotionExaminer, motion_findings, wheel_slips
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
 from gridslam.sim.faults import FAULTS, with_fault

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gridslam.doctor.calibration import calibrate
+from gridslam.doctor.calibration import calibrate, robust_fit
 from gridslam.doctor.intervals import interpolate_odometry
 from gridslam.doctor.laser_motion import laser_motion
-from gridslam.doctor.robust_fit import robust_fit
 from gridslam.sim.faults import with_fault
 from support.laser_drives import log, perfect
 

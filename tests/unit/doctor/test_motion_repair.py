@@ -9,11 +9,17 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
-from gridslam.doctor.repair import Repair, calibrate_early, find_full_repair, find_needed_repair, repair_measurements
-from gridslam.doctor.repaired_log import RepairedLog
+from gridslam.doctor.repair import (
+    Repair,
+    RepairedLog,
+    calibrate_early,
+    find_full_repair,
+    find_needed_repair,
+    repair_measurements,
+)
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.se2 import between
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.observers import TrajectoryRecorder

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from gridslam.doctor import Severity
-from gridslam.doctor.cost import estimate_cost
-from gridslam.doctor.reader import reader_findings
+from gridslam.doctor.reader import estimate_cost, reader_findings
 from gridslam.io.log_statistics import LogStatistics, Topic
 from gridslam.io.measurement import Measurement
 from gridslam.types import ScanGeometry

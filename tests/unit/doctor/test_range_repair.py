@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from gridslam.doctor.range_limits import RangeCounts
-from gridslam.doctor.repair import Repair, repair_measurements
-from gridslam.doctor.repaired_log import RepairedLog
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.doctor.repair import Repair, RepairedLog, repair_measurements
+from gridslam.io.csv import write_csv_log
 from gridslam.io.log import open_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, RobotConfig, make_world, simulate

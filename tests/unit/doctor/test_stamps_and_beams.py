@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.doctor import Severity
-from gridslam.doctor.examiner import LogHistogram, Trace, percent
+from gridslam.doctor.finding import Trace, percent
+from gridslam.doctor.stamps import LogHistogram
 from gridslam.io.measurement import Measurement
 from gridslam.types import ScanGeometry
 from support.hand_logs import BEARINGS, GEOMETRY, drive, findings, seen

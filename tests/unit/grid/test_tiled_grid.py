@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.grid import Evidence, TileMaps
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.types import LaserScan, ScanGeometry
 from gridslam.viz.layout import lay_out
 

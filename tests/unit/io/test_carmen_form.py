@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
-from gridslam.io.carmen.form import to_carmen_form
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.csv.columns import rotation_of_angles
+from gridslam.io.carmen.writer import to_carmen_form, write_carmen
+from gridslam.io.csv import rotation_of_angles
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry
 

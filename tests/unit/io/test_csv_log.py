@@ -12,9 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.csv.columns import COLUMNS, angles_of_rotation, rotation_of_angles
-from gridslam.io.csv.reader import CsvLog
-from gridslam.io.csv.writer import write_csv_log
+from gridslam.io.csv import COLUMNS, CsvLog, angles_of_rotation, rotation_of_angles, write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, LaserScan, Odometry, ScanGeometry
 

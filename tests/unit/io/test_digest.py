@@ -9,7 +9,7 @@ import subprocess
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.digest import compute_digest
+from gridslam.io.text import compute_digest
 
 
 def test_a_file(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import InputError
-from gridslam.io.landmarks.files import LANDMARKS_HEADER, read_landmarks, write_landmarks
+from gridslam.io.landmarks import LANDMARKS_HEADER, read_landmarks, write_landmarks
 from gridslam.slam.landmarks.report import LandmarkMap
 
 
@@ -31,10 +31,11 @@ def test_what_is_written_is_read(tmp_path, count):
     ("text", "said"),
     [
         ("a,b\n", "line 1: expected the columns"),
-        (LANDMARKS_HEADER + "\n1,2,3,4,5,6\n", "line 2: expected seven finite numbers"),
+        (LANDMARKS_HEADER + "\n1,2,3,4,5,6\n", r"line 2: expected 7 numbers \(landmark,x_m.*\), got 6"),
         (LANDMARKS_HEADER + "\n1,2,3,4,5,6,7\n1,2,x,4,5,6,7\n", "line 3: expected numbers"),
-        (LANDMARKS_HEADER + "\n1.5,2,3,4,5,6,7\n", "line 2: expected numbers"),
-        (LANDMARKS_HEADER + "\n1,2,nan,4,5,6,7\n", "line 2: expected seven finite numbers"),
+        (LANDMARKS_HEADER + "\n1.5,2,3,4,5,6,7\n", "line 2: expected whole numbers"),
+        (LANDMARKS_HEADER + "\n" + "9" * 30 + ",2,3,4,5,6,7\n", "line 2: expected whole numbers"),
+        (LANDMARKS_HEADER + "\n1,2,nan,4,5,6,7\n", "line 2: expected finite numbers"),
     ],
 )
 def test_bad_files(tmp_path, text, said):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConsumedStateError, InputError
-from gridslam.io.results.localization_state import SavedLocalization, read_localization, write_localization
+from gridslam.io.results.state import SavedLocalization, read_localization, write_localization
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.pipeline import run
 from support.localization_world import drive, flat_map

@@ -7,9 +7,15 @@ import pytest
 from PIL import Image
 
 from gridslam.errors import InputError
-from gridslam.io.maps.image import MapImage, occupancy_percent, read_map_image, unknown_read_as_free
-from gridslam.io.maps.map_server import read_map, write_map
-from gridslam.io.maps.map_yaml import MapDescription
+from gridslam.io.maps import (
+    MapDescription,
+    MapImage,
+    occupancy_percent,
+    read_map,
+    read_map_image,
+    unknown_read_as_free,
+    write_map,
+)
 from gridslam.types import OccupancyGrid
 
 THRESHOLDS = [(0.65, 0.196), (0.65, 0.25), (0.51, 0.49), (1.0, 0.0), (0.8, 0.2)]

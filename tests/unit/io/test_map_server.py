@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.maps.map_server import read_map, write_map
+from gridslam.io.maps import read_map, write_map
 from gridslam.types import OccupancyGrid
 
 YAML = "image: map.pgm\nresolution: 0.05\norigin: [-1.5, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"

@@ -9,12 +9,11 @@ import pytest
 
 from gridslam.errors import InputError
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.csv.reader import CsvLog
-from gridslam.io.digest import compute_digest
-from gridslam.io.log import LogOptions, open_log
-from gridslam.io.log_format import LogFormat, detect_log_format
+from gridslam.io.csv import CsvLog
+from gridslam.io.log import LogFormat, LogOptions, detect_log_format, open_log
 from gridslam.io.selection import SelectedLog
-from gridslam.io.trajectories.trajectory import CSV_HEADER
+from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import CSV_HEADER
 
 CARMEN = b"# a drive\nPARAM robot_length 0.5 host 1.0\nFLASER 1 1.0 0 0 0 0 0 0 1.0 host 1.0\n"
 CSV = b"# a drive\n\nstamp_s,angle_min_rad,angle_increment_rad,ranges_m\n"

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.trajectories.trajectory import CSV_HEADER, read_trajectory_csv, write_trajectory_csv
+from gridslam.io.trajectories import CSV_HEADER, read_trajectory_csv, write_trajectory_csv
 from gridslam.types import Trajectory
 
 ROW = "1.5,1,2,3,1,0,0,1,0,1"

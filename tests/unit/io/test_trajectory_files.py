@@ -6,8 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gridslam.errors import InputError
-from gridslam.io.trajectories.relations import read_relations
-from gridslam.io.trajectories.trajectory import read_tum, write_tum
+from gridslam.io.trajectories import read_relations, read_tum, write_tum
 from gridslam.types import Trajectory
 
 stamps = st.integers(-(10**18), 4 * 10**18)

@@ -12,9 +12,9 @@ from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import BELIEF_HEADER, localize
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.landmarks.files import write_landmarks
-from gridslam.io.maps.map_server import read_map, write_map
-from gridslam.io.trajectories.trajectory import write_trajectory_csv, write_tum
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.maps import read_map, write_map
+from gridslam.io.trajectories import write_trajectory_csv, write_tum
 from gridslam.live.monitor import LOST
 from gridslam.live.replay import Replay
 from gridslam.sim import OdometryNoise
@@ -81,8 +81,8 @@ def test_without_its_map_the_way_is_shown_and_that_is_said(place, tmp_path):
     document["input"]["map"] = str(tmp_path / "gone.yaml")
     replay = Replay(replace_parameters(folder / "out", tmp_path, "run.json", json.dumps(document)))
     _, client = looking(replay)
-    assert "gone.yaml" in replay.missing
-    assert client.status["message"] == replay.missing
+    assert "gone.yaml" in replay.results.missing
+    assert client.status["message"] == replay.results.missing
     assert "map" not in client.run_info["layers"]
     assert len(client.path)
     assert replay.channel_map(0) is None

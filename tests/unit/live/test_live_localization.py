@@ -12,8 +12,7 @@ from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.live.control import Control
-from gridslam.live.localization_monitor import LocalizationMonitor
-from gridslam.live.monitor import LOST
+from gridslam.live.monitor import LOST, LocalizationMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.run import LiveRun
 from gridslam.localization import MonteCarloConfiguration

@@ -14,8 +14,8 @@ from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import write_carmen
-from gridslam.io.graphs.g2o import read_g2o
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.g2o import read_g2o
+from gridslam.io.maps import read_map
 from gridslam.io.results.record import read_record
 from gridslam.live.replay import Replay
 from support.loops import PROVOKED, loop_drive

@@ -11,8 +11,8 @@ from websockets.sync.client import connect
 
 from gridslam.cli.ros import make_viewer_opener
 from gridslam.config import build
-from gridslam.live.control import RobotControl
-from gridslam.live.mapping_monitor import MappingMonitor
+from gridslam.live.control import Control, RobotControl
+from gridslam.live.monitor import MappingMonitor
 from gridslam.live.observer import LiveObserver
 from gridslam.live.options import LiveOptions
 from gridslam.live.page import LivePage
@@ -20,7 +20,7 @@ from gridslam.live.run import LiveRun
 from gridslam.localization import KnownMap, MonteCarloConfiguration
 from gridslam.pipeline import run
 from gridslam.ros import NodeCore, NodeSettings
-from gridslam.ros.node.localization import Localization
+from gridslam.ros.node.session import Localization
 from support.localization_world import drive as localized_drive
 from support.localization_world import flat_map
 from support.loops import PROVOKED, loop_drive
@@ -56,7 +56,7 @@ def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
         live.apply(snapshot)
         observer.release()
 
-    observer = live.observer = LiveObserver(post, robot.control, MappingMonitor(30.0))
+    observer = live.observer = LiveObserver(post, Control(), MappingMonitor(30.0))
     viewer = live.add_viewer(lambda: None)
     sessions = []
     for part in (drive, drive[20:40]):

@@ -7,6 +7,7 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.particles import Ancestry
+from support.ancestry_size import size
 
 
 def row(*xs: float) -> np.ndarray:
@@ -23,13 +24,13 @@ def two_branches() -> Ancestry:
 
 def test_a_worked_tree() -> None:
     ancestry = two_branches()
-    assert (len(ancestry), ancestry.steps, ancestry.common_steps, ancestry.node_count) == (3, 2, 0, 5)
+    assert (len(ancestry), ancestry.steps, *size(ancestry)) == (3, 2, 0, 5)
     np.testing.assert_array_equal(ancestry.trajectories()[:, :, 0], [[0, 10], [1, 11], [1, 12]])
     ancestry.resample([2, 1, 2])
-    assert (ancestry.common_steps, ancestry.node_count) == (1, 3)
+    assert size(ancestry) == (1, 3)
     np.testing.assert_array_equal(ancestry.trajectories()[:, :, 0], [[1, 12], [1, 11], [1, 12]])
     ancestry.resample([1, 1, 1])
-    assert (ancestry.common_steps, ancestry.node_count) == (2, 2)
+    assert size(ancestry) == (2, 2)
     np.testing.assert_array_equal(ancestry.trajectory(2)[:, 0], [1, 11])
 
 
@@ -72,7 +73,7 @@ def test_resample_refuses_what_is_no_parent(parents: list[object]) -> None:
     ancestry = two_branches()
     with pytest.raises(ArgumentError, match="parents"):
         ancestry.resample(parents)
-    assert ancestry.node_count == 5
+    assert size(ancestry)[1] == 5
 
 
 @pytest.mark.parametrize("particle", [-1, 3])
@@ -118,7 +119,7 @@ def test_all_particles_along_one_past() -> None:
     past = np.random.default_rng(0).normal(size=(7, 3))
     ancestry = Ancestry.from_trajectory(past, 4)
     given, past[:] = past.copy(), 9.0
-    assert (len(ancestry), ancestry.steps, ancestry.common_steps, ancestry.node_count) == (4, 7, 7, 7)
+    assert (len(ancestry), ancestry.steps, *size(ancestry)) == (4, 7, 7, 7)
     lone = Ancestry.start(given[:1])
     for pose in given[1:]:
         lone.extend(pose[None])

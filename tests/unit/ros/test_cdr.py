@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from gridslam.io.bags.ros_messages import decode_transforms, wire_of_cdr
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.node.transport import TOPICS
 from gridslam.ros.ros2.cdr import FIELDS, PRIMITIVES, decode_message, encode_message, parse_fields
-from gridslam.ros.ros2.outputs import TOPICS, Ros2Outputs
+from gridslam.ros.ros2.outputs import Ros2Outputs
 
 STAMP = 1_700_000_000_123_456_789
 NUMBERS = {

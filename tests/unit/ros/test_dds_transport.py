@@ -11,11 +11,12 @@ pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not in
 
 from gridslam.ros.node.messages import GridMessage
 from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import TOPICS, RosNode
 from gridslam.ros.ros2 import dds
 from gridslam.ros.ros2.arguments import RosArguments
 from gridslam.ros.ros2.cdr import encode_message
-from gridslam.ros.ros2.outputs import TOPICS, Ros2Outputs
-from gridslam.ros.ros2.ros2_dds import DdsNode
+from gridslam.ros.ros2.outputs import Ros2Outputs
+from gridslam.ros.ros2.ros2_dds import DdsTransport
 from support.dds_peer import free_domain
 from support.ros_node import until
 
@@ -29,9 +30,10 @@ def scan(beams):
 
 
 def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
-    node = DdsNode(RosArguments(), node_parameters({}, "default"), domain=free_domain(), interfaces=["127.0.0.1"])
-    take = {reader.topic.name: partial(take, sender="test") for reader, take in node._participant._readers}
+    transport = DdsTransport(RosArguments(), domain=free_domain(), interfaces=["127.0.0.1"])
+    node = RosNode(transport, node_parameters({}, "default"))
     node.start()
+    take = {reader.topic.name: partial(take, publisher="test") for reader, take in transport._participant._readers}
     try:
         take["rt/scan"](scan(26_214_400))
         take["rt/scan"](b"\0\1\0\0nonsense")
@@ -47,7 +49,7 @@ def test_bytes_that_are_no_scan_are_named_and_the_node_lives(capfd):
         assert "scan refused: /scan: 26214400 beams, more than the maximum of 100000" in "".join(said)
         assert not node.core.ended.is_set()
     finally:
-        node.close(None)
+        node.close()
     assert node.core.failure is None
 
 

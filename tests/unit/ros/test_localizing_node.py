@@ -11,11 +11,11 @@ from gridslam.api.localization import localize
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import MessageError, wire_of_cdr, wire_of_ros1
-from gridslam.io.maps.map_server import write_map
+from gridslam.io.maps import write_map
 from gridslam.ros import NodeCore
-from gridslam.ros.node.initial_pose import set_pose_from_message
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import set_pose_from_message
 from gridslam.ros.ros2.cdr import encode_message
 from support.localization_world import drive, flat_map
 from support.ros_node import RecordedOutputs, mounting, play, until

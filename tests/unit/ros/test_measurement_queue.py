@@ -12,8 +12,8 @@ from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
 from gridslam.ros.node.accepted_scan import AcceptedScan, find_refusal_reason
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Level
-from gridslam.ros.node.settings import NodeSettings
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.ros.node.parameters import NodeSettings
+from gridslam.ros.node.state_publisher import ThrottledWarnings
 from support.ros_node import BASE, LASER, ODOM, mounting
 
 S = 10**9

@@ -16,11 +16,11 @@ from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose
-from gridslam.io.maps.map_server import read_map
+from gridslam.io.maps import read_map
 from gridslam.ros import NodeCore, NodeSettings
 from gridslam.ros.node.messages import Level
 from gridslam.ros.node.rendering import map_cells
-from gridslam.ros.node.services import save_results
+from gridslam.ros.node.transport import save_results
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support.ros_node import BASE, ODOM, RecordedOutputs, mounting, odometry_message, play, scan_message, until
 
@@ -64,8 +64,8 @@ def test_where_the_record_cannot_go_on_the_map_does(drive, tmp_path):
     outputs = RecordedOutputs()
     core = node(outputs, record=tmp_path / "scans.csv")
     drive_all(core, outputs, drive[:10])
-    core._session.close()
-    core._session._recorder._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115 - the recorder closes it
+    core._recorder.close()
+    core._recorder._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115 - the recorder closes it
     drive_all(core, outputs, drive[10:60])
     assert outputs.warnings().count("No space left on device") == 1
     assert core.save(tmp_path / "out")["scans"]["read"] == 60

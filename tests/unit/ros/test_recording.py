@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from gridslam.errors import OutputError
 from gridslam.geometry import rigid
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.csv.reader import CsvLog
-from gridslam.ros.node.accepted_scan import MeasurementBuilder, find_refusal_reason
-from gridslam.ros.node.recording import ScanRecorder
+from gridslam.io.csv import CsvLog
+from gridslam.ros.node.accepted_scan import MeasurementBuilder, ScanRecorder, find_refusal_reason
 from gridslam.types import Odometry
 
 single = st.floats(width=32)

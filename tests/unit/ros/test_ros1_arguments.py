@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.ros1.arguments import check_ros1_arguments
+from gridslam.ros.ros1.ros1 import check_ros1_arguments
 
 
 def test_arguments_of_ros_are_let_through():

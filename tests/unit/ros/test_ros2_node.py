@@ -84,7 +84,7 @@ def test_a_drive_by_way_of_bytes(monkeypatch, drive, tmp_path):
 
     run(world, script, given={"out": str(tmp_path / "out")})
     assert (tmp_path / "out" / "map.pgm").is_file()
-    assert "message refused: scan: " in str(world.logged)
+    assert "message refused: /scan: " in str(world.logged)
     assert "ignored parameters: xmin" in str(world.logged)
     assert world.nodes[0].destroyed
 
@@ -140,7 +140,7 @@ def test_quality_of_service(monkeypatch):
     assert told(world.publishers["map"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["map_metadata"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
     assert told(world.publishers["/tf"][1]) == ("RELIABLE", "VOLATILE", 10)
-    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 5)
+    assert told(world.subscriptions["scan"][1]) == ("BEST_EFFORT", "VOLATILE", 10)
     assert told(world.subscriptions["/tf_static"][1]) == ("RELIABLE", "TRANSIENT_LOCAL", 100)
 
 
@@ -199,7 +199,7 @@ def scan_bytes(measurement, **changes):
         ),
         ({"stamp_ns": 0}, "scan refused: /scan: expected a stamp of more than 0 s"),
         ({"frame": ""}, "scan refused: /scan: expected the name of a frame"),
-        ({"angle_min": float("nan")}, "message refused: scan: its angles are from nan"),
+        ({"angle_min": float("nan")}, "message refused: /scan: its angles are from nan"),
     ],
 )
 def test_what_is_no_scan_is_named_and_the_next_one_is_taken(monkeypatch, drive, change, says):

@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridslam.geometry.compounding import compound_covariance
 from gridslam.geometry.se2 import between, compose
+from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import DiffusionMotion, GaussianIncrement
 from gridslam.particles import NeverResample
-from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker
+from gridslam.sim import LidarConfig, RobotConfig, make_world, simulate
+from gridslam.sim import OdometryNoise as SimulatedNoise
+from gridslam.slam import GridFastSlam, MotionModelProposal, OdometryTracker, Tracker
 from gridslam.slam.grid_fastslam.odometry_noise import OdometryNoise, is_worse_than_velocity
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.tracking.prediction import ConstantVelocity
@@ -168,3 +172,60 @@ def test_velocity_is_better_where_either_is_told_to_be_worse():
         for scaled in (np.diag([(share * sigma_m) ** 2, 1e-8, 1e-8]), np.diag([1e-8, 1e-8, (share * sigma_rad) ** 2])):
             assert is_worse_than_velocity(Odometry.at(0, np.zeros(3), scaled), 0.2, velocity) is worse
     assert not is_worse_than_velocity(Odometry.at(0, np.zeros(3)), 0.2, velocity)
+
+
+def tracked(log, covariances):
+    """Poses (N, 3) that the tracker alone finds, by odometry of increments with these covariances."""
+    scans = [scan.beams(0.05, 30.0) for _, scan in log.measurements]
+    tracker = Tracker()
+    state = tracker.init(log.measurements[0].odometry, scans[0].scan.stamp_ns, scans[0], OccupancyGridMapping())
+    poses = [state.pose]
+    since = None
+    for (odometry, scan), beams, covariance in zip(log.measurements[1:], scans[1:], covariances, strict=True):
+        if covariance is not None:  # compounded since the last scan that was matched
+            moved = between(state.matched_odometry, state.odometry)
+            before = np.zeros((3, 3)) if since is None or np.array_equal(moved, np.zeros(3)) else since
+            since = compound_covariance(moved, before, between(state.odometry, odometry.pose), covariance)
+        poses.append(tracker.step(state, odometry, scan.stamp_ns, beams, since).pose)
+    return np.array(poses)
+
+
+def test_the_tracker_weighs_odometry_by_the_covariance_that_is_reported(drive):
+    """Odometry that is off by 4 cm and 0.02 rad holds a match near it, and one 100 times less certain does not."""
+    tracker = Tracker(standstill_m=0.0, standstill_rad=0.0)
+    scans = [scan.beams(0.05, 30.0) for _, scan in drive.measurements[:31]]
+    state = tracker.init(drive.measurements[0].odometry, scans[0].scan.stamp_ns, scans[0], OccupancyGridMapping())
+    for (odometry, scan), beams in zip(drive.measurements[1:30], scans[1:30], strict=True):
+        tracker.step(state, odometry, scan.stamp_ns, beams)
+    odometry = drive.measurements[30].odometry
+    wrong = Odometry.at(odometry.stamp_ns, compose(odometry.pose, [0.03, -0.03, 0.02]))
+    away = []
+    for variance in (1e-8, 1e-6):
+        found = tracker.step(state.snapshot(), wrong, odometry.stamp_ns, scans[30], variance * np.eye(3))
+        off = between(found.predicted, found.pose)
+        away.append((np.hypot(off[0], off[1]), abs(off[2])))
+    certain, uncertain = np.array(away)
+    assert (certain < 0.8 * uncertain).all()
+    assert certain[0] < 0.01 < 0.03 < uncertain[0]
+
+
+def test_a_valid_covariance_of_the_odometry_makes_the_tracker_better():
+    """Ten drives whose odometry has noise of known covariance: the error of the motion over ten scans, in the mean."""
+    alpha = 2e-4
+    errors = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        noise = SimulatedNoise(1.0, 1.0, 0.0, alpha, alpha, alpha, alpha)
+        log = simulate(make_world("rooms", rng), RobotConfig(), noise, LidarConfig(beams=120, rate_hz=5.0), rng)
+        log = replace(log, measurements=log.measurements[:120])
+        increments = between(log.odometry.poses[:119], log.odometry.poses[1:120])
+        variances = alpha * (np.hypot(increments[:, 0], increments[:, 1]) + np.abs(increments[:, 2])) + 1e-8
+        covariances = [np.diag([variance, 1e-8, variance]) for variance in variances]
+        true = between(log.truth.poses[:110], log.truth.poses[10:120])
+        errors.append([])
+        for known in (covariances, [None] * 119):
+            poses = tracked(log, known)
+            off = between(true, between(poses[:-10], poses[10:]))
+            errors[-1].append((np.hypot(off[:, 0], off[:, 1]).mean(), np.abs(off[:, 2]).mean()))
+    with_covariance, without = np.mean(errors, axis=0)
+    assert (with_covariance < without).all()

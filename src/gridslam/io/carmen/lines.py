@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.types import FloatArray
 
-__all__ = [
-    "SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "format_stamp_ns", "parse_pose", "parse_rows", "parse_stamp_ns",
-]  # fmt: skip
+__all__ = ["SCAN_TAGS", "BeamLayout", "LineError", "ScanRows", "parse_pose", "parse_rows"]
 
 SCAN_TAGS = {"FLASER": "front", "RLASER": "rear", "REMISSIONFLASER": "front", "ROBOTLASER1": "robotlaser1"}
 """Tags of lines that hold a scan, with the name of the sensor they are from."""
@@ -27,10 +23,7 @@ _ROBOTLASER_TAIL = 11  # laser pose, robot pose, tv, rv, forward and side safety
 class LineError(ValueError):
     """A line does not have the form of its tag; `row` is the index of the line."""
 
-    def __init__(self, problem: str, row: int = 0) -> None:
-        """State what was expected and what was found."""
-        super().__init__(problem)
-        self.row = row
+    row = 0
 
 
 @final
@@ -50,8 +43,6 @@ class ScanRows:
 
     Attributes
     ----------
-    first : int
-        Which of the given lines the first row is.
     ranges : (K, B) float64, m
         As they stand in the log.
     laser_poses, robot_poses : (K, 3) float64 or None
@@ -60,34 +51,10 @@ class ScanRows:
         None if the line does not state it.
     """
 
-    first: int
     ranges: FloatArray
     laser_poses: FloatArray | None
     robot_poses: FloatArray | None
     layout: BeamLayout | None = None
-
-
-def parse_stamp_ns(text: str) -> int:
-    """Nanoseconds of a decimal number of seconds, exactly; raises LineError."""
-    seconds, _, fraction = text.partition(".")
-    if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10:
-        stamp = int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
-        if stamp < 2**63:
-            return stamp
-    try:
-        value = Decimal(text).scaleb(9)
-        if -(2**63) <= value < 2**63:
-            return int(value)
-    except ArithmeticError:
-        pass
-    raise LineError(f"expected a stamp in seconds that fits 64 bits of nanoseconds, got {text!r}")
-
-
-def format_stamp_ns(stamp_ns: int) -> str:
-    """Exact decimal seconds: six decimals, as is usual, or nine where needed."""
-    sign, (seconds, nanoseconds) = "-" if stamp_ns < 0 else "", divmod(abs(stamp_ns), 10**9)
-    fraction = f"{nanoseconds:09d}" if nanoseconds % 1000 else f"{nanoseconds // 1000:06d}"
-    return f"{sign}{seconds}.{fraction}"
 
 
 def parse_pose(words: Sequence[str]) -> FloatArray:
@@ -96,109 +63,112 @@ def parse_pose(words: Sequence[str]) -> FloatArray:
         pose = np.array([float(word) for word in words])
     except ValueError:
         raise LineError(f"expected x y theta, got {' '.join(words)!r}") from None
-    if pose.shape != (3,) or not _are_poses(pose[None])[0]:
+    if pose.shape != (3,) or not (np.abs(pose) < FARTHEST_M).all():
         raise LineError(f"{_POSE}, got {' '.join(words)!r}")
     return pose
 
 
-def parse_rows(tag: str, texts: Sequence[str]) -> list[ScanRows]:
-    """Convert the numbers between tag and stamp of lines of one tag; raises LineError with the offending row.
+def parse_rows(tag: str, texts: Sequence[str]) -> list[tuple[int, ScanRows]]:
+    """Convert the numbers between tag and stamp of lines of one tag: scans, and which line the first of them is on.
 
     Lines of the same length are converted by one call, which also proves that each has the same number of values.
+    Raises LineError with the offending row.
     """
     try:
         values = np.loadtxt(texts, dtype=np.float64, comments=None, ndmin=2)
-        same = len(values) == len(texts) and _same_form(tag, values)
+        if len(values) == len(texts) and _have_same_form(tag, values):
+            return [(0, _decode(tag, values))]
     except ValueError:
-        same = False
-    if same:
-        return [_decode(tag, values, 0)]
-    return [_decode(tag, _numbers(tag, text, row), row) for row, text in enumerate(texts)]
+        pass  # below it is found out which line it is
+    found = []
+    for row, text in enumerate(texts):
+        try:
+            found.append((row, _decode(tag, _numbers(tag, text))))
+        except LineError as error:
+            error.row = row
+            raise
+    return found
 
 
-def _same_form(tag: str, values: FloatArray) -> bool:
+def _have_same_form(tag: str, values: FloatArray) -> bool:
     if tag != "ROBOTLASER1":
         return bool((values[:, 0] == values[0, 0]).all())
-    count = _count(tag, values, 7, 0)
     settings = values[:, :8]
-    remissions = values[:, min(8 + count, values.shape[1] - 1)]
+    remissions = values[:, min(8 + _count(tag, values, 7), values.shape[1] - 1)]
     return bool((settings == settings[0]).all() and (remissions == remissions[0]).all())
 
 
-def _numbers(tag: str, text: str, row: int) -> FloatArray:
+def _numbers(tag: str, text: str) -> FloatArray:
     """Values (1, L) of one line."""
-    words = text.split()
-    for place, word in enumerate(words, 2):
+    numbers = []
+    for place, word in enumerate(text.split(), 2):
         try:
-            float(word)
+            numbers.append(float(word))
         except ValueError:
-            raise LineError(f"expected a number as word {place} of a {tag} line, got {word!r}", row) from None
-    return np.array([[float(word) for word in words]])
+            raise LineError(f"expected a number as word {place} of a {tag} line, got {word!r}") from None
+    return np.array([numbers])
 
 
-def _decode(tag: str, values: FloatArray, row: int) -> ScanRows:
+def _decode(tag: str, values: FloatArray) -> ScanRows:
     decode = {"ROBOTLASER1": _robotlaser, "REMISSIONFLASER": _remissions}.get(tag, _flaser)
-    rows = decode(tag, values, row)
+    rows = decode(tag, values)
     for poses in (rows.laser_poses, rows.robot_poses):
-        if poses is not None and not (usable := _are_poses(poses)).all():
-            bad = int(np.flatnonzero(~usable)[0])
-            raise LineError(f"{_POSE}, got {' '.join(map(str, poses[bad]))}", row + bad)
+        if poses is not None:
+            bad = np.flatnonzero(~(np.abs(poses) < FARTHEST_M).all(axis=1))
+            if len(bad):
+                raise LineError(f"{_POSE}, got {' '.join(map(str, poses[bad[0]]))}")
     return rows
 
 
-def _are_poses(poses: FloatArray) -> NDArray[np.bool_]:
-    """Whether each of (N, 3) is finite and of a robot on Earth."""
-    return np.asarray((np.abs(poses) < FARTHEST_M).all(axis=1))
-
-
-def _count(tag: str, values: FloatArray, column: int, row: int) -> int:
+def _count(tag: str, values: FloatArray, column: int) -> int:
     """Read the number that stands in `column` as a count of values that follow."""
     count = values[0, column] if column < values.shape[1] else np.nan
     if not (0 <= count < 1e6 and count == int(count)):
-        raise LineError(f"expected a whole number as word {column + 2} of a {tag} line, got {count:g}", row)
+        raise LineError(f"expected a whole number as word {column + 2} of a {tag} line, got {count:g}")
     return int(count)
 
 
-def _check_length(tag: str, n: int, missing: int, row: int) -> None:
-    if missing:
-        few = "too few" if missing > 0 else "too many"
-        problem = f"expected {n} readings and what follows them in a {tag} line, got {abs(missing)} values {few}"
-        raise LineError(problem, row)
-
-
-def _beam_count(tag: str, values: FloatArray, column: int, row: int) -> int:
-    n = _count(tag, values, column, row)
+def _beam_count(tag: str, values: FloatArray, column: int) -> int:
+    n = _count(tag, values, column)
     if n == 0:
-        raise LineError(f"expected at least one reading in a {tag} line, got 0", row)
+        raise LineError(f"expected at least one reading in a {tag} line, got 0")
     return n
 
 
-def _flaser(tag: str, values: FloatArray, row: int) -> ScanRows:
+def _check_length(tag: str, values: FloatArray, n: int, length: int) -> None:
+    missing = length - values.shape[1]
+    if missing:
+        few = "too few" if missing > 0 else "too many"
+        problem = f"expected {n} readings and what follows them in a {tag} line, got {abs(missing)} values {few}"
+        raise LineError(problem)
+
+
+def _flaser(tag: str, values: FloatArray) -> ScanRows:
     """``n r1..rn x y theta odom_x odom_y odom_theta``, or without the poses."""
-    n = _beam_count(tag, values, 0, row)
-    ranges, tail = values[:, 1 : n + 1], values[:, n + 1 :]
+    n = _beam_count(tag, values, 0)
+    ranges = values[:, 1 : n + 1]
     if values.shape[1] == n + 1:
-        return ScanRows(row, ranges, None, None)
-    _check_length(tag, n, n + 7 - values.shape[1], row)
-    return ScanRows(row, ranges, tail[:, :3], tail[:, 3:])
+        return ScanRows(ranges, None, None)
+    _check_length(tag, values, n, n + 7)
+    return ScanRows(ranges, values[:, n + 1 : n + 4], values[:, n + 4 :])
 
 
-def _remissions(tag: str, values: FloatArray, row: int) -> ScanRows:
+def _remissions(tag: str, values: FloatArray) -> ScanRows:
     """``n r1 remission1..rn remission_n``: an old form without poses."""
-    n = _beam_count(tag, values, 0, row)
-    _check_length(tag, n, 2 * n + 1 - values.shape[1], row)
-    return ScanRows(row, np.ascontiguousarray(values[:, 1::2]), None, None)
+    n = _beam_count(tag, values, 0)
+    _check_length(tag, values, n, 2 * n + 1)
+    return ScanRows(np.ascontiguousarray(values[:, 1::2]), None, None)
 
 
-def _robotlaser(tag: str, values: FloatArray, row: int) -> ScanRows:
+def _robotlaser(tag: str, values: FloatArray) -> ScanRows:
     """``type start fov step max accuracy mode n r1..rn m rem1..rem_m laser_pose robot_pose tv rv fwd side axis``."""
-    n = _beam_count(tag, values, 7, row)
+    n = _beam_count(tag, values, 7)
     if values.shape[1] < n + 9:
-        _check_length(tag, n, n + 9 + _ROBOTLASER_TAIL - values.shape[1], row)
-    end = n + 9 + _count(tag, values, n + 8, row)
-    _check_length(tag, n, end + _ROBOTLASER_TAIL - values.shape[1], row)
-    start, step, max_m = (float(values[0, column]) for column in (1, 3, 4))
+        _check_length(tag, values, n, n + 9 + _ROBOTLASER_TAIL)
+    end = n + 9 + _count(tag, values, n + 8)
+    _check_length(tag, values, n, end + _ROBOTLASER_TAIL)
+    start, step, max_m = values[0, [1, 3, 4]].tolist()
     if not (np.isfinite([start, step]).all() and step > 0):
-        raise LineError(f"expected a start angle and a positive angular resolution, got {start:g} and {step:g}", row)
-    ranges, poses = values[:, 8 : n + 8], values[:, end : end + 6]
-    return ScanRows(row, ranges, poses[:, :3], poses[:, 3:], BeamLayout(start, step, max_m))
+        raise LineError(f"expected a start angle and a positive angular resolution, got {start:g} and {step:g}")
+    layout = BeamLayout(start, step, max_m)
+    return ScanRows(values[:, 8 : n + 8], values[:, end : end + 3], values[:, end + 3 : end + 6], layout)

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import final
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gridslam.errors import InputError
-from gridslam.io.carmen.lines import SCAN_TAGS
-from gridslam.io.carmen.parser import CarmenParser
+from gridslam.geometry.angles import wrap
+from gridslam.io.carmen.lasers import CarmenLasers
+from gridslam.io.carmen.lines import SCAN_TAGS, LineError, ScanRows, parse_pose, parse_rows
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
+from gridslam.io.tables import parse_stamp_ns
 from gridslam.io.text import TextSource
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry
 
 __all__ = ["CarmenLog"]
 
@@ -60,7 +67,7 @@ class CarmenLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         source = TextSource(self.path)
-        parser = CarmenParser(self.path)
+        parser = _Parser(self.path)
         statistics = self.statistics = parser.statistics
         statistics.total_bytes = source.total_bytes
         for lines in source:
@@ -77,7 +84,7 @@ class CarmenLog:
             problem = f"expected laser scans ({', '.join(SCAN_TAGS)}), got no scan (other tags: {others})"
             raise InputError(self.path, problem)
 
-    def _last_line(self, parser: CarmenParser, line: str, is_truncated: bool) -> Iterator[Measurement]:
+    def _last_line(self, parser: _Parser, line: str, is_truncated: bool) -> Iterator[Measurement]:
         """Parse the last line, which no line end follows: it may be whole, or the file was cut off within it."""
         if is_truncated:
             return
@@ -95,3 +102,148 @@ class CarmenLog:
         self.statistics.truncated = True
         if not self.keep_truncated:
             raise InputError(self.path, f"{problem}; {self.statistics.scan_count} scans were read before")
+
+
+class _ScanLine(NamedTuple):
+    """A line that waits for its numbers to be converted together with others of its form."""
+
+    number: int
+    text: str
+    stamp_ns: int
+    odometry_line: tuple[str, int] | None
+
+
+@final
+class _Parser:
+    """One pass over a log: parameters, odometry and mountings of earlier lines hold for later ones."""
+
+    def __init__(self, path: Path) -> None:
+        self.statistics = LogStatistics()
+        self._path = path
+        self._lasers = CarmenLasers(path)
+        self._has_poses: dict[str, bool] = {}
+        self._odometry_line: tuple[str, int] | None = None
+        self._waiting = defaultdict[tuple[str, int], list[_ScanLine]](list)  # by tag and number of blanks
+
+    def parse(self, lines: Sequence[str]) -> Iterator[Measurement]:
+        """Yield the measurements in the next lines; raises InputError with the number of a malformed one."""
+        statistics = self.statistics
+        for number, line in enumerate(lines, statistics.lines + 1):
+            tag = line.partition(" ")[0]
+            if tag == "ODOM":
+                statistics.odometry_lines += 1
+                self._odometry_line = (line, number)
+            elif tag in SCAN_TAGS:
+                self._add(tag, line, number)
+            elif line and not line.isspace():
+                yield from self._other(line, number)
+        statistics.lines += len(lines)
+        yield from self._flush()
+
+    def _other(self, line: str, number: int) -> Iterator[Measurement]:
+        words = line.split()
+        tag = words[0]
+        if tag.startswith("#"):
+            self.statistics.comments += 1
+        elif tag == "PARAM" and len(words) >= 3:
+            name, value = words[1:3]
+            self.statistics.parameters[name] = value
+            if self._lasers.uses(name):
+                yield from self._flush()
+                self._lasers.set_parameter(name, value, number)
+        elif tag in SCAN_TAGS:  # after or before other white space than one blank
+            self._add(tag, line.strip(), number)
+        else:
+            self.statistics.unused_tags[tag] += 1
+
+    def _add(self, tag: str, line: str, number: int) -> None:
+        parts = line.rsplit(None, 3)
+        if len(parts) < 4 or parts[0] == tag:
+            raise InputError(self._path, f"expected a whole {tag} line, got {line[:60]!r}", number)
+        text = parts[0][len(tag) + 1 :]
+        try:
+            stamp_ns = parse_stamp_ns(parts[1])
+        except ValueError as error:
+            raise InputError(self._path, f"{error}, three words before the line's end", number) from None
+        waiting = self._waiting[tag, text.count(" ")]
+        waiting.append(_ScanLine(number, text, stamp_ns, self._odometry_line))
+
+    def _flush(self) -> Iterator[Measurement]:
+        """Convert what waits and yield it in file order."""
+        scans: list[tuple[int, Measurement]] = []
+        for (tag, _), lines in self._waiting.items():
+            try:
+                for first, rows in parse_rows(tag, [line.text for line in lines]):
+                    self._check_poses(tag, first, rows)
+                    scans.extend(self._measurements(tag, rows, lines[first : first + len(rows.ranges)]))
+            except LineError as error:
+                raise InputError(self._path, str(error), lines[error.row].number) from None
+            self.statistics.scans[tag] += len(lines)
+        self._waiting.clear()
+        scans.sort(key=lambda scan: scan[0])
+        self._count([measurement for _, measurement in scans])
+        for _, measurement in scans:
+            yield measurement
+
+    def _check_poses(self, tag: str, first: int, rows: ScanRows) -> None:
+        """Refuse a line with another number of poses than those before: some of its readings are missing."""
+        has = rows.robot_poses is not None
+        if self._has_poses.setdefault(tag, has) != has:
+            want, got = ("none", "six") if has else ("six", "none")
+            error = LineError(f"expected {want} pose values after the readings as in lines before, got {got}")
+            error.row = first
+            raise error
+
+    def _measurements(self, tag: str, rows: ScanRows, lines: list[_ScanLine]) -> Iterator[tuple[int, Measurement]]:
+        """Yield the scans of one form, each with the number of its line."""
+        sensor = SCAN_TAGS[tag]
+        geometry = self._lasers.geometry(tag, sensor, rows)
+        self.statistics.mountings[sensor] = self._lasers.mountings[sensor]
+        limit = self._lasers.range_max_m(sensor, rows.layout)
+        ranges = rows.ranges
+        status = self._status(ranges, limit)
+        poses = None if rows.robot_poses is None else _normalised(rows.robot_poses)
+        for array in (ranges, status, poses):
+            if array is not None:
+                array.flags.writeable = False
+        frame = f"{sensor}_laser"
+        for row, (number, _, stamp_ns, odometry_line) in enumerate(lines):
+            odometry = self._odometry(odometry_line) if poses is None else Odometry(stamp_ns, poses[row])
+            scan = LaserScan(stamp_ns, ranges[row], status[row], geometry, 0.0, limit, sensor, frame)
+            yield number, Measurement(odometry, scan)
+
+    def _status(self, ranges: FloatArray, limit: float) -> NDArray[np.uint8]:
+        """Decide each beam's status (K, B) and count."""
+        no_return = ranges >= limit
+        invalid = ~(ranges > 0)
+        status = no_return * np.uint8(BeamStatus.NO_RETURN) + invalid * np.uint8(BeamStatus.INVALID)
+        statistics = self.statistics
+        statistics.beam_counts[ranges.shape[1]] += len(ranges)
+        statistics.no_return_beams += int(np.count_nonzero(no_return))
+        statistics.invalid_beams += int(np.count_nonzero(invalid))
+        return status
+
+    def _odometry(self, source: tuple[str, int] | None) -> Odometry | None:
+        """Odometry of an ODOM line."""
+        if source is None:
+            return None
+        line, number = source
+        words = line.split()
+        try:
+            if len(words) < 8:
+                raise LineError(f"expected ODOM x y theta tv rv accel and a stamp, got {len(words)} words")
+            return Odometry(parse_stamp_ns(words[7]), _normalised(parse_pose(words[1:4])[None])[0])
+        except ValueError as error:
+            raise InputError(self._path, str(error), number) from None
+
+    def _count(self, measurements: list[Measurement]) -> None:
+        poses = [measurement.odometry.pose for measurement in measurements if measurement.odometry is not None]
+        self.statistics.without_odometry += len(measurements) - len(poses)
+        self.statistics.count_path(np.array(poses).reshape(-1, 3))
+        for measurement in measurements:
+            self.statistics.count_stamp(measurement.scan)
+
+
+def _normalised(poses: FloatArray) -> FloatArray:
+    """Copy of poses (N, 3) with theta in [-pi, pi)."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])

@@ -1,7 +1,9 @@
-"""record.npz: what the particles did at each key scan, for replaying a run."""
+"""record.npz: what the particles did at each key scan, for replaying a run; archives of plain arrays."""
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -11,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.io.results.archive import read_arrays
+from gridslam.io.text import open_for_reading
 from gridslam.types import FloatArray, IntArray, StepReport
 
-__all__ = ["Record", "RecordFlag", "RecordWriter", "read_record"]
+__all__ = ["Record", "RecordFlag", "RecordWriter", "read_arrays", "read_record"]
 
 _SCHEMA = "gridslam.record/1"
 
@@ -93,20 +95,18 @@ class RecordWriter:
         """
         if report.skipped is not None or report.poses is None or report.log_weights is None:
             return
-        rows = self._rows
-        if rows["poses"] and len(rows["poses"][0]) != len(report.poses):
-            raise ArgumentError("report", f"{len(rows['poses'][0])} particles as before", len(report.poses))
+        earlier = self._rows["poses"]
+        if earlier and len(earlier[0]) != len(report.poses):
+            raise ArgumentError("report", f"{len(earlier[0])} particles as before", len(report.poses))
         flags = RecordFlag.LOST * report.lost | RecordFlag.RESAMPLED * (report.parents is not None)
         flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
         parents = np.arange(len(report.poses)) if report.parents is None else report.parents
-        rows["stamps_ns"].append(report.stamp_ns)
-        rows["poses"].append(np.array(report.poses, dtype=np.float32))
-        rows["log_weights"].append(np.array(report.log_weights, dtype=np.float64))
-        rows["parents"].append(np.array(parents, dtype=np.int32))
-        rows["best"].append(report.best)
-        rows["n_eff"].append(report.n_eff)
-        rows["flags"].append(int(flags))
-        rows["latency_s"].append(latency_s)
+        row: dict[str, Any] = {
+            "stamps_ns": report.stamp_ns, "poses": report.poses, "log_weights": report.log_weights, "parents": parents,
+            "best": report.best, "n_eff": report.n_eff, "flags": int(flags), "latency_s": latency_s,
+        }  # fmt: skip
+        for name, (dtype, _) in _FORMS.items():
+            self._rows[name].append(np.array(row[name], dtype))
 
     def write(self, path: str | Path) -> None:
         """Write what was collected, compressed; a run without key scan gives arrays of length 0."""
@@ -128,3 +128,19 @@ def read_record(path: str | Path) -> Record:
             got = f"{arrays[name].dtype} {arrays[name].shape}" if name in arrays else "nothing"
             raise InputError(path, f"expected {name} as {np.dtype(dtype)} {want}, got {got}")
     return Record(**{name: arrays[name] for name in _FORMS})
+
+
+def read_arrays(path: str | Path, schema: str, what: str) -> dict[str, NDArray[Any]]:
+    """All arrays of an .npz without pickles; raises InputError where the file is not `what` or of another schema."""
+    with open_for_reading(path) as file:
+        try:
+            with zipfile.ZipFile(file):
+                file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(path, f"expected {what}, got: {error}") from None
+    got = str(arrays.get("schema", "none"))
+    if got != schema:
+        raise InputError(path, f"expected schema {schema}, got {got}")
+    return arrays

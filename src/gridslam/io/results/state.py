@@ -1,25 +1,33 @@
-"""A run between two scans as one file, so that it can be resumed with identical results."""
+"""A run or a localization between two scans as one file, so that it can be resumed with identical results."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.config import Configuration, dumps, loads
+from gridslam.config.tables import replace_parameters, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
-from gridslam.io.results.archive import read_arrays, write_arrays
-from gridslam.io.results.generator import dump_generator, load_generator
+from gridslam.io.output import write_atomically
+from gridslam.io.results.record import read_arrays
+from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.state import MonteCarloState
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 
-__all__ = ["SavedRun", "read_state", "write_state"]
+__all__ = ["SavedLocalization", "SavedRun", "read_localization", "read_state", "write_localization", "write_state"]
 
-_SCHEMA = "gridslam.saved_run/4"
+_RUN_SCHEMA = "gridslam.saved_run/4"
+_LOCALIZATION_SCHEMA = "gridslam.saved_localization/2"
+_GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
+"""Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
+_Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
 
 @final
@@ -48,6 +56,26 @@ class SavedRun:
     statistics: StatisticsRecorder = field(default_factory=StatisticsRecorder)
 
 
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedLocalization:
+    """All that a localization is between two scans, but the map: go on with `pipeline.run`.
+
+    Attributes
+    ----------
+    configuration : MonteCarloConfiguration
+        What the filter is put together from.
+    state : MonteCarloState
+        The filter's state; a file is written from it without consuming it.
+    rng : numpy.random.Generator
+        Over PCG64, as from `numpy.random.default_rng`, or PCG64DXSM.
+    """
+
+    configuration: MonteCarloConfiguration
+    state: MonteCarloState
+    rng: np.random.Generator
+
+
 def write_state(path: str | Path, run: SavedRun) -> None:
     """Write a run to an .npz file of plain arrays and text (no pickle); it appears under its name once it is whole.
 
@@ -58,17 +86,12 @@ def write_state(path: str | Path, run: SavedRun) -> None:
     OutputError
         The file cannot be written.
     """
-    generator = dump_generator(run.rng)
     parts = {
         "state": run.state.to_arrays(),
         "trajectory": run.trajectory.to_arrays(),
         "statistics": run.statistics.to_arrays(),
     }
-    arrays: dict[str, Any] = {f"{part}.{name}": array for part, own in parts.items() for name, array in own.items()}
-    arrays["schema"] = np.array(_SCHEMA)
-    arrays["configuration"] = np.array(dumps(run.configuration))
-    arrays["generator"] = np.array(generator)
-    write_arrays(path, arrays)
+    _write(path, parts, _RUN_SCHEMA, dumps(run.configuration), run.rng)
 
 
 def read_state(path: str | Path, threads: int = 1) -> SavedRun:
@@ -86,25 +109,89 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
     InputError
         The file cannot be read, has another schema, or its arrays do not belong together.
     """
-    arrays = read_arrays(path, _SCHEMA, "a saved run")
-
-    def part(prefix: str) -> dict[str, NDArray[Any]]:
-        return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(prefix + ".")}
-
+    arrays = read_arrays(path, _RUN_SCHEMA, "a saved run")
     try:
         configuration = loads(_text(arrays, "configuration"))
         return SavedRun(
             configuration,
-            GridFastSlamState.from_arrays(part("state"), configuration.mapper, threads),
-            load_generator(_text(arrays, "generator")),
-            TrajectoryRecorder.from_arrays(part("trajectory")),
-            StatisticsRecorder.from_arrays(part("statistics")),
+            GridFastSlamState.from_arrays(_part(arrays, "state"), configuration.mapper, threads),
+            _load_generator(_text(arrays, "generator")),
+            TrajectoryRecorder.from_arrays(_part(arrays, "trajectory")),
+            StatisticsRecorder.from_arrays(_part(arrays, "statistics")),
         )
     except (ArgumentError, ConfigurationError) as error:
         raise InputError(path, f"expected a saved run: {error}") from None
 
 
-def _text(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
+def write_localization(path: str | Path, saved: SavedLocalization) -> None:
+    """Write to an .npz file of plain arrays and text (no pickle); it appears under its name once it is whole.
+
+    Raises
+    ------
+    ArgumentError
+        The generator's state is not plain integers.
+    ConsumedStateError
+        The state was given to the filter.
+    OutputError
+        The file cannot be written.
+    """
+    configuration = json.dumps(to_table(saved.configuration))
+    _write(path, {"state": saved.state.to_arrays()}, _LOCALIZATION_SCHEMA, configuration, saved.rng)
+
+
+def read_localization(path: str | Path) -> SavedLocalization:
+    """Read what `write_localization` wrote; resuming from it, in the same map, gives identical results.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has another schema, or its arrays do not belong together.
+    """
+    arrays = read_arrays(path, _LOCALIZATION_SCHEMA, "a saved localization")
+    try:
+        return SavedLocalization(
+            replace_parameters(MonteCarloConfiguration(), json.loads(_text(arrays, "configuration"))),
+            MonteCarloState.from_arrays(_part(arrays, "state")),
+            _load_generator(_text(arrays, "generator")),
+        )
+    except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
+        raise InputError(path, f"expected a saved localization: {error}") from None
+
+
+def _write(
+    path: str | Path, parts: Mapping[str, _Arrays], schema: str, configuration: str, rng: np.random.Generator
+) -> None:
+    texts = {"schema": schema, "configuration": configuration, "generator": _dump_generator(rng)}
+    arrays = {f"{part}.{name}": array for part, own in parts.items() for name, array in own.items()}
+    arrays |= {name: np.array(text) for name, text in texts.items()}
+    with write_atomically(path) as aside, aside.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # none is named allow_pickle
+
+
+def _part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
+    return {name[len(part) + 1 :]: array for name, array in arrays.items() if name.startswith(f"{part}.")}
+
+
+def _text(arrays: _Arrays, name: str) -> str:
     if name not in arrays:
         raise ArgumentError("arrays", f"a text named {name}", sorted(arrays))
     return str(arrays[name])
+
+
+def _dump_generator(rng: np.random.Generator) -> str:
+    """State of a generator as JSON; raises ArgumentError where it is not plain integers."""
+    state = rng.bit_generator.state
+    if state["bit_generator"] not in _GENERATORS:
+        raise ArgumentError("rng", f"a generator over {' or '.join(_GENERATORS)}", state["bit_generator"])
+    return json.dumps(state)
+
+
+def _load_generator(text: str) -> np.random.Generator:
+    """Generator that goes on where that of the text was; raises ArgumentError where the text is none."""
+    try:
+        state = json.loads(text)
+        bits = _GENERATORS[state["bit_generator"]]()
+        bits.state = state
+    except (ValueError, KeyError, TypeError) as error:
+        raise ArgumentError("generator", f"the state of {' or '.join(_GENERATORS)} as JSON", error) from None
+    return np.random.Generator(bits)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, TimeoutError
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -12,19 +13,17 @@ from typing import Any, TypeAlias, final
 import numpy as np
 
 from gridslam.config import Configuration
-from gridslam.errors import ArgumentError, ConfigurationError, OutputError
+from gridslam.errors import ArgumentError, ConfigurationError, GridslamError, OutputError
 from gridslam.io.measurement import Measurement
 from gridslam.particles import sample_gaussian
 from gridslam.pipeline import Observer
-from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.ros.node.localization import InitialPose, KnownMapPublisher, Localization, LocalizationSession
+from gridslam.ros.node.accepted_scan import AcceptedScan, ScanRecorder
 from gridslam.ros.node.measurement_queue import MeasurementQueue, SessionEnd
 from gridslam.ros.node.messages import Diagnostics, GridMessage, Level, Outputs, ScanMessage, StampedTransform
-from gridslam.ros.node.rendering import MapRenderer
-from gridslam.ros.node.session import Session, SessionCopy
-from gridslam.ros.node.settings import NodeSettings
-from gridslam.ros.node.state_publisher import StatePublisher
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.ros.node.parameters import NodeSettings
+from gridslam.ros.node.rendering import MapRenderer, make_grid_message
+from gridslam.ros.node.session import InitialPose, Localization, LocalizationSession, Session, SessionCopy
+from gridslam.ros.node.state_publisher import StatePublisher, ThrottledWarnings
 from gridslam.slam.tracking.tracker import OdometryTracker
 
 __all__ = ["NodeCore", "SourceWrapper"]
@@ -82,24 +81,30 @@ class NodeCore:
     ) -> None:
         by_odometry = isinstance(configuration, Localization) or isinstance(configuration.tracker, OdometryTracker)
         if settings.odometry != "needed" and by_odometry:
-            expected = "expected needed, as this filter requires it"
-            raise ConfigurationError(f"odometry: {expected}, got {settings.odometry}")
-        self.settings, self.configuration = settings, configuration
+            raise ConfigurationError(f"odometry: expected needed, as this filter requires it, got {settings.odometry}")
+        self.settings = settings
+        self.configuration = configuration
         self.failure: BaseException | None = None
         self.ended = threading.Event()
-        self._outputs, self._observers = outputs, list(observers)
+        self._outputs = outputs
+        self._observers = list(observers)
         self._wrappers: list[SourceWrapper] = []
         self._diagnostics_callbacks: list[DiagnosticsCallback] = []
         self._record = None if record is None else Path(record)
         self._warn = ThrottledWarnings(outputs.log)
         self._queue = MeasurementQueue(settings, self._warn)
-        self._renderer = _renderer(configuration, settings, outputs)
+        self._known_map: GridMessage | None = None
+        self._renderer: MapRenderer | None = None
+        if isinstance(configuration, Configuration):
+            self._renderer = MapRenderer(configuration.mapper, settings, outputs.map)
         self._publisher = StatePublisher(settings, outputs, self._renderer, self._queue, self._warn)
-        self._session = self._new_session()
-        self._session_ends: list[SessionEnd] = []
-        timers = [("transform", settings.transform_publish_period_s, self._publisher.publish_transform)]
-        timers += [("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics)]
-        timers += [("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map))]
+        self._begin_session()
+        self._session_end = SessionEnd.CLOSED
+        timers = (
+            ("transform", settings.transform_publish_period_s, self._publisher.publish_transform),
+            ("diagnostics", _DIAGNOSTICS_S, self._publish_diagnostics),
+            ("map", settings.map_update_interval_s, lambda: self._queue.post(self._publish_map)),
+        )
         self._threads = [threading.Thread(target=self._run_filter, name="gridslam-filter", daemon=True)]
         self._threads += [
             threading.Thread(target=self._run_timer, args=(period_s, callback), name=f"gridslam-{name}", daemon=True)
@@ -117,11 +122,14 @@ class NodeCore:
         """
         self._observers.append(observer)
         self._wrappers.append(wrap_source)
-        self._diagnostics_callbacks += [] if on_diagnostics is None else [on_diagnostics]
+        if on_diagnostics is not None:
+            self._diagnostics_callbacks.append(on_diagnostics)
 
     def start(self) -> None:
         """Start the node's threads and accept messages."""
-        self._renderer.start(self._outputs.now_ns())
+        if isinstance(self.configuration, Localization):
+            self._known_map = make_grid_message(self.configuration.known.grid, self.settings, self._outputs.now_ns())
+            self._outputs.map(self._known_map)
         for thread in self._threads:
             thread.start()
 
@@ -131,10 +139,11 @@ class NodeCore:
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()
-        self._renderer.close()
-        session = self._session
-        copied = session.copy() if isinstance(session, Session) and session.state is not None else None
-        session.close()
+        if self._renderer is not None:
+            self._renderer.close()
+        is_mapped = not self.localizes and self._session.state is not None
+        copied = self._session.copy(self._whole_record()) if is_mapped else None
+        self._close_record()
         return copied
 
     def on_scan(self, message: ScanMessage, sensor: str = "scan") -> None:
@@ -154,7 +163,7 @@ class NodeCore:
 
     def dynamic_map(self) -> GridMessage | None:
         """Return the last published map; None before the first one."""
-        return self._renderer.latest
+        return self._known_map if self._renderer is None else self._renderer.latest
 
     def diagnostics(self) -> Diagnostics:
         """Return the diagnostics, which are also published once per second."""
@@ -204,32 +213,30 @@ class NodeCore:
         Returns the content of run.json. Raises ArgumentError if nothing is mapped yet, OutputError if the folder
         cannot be written or the filter does not answer.
         """
-        answer: list[SessionCopy | ArgumentError | OutputError | None] = []
-        done = threading.Event()
+        copied: Future[SessionCopy] = Future()
 
         def copy_session() -> None:
             try:
-                answer.append(self._session.copy())
-            except (ArgumentError, OutputError) as error:
-                answer.append(error)
-            done.set()
+                copied.set_result(self._session.copy(self._whole_record()))
+            except GridslamError as error:
+                copied.set_exception(error)
 
         self._queue.post(copy_session)
-        if self.ended.is_set() or not done.wait(timeout_s):
-            raise OutputError(f"{folder}: the filter did not respond within {timeout_s:g} s")
-        (copied,) = answer
-        if not isinstance(copied, SessionCopy):
-            raise copied or OutputError(f"{folder}: nothing to save")
-        return copied.save(folder)
+        try:
+            session = copied.result(0.0 if self.ended.is_set() else timeout_s)
+        except TimeoutError:
+            raise OutputError(f"{folder}: the filter did not respond within {timeout_s:g} s") from None
+        return session.save(folder)
 
     def _run_filter(self) -> None:
         """Run the sessions one after the other."""
         try:
             while self._run_session():
                 if self._session.state is not None:
-                    self._session.close()
-                    self._renderer.reset()
-                    self._session = self._new_session()
+                    self._close_record()
+                    if self._renderer is not None:
+                        self._renderer.reset()
+                    self._begin_session()
         except BaseException as error:  # report any error of the thread
             self.failure = error
             self._outputs.log(Level.ERROR, f"the filter failed: {type(error).__name__}: {error}")
@@ -238,31 +245,32 @@ class NodeCore:
 
     def _run_session(self) -> bool:
         """Map until the session ends; return whether another one follows."""
-        session, ends = self._session, self._session_ends
-        ends.clear()
-        source = self._measurements(session)
+        source = self._measurements()
         for wrap in self._wrappers:
             source = wrap(source)
         first = next(source, None)
         if first is not None:
-            session.run(chain([first], source), [self._publisher, *self._observers])
-        if ends[-1] is not SessionEnd.CLOSED:
-            self._outputs.log(Level.WARN, f"{session.restart_message}: {ends[-1].value}")
-        return ends[-1] is not SessionEnd.CLOSED
+            self._session.run(chain([first], source), [self._publisher, *self._observers])
+        if self._session_end is SessionEnd.CLOSED:
+            return False
+        self._outputs.log(Level.WARN, f"{self._session.restart_message}: {self._session_end.value}")
+        return True
 
-    def _measurements(self, session: Session | LocalizationSession) -> Iterator[Measurement]:
+    def _measurements(self) -> Iterator[Measurement]:
         """Yield measurements as they arrive, and run posted calls between two of them."""
         while True:
             item = self._queue.take()
             if isinstance(item, AcceptedScan):
+                self._session.add(item)
                 try:
-                    session.add(item)
+                    if self._recorder is not None:
+                        self._recorder.add(item)
                 except OutputError as error:
                     self._warn("record", str(error))
                 self._publisher.set_measurement(item)
                 yield item.measurement
             elif isinstance(item, SessionEnd):
-                self._session_ends.append(item)
+                self._session_end = item
                 return
             else:
                 item()
@@ -278,24 +286,26 @@ class NodeCore:
         for on_diagnostics in self._diagnostics_callbacks:
             self._queue.post(partial(on_diagnostics, diagnostics))
 
-    def _new_session(self) -> Session | LocalizationSession:
+    def _begin_session(self) -> None:
         self._publisher.start_session()
-        number, record = self._publisher.sessions, self._record
-        if record is not None and number > 1:
-            record = record.with_name(f"{record.stem}-{number}{record.suffix}")
-        config, settings = self.configuration, self.settings
-        if isinstance(config, Localization):
-            return LocalizationSession(config, settings.seed, record)
-        return Session(config, settings.seed, settings.threads, record)
+        record = self._record
+        if record is not None and self._publisher.sessions > 1:
+            record = record.with_name(f"{record.stem}-{self._publisher.sessions}{record.suffix}")
+        self._recorder = None if record is None else ScanRecorder(record)
+        self._session: Session | LocalizationSession
+        if isinstance(self.configuration, Localization):
+            self._session = LocalizationSession(self.configuration, self.settings.seed)
+        else:
+            self._session = Session(self.configuration, self.settings.seed, self.settings.threads)
+
+    def _whole_record(self) -> Path | None:
+        """The record of the session, if it contains all its scans."""
+        return self._recorder.path if self._recorder is not None and self._recorder.is_whole else None
+
+    def _close_record(self) -> None:
+        if self._recorder is not None:
+            self._recorder.close()
 
     def _run_timer(self, period_s: float, callback: Callable[[], None]) -> None:
         while not self.ended.wait(period_s):
             callback()
-
-
-def _renderer(
-    configuration: Configuration | Localization, settings: NodeSettings, outputs: Outputs
-) -> MapRenderer | KnownMapPublisher:
-    if isinstance(configuration, Localization):
-        return KnownMapPublisher(configuration, settings.map_values, settings.map_frame, outputs.map)
-    return MapRenderer(configuration.mapper, settings.map_values, settings.map_frame, outputs.map)

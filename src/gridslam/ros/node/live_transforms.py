@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import final
+from collections.abc import Callable, Iterable
+from typing import TypeAlias, final
 
 from gridslam.errors import ArgumentError
 from gridslam.io.bags.ros_messages import StampedTransform
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.transforms import TransformBuffer
 
-__all__ = ["LiveTransforms"]
+__all__ = ["JumpDetector", "LiveTransforms", "Warn"]
+
+Warn: TypeAlias = Callable[[str, str], None]
+"""Called with the kind of a problem, and the problem."""
 
 _KEEP_S = 10.0
 _SIMULTANEOUS_NS = 2_000_000_000  # readings of two publishers within this count as simultaneous
+
+
+@final
+class JumpDetector:
+    """Detects that stamps jump back and stay there: one stamp alone may be wrong, two are a clock that was set back.
+
+    Parameters
+    ----------
+    jump_s : float, s
+        Two stamps in a row that are this much older than the latest of their source are a jump.
+    """
+
+    def __init__(self, jump_s: float) -> None:
+        self._jump_ns = round(jump_s * 1e9)
+        self._strays: dict[object, int] = {}
+
+    def detect(self, source: object, stamp_ns: int, latest_ns: int) -> bool | None:
+        """Whether this is the second stamp of a jump; None if it is the first one, which may be wrong."""
+        stray_ns = self._strays.pop(source, None)
+        if stamp_ns >= latest_ns - self._jump_ns:
+            return False
+        if stray_ns is not None and 0 < stamp_ns - stray_ns <= self._jump_ns:
+            return True
+        self._strays[source] = stamp_ns
+        return None
 
 
 @final
@@ -24,7 +51,7 @@ class LiveTransforms:
     ----------
     jump_s : float, s
         Two readings in a row that are this much older than the latest of their link are a jump.
-    warn : ThrottledWarnings
+    warn : callable
         Called with readings that are not valid transforms.
 
     Attributes
@@ -33,13 +60,12 @@ class LiveTransforms:
         The current buffer.
     """
 
-    def __init__(self, jump_s: float, warn: ThrottledWarnings) -> None:
+    def __init__(self, jump_s: float, warn: Warn) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
-        self._jump_ns = round(jump_s * 1e9)
+        self._jumps = JumpDetector(jump_s)
         self._warn = warn
         self._static: dict[tuple[str, str], StampedTransform] = {}
         self._latest_ns: dict[tuple[str, str], int] = {}
-        self._strays: dict[tuple[str, str], int] = {}
         self._sources: dict[str, dict[tuple[str, str], int | None]] = {}  # of a child: parent and publisher, and when
 
     def add(self, transforms: Iterable[StampedTransform], *, static: bool, publisher: str = "") -> None:
@@ -78,20 +104,17 @@ class LiveTransforms:
 
     def _detect_jump(self, transform: StampedTransform) -> bool:
         """Whether this is the second reading in a row from long before the latest."""
-        link, stamp_ns = (transform.parent, transform.child), transform.stamp_ns
+        stamp_ns = transform.stamp_ns
+        link = transform.parent, transform.child
         latest_ns = self._latest_ns.get(link, stamp_ns)
-        if stamp_ns >= latest_ns - self._jump_ns:
+        jumped = self._jumps.detect(link, stamp_ns, latest_ns)
+        if jumped is False:
             self._latest_ns[link] = max(stamp_ns, latest_ns)
-            self._strays.pop(link, None)
-            return False
-        stray_ns = self._strays.get(link)
-        self._strays[link] = stamp_ns
-        return stray_ns is not None and 0 < stamp_ns - stray_ns <= self._jump_ns
+        return jumped is True
 
     def _restart(self) -> None:
         self.buffer = TransformBuffer(_KEEP_S)
         self._latest_ns.clear()
-        self._strays.clear()
         self._sources.clear()
         for transform in self._static.values():
             self._add(transform, static=True)

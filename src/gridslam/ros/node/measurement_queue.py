@@ -16,17 +16,19 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
 from gridslam.ros.node.accepted_scan import AcceptedScan, MeasurementBuilder, find_refusal_reason
-from gridslam.ros.node.live_transforms import LiveTransforms
-from gridslam.ros.node.settings import NodeSettings
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
+from gridslam.ros.node.live_transforms import JumpDetector, LiveTransforms, Warn
+from gridslam.ros.node.parameters import NodeSettings
 from gridslam.transforms import Coverage, MissingTransform
 from gridslam.types import BeamStatus, FloatArray, Odometry
 
 __all__ = ["Counts", "MeasurementQueue", "SessionEnd"]
 
 _CONTINUES_M = 0.5  # and rad: the odometry continues within this distance
-_LATE_S, _IGNORED_S, _MIN_LATE_SCANS = 0.5, 10.0, 10  # in a row: a single scan may be delayed
-_MAX_STEP, _MAX_SPEED = 1.0, 10.0  # m and rad; m/s and rad/s: faster than any robot
+_LATE_S = 0.5
+_IGNORED_S = 10.0
+_MIN_LATE_SCANS = 10  # in a row: a single scan may be delayed
+_MAX_STEP = 1.0  # m and rad
+_MAX_SPEED = 10.0  # m/s and rad/s: faster than any robot
 _MAY_ARRIVE = (Coverage.NOT_YET, Coverage.NOT_CONNECTED)
 
 
@@ -52,7 +54,7 @@ class Counts:
     Attributes
     ----------
     received, throttled, paused, refused, dropped, accepted, jumps : int
-        All of them; those left out on request, and while the node paused; refused, see `ThrottledWarnings`; dropped
+        All of them; those left out on request, and while the node paused; refused, with a warning; dropped
         because the filter was behind; given to the filter; times that the stamps jumped back.
     """
 
@@ -70,7 +72,7 @@ class MeasurementQueue:
     ----------
     settings : NodeSettings
         Bounds and frames.
-    warn : ThrottledWarnings
+    warn : callable
         Called with refused data, by kind.
     clock : callable
         Monotonic time, s.
@@ -83,12 +85,12 @@ class MeasurementQueue:
         Whether incoming scans are dropped.
     """
 
-    def __init__(
-        self, settings: NodeSettings, warn: ThrottledWarnings, clock: Callable[[], float] = time.perf_counter
-    ) -> None:
+    def __init__(self, settings: NodeSettings, warn: Warn, clock: Callable[[], float] = time.perf_counter) -> None:
         self.counts = Counts()
         self.is_paused = False
-        self._settings, self._warn, self._clock = settings, warn, clock
+        self._settings = settings
+        self._warn = warn
+        self._clock = clock
         self._changed = threading.Condition()
         self._scans: deque[_Waiting] = deque()
         self._calls: deque[Callable[[], None]] = deque()
@@ -97,7 +99,7 @@ class MeasurementQueue:
         self._builders: dict[str, MeasurementBuilder] = {}
         self._mountings: dict[str, FloatArray] = {}
         self._latest_ns: dict[str, int] = {}
-        self._strays: dict[str, int] = {}
+        self._jumps = JumpDetector(settings.jump_s)
         self._received_ns: dict[tuple[str, str], int] = {}
         self._late: dict[str, int] = {}
         self._odometry: Odometry | None = None
@@ -105,7 +107,9 @@ class MeasurementQueue:
 
     def add_scan(self, message: ScanMessage, sensor: str) -> None:
         """Queue a scan, or refuse it; never blocks."""
-        arrived_s, settings, counts = self._clock(), self._settings, self.counts
+        arrived_s = self._clock()
+        settings = self._settings
+        counts = self.counts
         with self._changed:
             counts.received += 1
             if self.is_paused:
@@ -122,11 +126,13 @@ class MeasurementQueue:
                 self._refuse("scan refused", f"{sensor}: duplicate stamp; are there two publishers?")
                 return
             self._received_ns[source] = message.stamp_ns
-            jumped = self._detect_jump(message.stamp_ns, sensor)
+            latest_ns = self._latest_ns.get(sensor, message.stamp_ns)
+            jumped = self._jumps.detect(sensor, message.stamp_ns, latest_ns)
             if jumped is None:
                 self._refuse("stamp jumped back", f"{sensor}: a scan is stamped long before the previous one")
                 return
             if jumped:
+                self._latest_ns[sensor] = message.stamp_ns
                 counts.jumps += 1
                 counts.dropped += len(self._scans)
                 self._scans.clear()
@@ -178,7 +184,8 @@ class MeasurementQueue:
         assert why is not None
         if why is not SessionEnd.CLOSED:
             self._session_end = None
-        self._odometry, self._pending_jump = None, False
+        self._odometry = None
+        self._pending_jump = False
         self._latest_ns.clear()
         return why
 
@@ -256,19 +263,6 @@ class MeasurementQueue:
         if odometry is None or self._odometry is None:
             return False
         return bool(np.abs(between(self._odometry.pose, odometry.pose)).max() <= _CONTINUES_M)
-
-    def _detect_jump(self, stamp_ns: int, sensor: str) -> bool | None:
-        """Whether time has jumped back; None for the first such scan, whose stamp may be wrong."""
-        jump_ns = round(self._settings.jump_s * 1e9)
-        latest_ns = self._latest_ns.get(sensor, stamp_ns)
-        stray_ns = self._strays.pop(sensor, None)
-        if stamp_ns >= latest_ns - jump_ns:
-            return False
-        if stray_ns is not None and 0 < stamp_ns - stray_ns <= jump_ns:
-            self._latest_ns[sensor] = stamp_ns
-            return True
-        self._strays[sensor] = stamp_ns
-        return None
 
     def _compare_clocks(self, stamp_ns: int, sensor: str) -> None:
         """Report scans that are always older than the odometry which came before: each would get an old pose."""

@@ -1,4 +1,4 @@
-"""Parameters of the node: those of slam_gmapping with their names and defaults, and its own.
+"""Parameters of the node: those of slam_gmapping with their names and defaults, those of AMCL, and its own.
 
 Source: the public documentation of the ROS package gmapping, http://wiki.ros.org/gmapping, section Parameters.
 """
@@ -8,19 +8,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
-from pydantic import ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError
+from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.api.amcl import AMCL_NAMES
+from gridslam.api.amcl import AMCL_NAMES, from_amcl, override_configuration
+from gridslam.api.localization import known_map
 from gridslam.config import Configuration, load, override, preset
 from gridslam.config.tables import describe_error, names, nest, replace_parameters, suggest_names
-from gridslam.errors import ConfigurationError
-from gridslam.ros.node.localization import Localization
-from gridslam.ros.node.localization_parameters import NODE_NAMES, read_localization
-from gridslam.ros.node.settings import NodeSettings
+from gridslam.errors import ArgumentError, ConfigurationError
+from gridslam.ros.node.session import Localization
 
-__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "node_parameters"]
+__all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
 
 GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
     "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
@@ -67,6 +67,9 @@ _DERIVED: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The filter's parameters that are derived from one or several parameters of slam_gmapping."""
 
+_PATHS: Final[Mapping[str, tuple[str, ...]]] = {**{name: (path,) for name, path in _FILTER.items()}, **_DERIVED}
+"""All parameters of the filter for each parameter of slam_gmapping."""
+
 _ALMOST_ZERO = 1e-9
 
 _NODE: Final[Mapping[str, str]] = {
@@ -76,6 +79,12 @@ _NODE: Final[Mapping[str, str]] = {
     "threads": "threads", "odometry": "odometry", "map_values": "map_values", "transform_wait": "transform_wait_s",
     "queue": "queue_s",
 }  # fmt: skip
+
+_AMCL_NODE: Final[Mapping[str, str]] = {
+    "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
+    "transform_tolerance": "tf_delay",
+}  # fmt: skip
+"""The node's names of AMCL's parameters."""
 
 _UNSUPPORTED: Final[Mapping[str, str]] = {
     **dict.fromkeys(("xmin", "ymin", "xmax", "ymax"), "the map grows by itself"),
@@ -88,6 +97,69 @@ _UNSUPPORTED: Final[Mapping[str, str]] = {
     "inverted_laser": "the mounting is taken from the transforms",
 }
 """Parameters without an equivalent, with the reason."""
+
+
+def _strip_slash(frame: str) -> str:
+    if not (bare := frame.lstrip("/")):
+        raise ValueError("expected the name of a frame")
+    return bare
+
+
+Frame: TypeAlias = Annotated[str, AfterValidator(_strip_slash)]
+"""Name of a frame without tf1's leading slash: "/odom" becomes "odom"."""
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class NodeSettings:
+    """Frames, rates and bounds of the node; the defaults with a ROS name are slam_gmapping's.
+
+    Parameters
+    ----------
+    base_frame, odom_frame, map_frame : str
+        Frames of the robot, its odometry and the map.
+    odometry : str
+        "needed": scans without odometry are refused; "optional": they are matched without; "none": odometry is ignored.
+    map_update_interval_s : float, s
+        Time between two maps; 0: a map after each scan, as fast as rendering permits.
+    transform_publish_period_s : float, s
+        Time between two transforms from map to odometry; 0: no transform is published.
+    tf_delay_s : float, s
+        How far in the future that transform is stamped, i.e. how long it is valid.
+    throttle_scans : int
+        Use every n-th scan.
+    transform_wait_s : float, s
+        How long a scan waits for the transforms at its stamp.
+    queue_s, queue_scans : float in s, int
+        Limits of the queue: scans older than the newest by more than this, or beyond this number, are dropped, oldest
+        first: the filter is never further behind. Half a second bridges the correction of a loop.
+    jump_s : float, s
+        Time has jumped back if two scans in a row are stamped this much before the last one.
+    map_values : str
+        "trinary": 0, 100 and -1 as in map.pgm; "probability": 0 to 100 in per cent, -1 where unknown.
+    min_beams, max_beams : int
+        Scans with fewer or more beams are refused.
+    seed, threads : int
+        As in `map_log`: the generator is re-seeded for each session; the threads do not affect results.
+    """
+
+    base_frame: Frame = "base_link"
+    odom_frame: Frame = "odom"
+    map_frame: Frame = "map"
+    odometry: Literal["needed", "optional", "none"] = "needed"
+    map_update_interval_s: float = Field(default=5.0, ge=0)
+    transform_publish_period_s: float = Field(default=0.05, ge=0)
+    tf_delay_s: float = Field(default=0.05, ge=0)
+    throttle_scans: int = Field(default=1, ge=1)
+    transform_wait_s: float = Field(default=0.5, ge=0)
+    queue_s: float = Field(default=0.75, gt=0)
+    queue_scans: int = Field(default=100, ge=1)
+    jump_s: float = Field(default=1.0, gt=0)
+    map_values: Literal["trinary", "probability"] = "trinary"
+    min_beams: int = Field(default=10, ge=1)
+    max_beams: int = Field(default=100_000, ge=1)
+    seed: int = Field(default=0, ge=0)
+    threads: int = Field(default=1, ge=1, le=256)
 
 
 @final
@@ -130,57 +202,80 @@ def node_parameters(given: Mapping[str, Any], preset_name: str = "gmapping") -> 
     Raises
     ------
     ConfigurationError
-        A value has a wrong type or is out of range, or the preset does not exist.
+        A value has a wrong type or is out of range, the preset does not exist, or a node that localizes has no map.
+    InputError
+        The file of the map or of the configuration cannot be read.
     """
-    node_values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
-    if node_values["mode"] not in ("mapping", "localization"):
-        raise ConfigurationError(f"mode: expected mapping or localization, got {node_values['mode']!r}")
-    if node_values["mode"] == "localization":
-        return _parse_localization(given, node_values)
-    if node_values["map_file"]:
+    values = {**NODE_DEFAULTS, **{name: value for name, value in given.items() if name in NODE_DEFAULTS}}
+    localizes = values["mode"] == "localization"
+    if not localizes and values["mode"] != "mapping":
+        raise ConfigurationError(f"mode: expected mapping or localization, got {values['mode']!r}")
+    if values["map_file"] and not localizes:
         raise ConfigurationError("map_file: requires the mode localization")
-    name = str(node_values["preset"]) or preset_name
-    base, given = preset(name), {key: _as_roscpp(key, value) for key, value in given.items()}
-    current = {**GMAPPING_DEFAULTS, **given} if name == "gmapping" else dict(given)
+    given = {name: _as_roscpp(name, value) for name, value in given.items()}
+    configuration: Configuration | Localization
+    if localizes:
+        configuration, reasons = _read_localization(given)
+        given = {_AMCL_NODE.get(name, name): value for name, value in given.items()}
+    else:
+        configuration, reasons = _read_mapping(given, str(values["preset"]) or preset_name)
+    record = Path(str(values["record"])) if values["record"] else None
+    out = Path(str(values["out"])) if values["out"] and not localizes else None
+    return NodeParameters(_read_settings(given), configuration, _group_by_reason(reasons), record, out)
+
+
+def _read_mapping(given: Mapping[str, Any], preset_name: str) -> tuple[Configuration, dict[str, str]]:
+    """Return the configuration, and why given parameters have no effect."""
+    base = preset(preset_name)
+    there = set(names(base))
+    current = {**GMAPPING_DEFAULTS, **given} if preset_name == "gmapping" else given
+    direct = {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
     try:
-        config = replace_parameters(base, nest(_direct_values(base, current)))
+        config = replace_parameters(base, nest(direct))
         config = replace_parameters(config, nest(_derived_values(base, given, current)))
     except ConfigurationError as error:
         raise _with_ros_name(error) from None
-    if node_values["config"]:
-        config = load(str(node_values["config"]), config)
-    config = override(config, *(part for part in str(node_values["set"]).split(";") if part.strip()))
-    return NodeParameters(
-        settings=_read_settings(given),
-        configuration=config,
-        warning=_describe_ignored(base, name, given),
-        record=_path_or_none(node_values["record"]),
-        out=_path_or_none(node_values["out"]),
-    )
+    if given.get("config"):
+        config = load(str(given["config"]), config)
+    reasons = {}
+    for name in given:
+        if name in _UNSUPPORTED:
+            reasons[name] = _UNSUPPORTED[name]
+        elif name in _PATHS:
+            if not there.intersection(_PATHS[name]):
+                reasons[name] = f"the preset {preset_name} has no such part"
+        elif name not in _NODE and name not in NODE_DEFAULTS:
+            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
+    return override(config, *_assignments(given)), reasons
 
 
-def _parse_localization(given: Mapping[str, Any], node_values: Mapping[str, Any]) -> NodeParameters:
-    """Convert the parameters of a node that localizes: AMCL's instead of slam_gmapping's."""
-    localization, ignored = read_localization(given)
-    by_node_name = {NODE_NAMES.get(name, name): value for name, value in given.items()}
-    elsewhere = {*_FILTER, *_DERIVED, *_UNSUPPORTED, "preset", "config", "out"}
+def _read_localization(given: Mapping[str, Any]) -> tuple[Localization, dict[str, str]]:
+    """Return the localization, and why given parameters have no effect: AMCL's hold instead of slam_gmapping's."""
+    if not given.get("map_file"):
+        raise ConfigurationError("map_file: expected the YAML file of the known map, got none")
+    amcl = from_amcl({name: value for name, value in given.items() if name in AMCL_NAMES})
+    changed = override_configuration(amcl.configuration, _assignments(given))
+    source = changed if changed.pose is not None else amcl
+    known = known_map(str(given["map_file"]), changed.configuration, int(given.get("threads", 1)))[1]
+    pose = None if source.pose is None else (source.pose, source.covariance)
+    if pose is not None:
+        try:
+            known.require(pose[0])
+        except ArgumentError as error:
+            raise ConfigurationError(f"initial_{error}") from None
+    ignored = [name for name in (*amcl.ignored, *changed.ignored) if name not in _AMCL_NODE]
     reasons = dict.fromkeys(ignored, "it has no equivalent")
     for name in given:
-        if name in elsewhere:
+        if name in (*_PATHS, *_UNSUPPORTED, "preset", "config", "out"):
             reasons[name] = "the node localizes and builds no map"
         elif name not in (*_NODE, *NODE_DEFAULTS, *AMCL_NAMES):
             reasons[name] = f"there is no such parameter{suggest_names(name, [*AMCL_NAMES, *_NODE, *NODE_DEFAULTS])}"
-    return NodeParameters(
-        _read_settings(by_node_name),
-        localization,
-        _group_by_reason(reasons),
-        _path_or_none(node_values["record"]),
-        None,
-    )
+    return Localization(known, changed.configuration, pose), reasons
 
 
-def _path_or_none(text: object) -> Path | None:
-    return Path(str(text)) if text else None
+def _assignments(given: Mapping[str, Any]) -> list[str]:
+    """Return the parts of `set`: parameters of the filter by their names."""
+    return [part for part in str(given.get("set", "")).split(";") if part.strip()]
 
 
 def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
@@ -195,14 +290,8 @@ def _as_roscpp(name: str, value: Any) -> Any:  # noqa: ANN401
 def _with_ros_name(error: ConfigurationError) -> ConfigurationError:
     """Replace the filter's name of a parameter by its ROS name."""
     path, _, problem = str(error).partition(": ")
-    ros_names = [name for name in GMAPPING_DEFAULTS if path in (_FILTER.get(name), *_DERIVED.get(name, ()))]
+    ros_names = [name for name in GMAPPING_DEFAULTS if path in _PATHS.get(name, ())]
     return ConfigurationError(f"{' and '.join(ros_names) or path}: {problem}")
-
-
-def _direct_values(base: Configuration, current: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of parameters with a direct equivalent, by dotted names."""
-    there = set(names(base))
-    return {path: current[name] for name, path in _FILTER.items() if name in current and path in there}
 
 
 def _derived_values(base: Configuration, given: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
@@ -237,21 +326,6 @@ def _read_settings(given: Mapping[str, Any]) -> NodeSettings:
         field, _, problem = describe_error(error.errors()[0], values).partition(": ")
         name = next((name for name, known in _NODE.items() if known == field), field)
         raise ConfigurationError(f"{name}: {problem}") from None
-
-
-def _describe_ignored(base: Configuration, preset_name: str, given: Mapping[str, Any]) -> str:
-    """Return a message about all given parameters without effect."""
-    there, reasons = set(names(base)), {}
-    for name in given:
-        if name in _UNSUPPORTED:
-            reasons[name] = _UNSUPPORTED[name]
-        elif name in _FILTER or name in _DERIVED:
-            paths = _DERIVED.get(name) or (_FILTER[name],)
-            if not there.intersection(paths):
-                reasons[name] = f"the preset {preset_name} has no such part"
-        elif name not in _NODE and name not in NODE_DEFAULTS:
-            reasons[name] = f"there is no such parameter{suggest_names(name, [*GMAPPING_DEFAULTS, *NODE_DEFAULTS])}"
-    return _group_by_reason(reasons)
 
 
 def _group_by_reason(reasons: Mapping[str, str]) -> str:

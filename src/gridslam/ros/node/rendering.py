@@ -1,24 +1,25 @@
-"""Conversion of the best particle's map to a message, in a thread of its own."""
+"""Conversion of maps to messages, of the best particle's in a thread of its own."""
 
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.io.maps.map_yaml import FREE_THRESH, OCCUPIED_THRESH
+from gridslam.io.maps import FREE_THRESH, OCCUPIED_THRESH
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.ros.node.messages import GridMessage
+from gridslam.ros.node.parameters import NodeSettings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import OccupancyGrid
 
-__all__ = ["MapRenderer", "map_cells"]
+__all__ = ["MapRenderer", "make_grid_message", "map_cells"]
 
-MapArrays = Mapping[str, NDArray[Any]]
+_PATIENCE_S = 10.0  # with a subscriber of the map that is slow
 
 
 def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) -> NDArray[np.int8]:
@@ -41,6 +42,12 @@ def map_cells(grid: OccupancyGrid, values: Literal["trinary", "probability"]) ->
     return cells
 
 
+def make_grid_message(grid: OccupancyGrid, settings: NodeSettings, stamp_ns: int) -> GridMessage:
+    """Return the message of a map."""
+    x, y = (float(value) for value in grid.origin)
+    return GridMessage(stamp_ns, settings.map_frame, grid.resolution_m, (x, y), map_cells(grid, settings.map_values))
+
+
 @final
 class MapRenderer:
     """Renders maps in a thread of its own.
@@ -51,10 +58,8 @@ class MapRenderer:
     ----------
     mapper : OccupancyGridMapping
         Mapper of the filter.
-    values : str
-        As for `map_cells`.
-    frame : str
-        Frame of the map.
+    settings : NodeSettings
+        Frame and values of the map.
     publish : callable
         Publishes each map; called in the renderer's thread.
 
@@ -65,61 +70,46 @@ class MapRenderer:
     """
 
     def __init__(
-        self,
-        mapper: OccupancyGridMapping,
-        values: Literal["trinary", "probability"],
-        frame: str,
-        publish: Callable[[GridMessage], None],
+        self, mapper: OccupancyGridMapping, settings: NodeSettings, publish: Callable[[GridMessage], None]
     ) -> None:
         self.latest: GridMessage | None = None
-        self._mapper, self._values, self._frame, self._publish = mapper, values, frame, publish
-        self._changed = threading.Condition()
-        self._pending: tuple[int, MapArrays] | None = None
-        self._busy = self._closed = False
-        self._thread = threading.Thread(target=self._run, name="gridslam-map", daemon=True)
-
-    def start(self, stamp_ns: int) -> None:
-        """Start the thread; there is no map yet."""
-        self._thread.start()
+        self._mapper = mapper
+        self._settings = settings
+        self._publish = publish
+        self._executor = ThreadPoolExecutor(1, "gridslam-map")
+        self._rendered: Future[None] | None = None
 
     @property
     def is_idle(self) -> bool:
         """Whether the last map is rendered."""
-        return not self._busy
+        return self._rendered is None or self._rendered.done()
 
     def render(self, state: GridFastSlamState, stamp_ns: int) -> int:
-        """Copy the best particle's map for rendering; returns the memory of all maps, bytes."""
+        """Copy the best particle's map for rendering; returns the memory of all maps, bytes.
+
+        Call when idle; raises what rendering the map before raised.
+        """
+        if self._rendered is not None:
+            self._rendered.result()
         arrays = state.maps.snapshot(np.array([state.best])).to_arrays()
-        with self._changed:
-            self._pending, self._busy = (stamp_ns, arrays), True
-            self._changed.notify_all()
+        self._rendered = self._executor.submit(self._render, arrays, stamp_ns)
         return state.maps.nbytes
 
     def reset(self) -> None:
         """Discard the map at the start of a new session."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self._busy, timeout=10)
-            self.latest = None
+        self._wait()
+        self.latest = None
 
     def close(self) -> None:
         """Render the pending map and stop the thread."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        if self._thread.ident is not None:
-            self._thread.join(timeout=10)
+        self._wait()
+        self._executor.shutdown(wait=False)
 
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._pending is not None or self._closed)
-                if self._pending is None:
-                    return
-                (stamp_ns, arrays), self._pending = self._pending, None
-            grid = self._mapper.restore(arrays).occupancy(0)
-            x, y = (float(value) for value in grid.origin)
-            self.latest = GridMessage(stamp_ns, self._frame, grid.resolution_m, (x, y), map_cells(grid, self._values))
-            self._publish(self.latest)
-            with self._changed:
-                self._busy = self._pending is not None
-                self._changed.notify_all()
+    def _wait(self) -> None:
+        if self._rendered is not None:
+            wait([self._rendered], _PATIENCE_S)
+
+    def _render(self, arrays: Mapping[str, NDArray[Any]], stamp_ns: int) -> None:
+        grid = self._mapper.restore(arrays).occupancy(0)
+        self.latest = make_grid_message(grid, self._settings, stamp_ns)
+        self._publish(self.latest)

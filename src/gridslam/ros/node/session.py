@@ -1,4 +1,4 @@
-"""One session: from its first scan until time jumps back, a reset or the end; and its output files."""
+"""One session of the filter: from its first scan until time jumps back, a reset or the end; and its output files."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,97 @@ from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.digest import compute_digest
 from gridslam.io.log_statistics import LogStatistics, Mounting
 from gridslam.io.measurement import Measurement
 from gridslam.io.results.record import RecordWriter
+from gridslam.io.text import compute_digest
+from gridslam.localization import (
+    KnownMap,
+    LocalizationReport,
+    MonteCarloConfiguration,
+    MonteCarloLocalization,
+    MonteCarloState,
+)  # fmt: skip
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.ros.node.recording import ScanRecorder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import StepReport
+from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 
-__all__ = ["Session", "SessionCopy"]
+__all__ = ["InitialPose", "Localization", "LocalizationSession", "Session", "SessionCopy"]
+
+InitialPose: TypeAlias = tuple[FloatArray, FloatArray] | None
+"""A pose (3,) and its covariance (3, 3); None if the pose is unknown."""
 
 _PRELOADED: Final = ("scipy.spatial", "scipy.sparse.csgraph", "scipy.special", "qdldl", "gridslam.viz")
 """Modules that filter and `save` import on first use; imported early so that a moving robot does not wait."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Localization:
+    """Map, filter and initial pose of a localization.
+
+    Attributes
+    ----------
+    known : KnownMap
+        The map.
+    configuration : MonteCarloConfiguration
+        Configuration of the filter.
+    initial_pose : (pose (3,), covariance (3, 3)) or None
+        Initial pose; None: global localization.
+    """
+
+    known: KnownMap
+    configuration: MonteCarloConfiguration
+    initial_pose: InitialPose = None
+
+    @property
+    def range_max_m(self) -> float:
+        """Range from which beams are ignored, m."""
+        return self.configuration.range_max_m
+
+
+@final
+class LocalizationSession:
+    """A localization session; used by the filter's thread only.
+
+    Parameters
+    ----------
+    localization : Localization
+        Map and filter.
+    seed : int
+        Seed of the filter.
+    """
+
+    restart_message = "localization restarts"
+
+    def __init__(self, localization: Localization, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._mcl = MonteCarloLocalization(localization.known, localization.configuration)
+        self.set_pose(localization.initial_pose)
+
+    def set_pose(self, pose: InitialPose) -> None:
+        """Set the pose from the next scan on; None: the pose is unknown."""
+        self.state: MonteCarloState = self._mcl.init() if pose is None else self._mcl.init_gaussian(*pose, self._rng)
+
+    def add(self, accepted: AcceptedScan) -> None:
+        """Do nothing: a localization has no files, in which scans are counted."""
+
+    def copy(self, record: Path | None) -> SessionCopy:
+        """Raise ArgumentError: a localization has no map to save."""
+        raise ArgumentError("save", "a node that maps", "one that localizes; `gridslam localize` takes its record")
+
+    def run(self, source: Iterator[Measurement], observers: Sequence[Any]) -> None:
+        """Run the filter on all measurements of a source."""
+        run(source, self, rng=self._rng, observers=observers, state=self.state)
+
+    def step(
+        self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
+    ) -> tuple[MonteCarloState, LocalizationReport]:
+        """Process a measurement from the session's own state, which `set_pose` may have changed since the last scan."""
+        self.state, report = self._mcl.step(self.state, odometry, scan, rng)
+        return self.state, report
 
 
 @final
@@ -43,59 +119,55 @@ class Session:
         Configuration of the filter.
     seed, threads : int
         Seed and threads of the filter.
-    record : Path or None
-        File for the accepted scans.
     """
 
     restart_message = "starting a new map"
 
-    def __init__(self, configuration: Configuration, seed: int, threads: int, record: Path | None) -> None:
+    def __init__(self, configuration: Configuration, seed: int, threads: int) -> None:
         for name in _PRELOADED:
             import_module(name)
-        self.configuration, self.seed, self.threads = configuration, seed, threads
-        self.trajectory, self.statistics, self.log = TrajectoryRecorder(), StatisticsRecorder(), LogStatistics()
-        self.stopwatch = Stopwatch()
         self.state: GridFastSlamState | None = None
+        self._configuration = configuration
+        self._seed = seed
+        self._threads = threads
+        self._trajectory = TrajectoryRecorder()
+        self._statistics = StatisticsRecorder()
+        self._log = LogStatistics()
+        self._stopwatch = Stopwatch()
         self._keys: list[tuple[StepReport, float]] = []
-        self._recorder = None if record is None else ScanRecorder(record)
 
-    @property
-    def observers(self) -> list[Observer]:
-        """The session's own observers."""
-        return [self.trajectory, self.statistics, self._note]
+    def add(self, accepted: AcceptedScan) -> None:
+        """Count a measurement before the filter processes it."""
+        scan = accepted.measurement.scan
+        if scan.sensor not in self._log.mountings:
+            pose = np.append(scan.geometry.origin, accepted.laser.mounting[5])
+            self._log.mountings[scan.sensor] = Mounting(pose, f"tf, frame {scan.frame}")
+        self._log.count(accepted.measurement)
 
     def run(self, source: Iterator[Measurement], observers: Sequence[Observer]) -> None:
         """Run the filter on all measurements of a source."""
-        slam, rng = build(self.configuration, self.threads), np.random.default_rng(self.seed)
+        slam = build(self._configuration, self._threads)
+        rng = np.random.default_rng(self._seed)
         first, *others = observers
-        run(source, slam, rng=rng, observers=[first, *self.observers, *others], stopwatch=self.stopwatch)
+        every = [first, self._trajectory, self._statistics, self._note, *others]
+        run(source, slam, rng=rng, observers=every, stopwatch=self._stopwatch)
 
-    def add(self, accepted: AcceptedScan) -> None:
-        """Record a measurement before the filter processes it; raises OutputError if it cannot be recorded."""
-        scan, log = accepted.measurement.scan, self.log
-        if scan.sensor not in log.mountings:
-            yaw = accepted.laser.mounting[5]
-            log.mountings[scan.sensor] = Mounting(np.append(scan.geometry.origin, yaw), f"tf, frame {scan.frame}")
-        log.count(accepted.measurement)
-        if self._recorder is not None:
-            self._recorder.add(accepted)
+    def copy(self, record: Path | None) -> SessionCopy:
+        """Copy everything that `save` needs; raises ArgumentError before the first scan.
 
-    def copy(self) -> SessionCopy:
-        """Copy everything that `save` needs; raises ArgumentError before the first scan."""
+        `record` is the file with all scans so far, None if there is none.
+        """
         if self.state is None:
             raise ArgumentError("session", "at least one scan", "none")
-        recorder = self._recorder
-        record = recorder.path if recorder is not None and recorder.is_whole else None
         return SessionCopy(
-            self.configuration, self.seed, self.threads, self.state.to_arrays(), self.trajectory.to_arrays(),
-            self.statistics.to_arrays(), copy.deepcopy(self.log), tuple(self._keys),
-            copy.deepcopy(self.stopwatch.stages), record,
-        )  # fmt: skip
-
-    def close(self) -> None:
-        """Close the record."""
-        if self._recorder is not None:
-            self._recorder.close()
+            self._configuration,
+            self._seed,
+            self._threads,
+            self.state.to_arrays(),
+            *copy.deepcopy((self._trajectory, self._statistics, self._log, self._stopwatch)),
+            tuple(self._keys),
+            record,
+        )
 
     def _note(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
         self.state = state
@@ -112,11 +184,11 @@ class SessionCopy:
     seed: int
     threads: int
     state: Mapping[str, NDArray[Any]]
-    trajectory: Mapping[str, NDArray[Any]]
-    statistics: Mapping[str, NDArray[Any]]
+    trajectory: TrajectoryRecorder
+    statistics: StatisticsRecorder
     log: LogStatistics
+    stopwatch: Stopwatch
     keys: tuple[tuple[StepReport, float], ...]
-    stages: dict[str, list[float]]
     record: Path | None
 
     def save(self, folder: str | Path) -> dict[str, Any]:
@@ -127,24 +199,29 @@ class SessionCopy:
         OutputError
             The folder cannot be written.
         """
-        result = self.result()
+        result = self._compute_result()
         try:
             return result.save(folder)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from None
 
-    def result(self) -> MapResult:
+    def _compute_result(self) -> MapResult:
         """Compute the full result, as `gridslam map` does at the end of a log."""
-        watch = Stopwatch()
-        watch.stages = self.stages
         record = RecordWriter()
-        state = GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads)
-        trajectory = TrajectoryRecorder.from_arrays(self.trajectory)
         for report, seconds in self.keys:
             record.add(report, seconds)
+        self.stopwatch.resume()
         return finish_mapping(
-            state, trajectory, StatisticsRecorder.from_arrays(self.statistics), record, self.configuration,
-            seed=self.seed, threads=self.threads, log=self.log, repair=Repair(), stopwatch=watch,
+            GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads),
+            self.trajectory,
+            self.statistics,
+            record,
+            self.configuration,
+            seed=self.seed,
+            threads=self.threads,
+            log=self.log,
             source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
             digest="" if self.record is None else compute_digest(self.record),
-        )  # fmt: skip
+            repair=Repair(),
+            stopwatch=self.stopwatch,
+        )

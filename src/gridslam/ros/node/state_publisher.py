@@ -1,11 +1,11 @@
-"""Publishing after each scan and by timers."""
+"""Publishing after each scan and by timers, and warnings that are reported at most once per second."""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import deque
-from collections.abc import Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, final
 
 import numpy as np
@@ -14,16 +14,14 @@ from gridslam.geometry.se2 import compose, inverse
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.observers import Latency
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.ros.node.localization import KnownMapPublisher
 from gridslam.ros.node.measurement_queue import Counts, MeasurementQueue
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, Level, Outputs, PoseMessage, StampedTransform
+from gridslam.ros.node.parameters import NodeSettings
 from gridslam.ros.node.rendering import MapRenderer
-from gridslam.ros.node.settings import NodeSettings
-from gridslam.ros.node.throttled_warnings import ThrottledWarnings
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, StepReport
 
-__all__ = ["StatePublisher"]
+__all__ = ["StatePublisher", "ThrottledWarnings"]
 
 Report: TypeAlias = StepReport | LocalizationReport
 
@@ -37,6 +35,57 @@ _MAX_OWN_TRANSFORMS = 1000  # the last published transforms, to recognize them o
 
 
 @final
+class ThrottledWarnings:
+    """Counts problems by kind, and reports each kind at most once in `every_s` seconds.
+
+    Parameters
+    ----------
+    log : callable
+        Reports to the user.
+    every_s : float, s
+        Least time between two messages of one kind.
+    clock : callable
+        Monotonic time, s.
+
+    Attributes
+    ----------
+    counts : Counter of str
+        Number of problems of each kind.
+    """
+
+    def __init__(
+        self, log: Callable[[Level, str], None], every_s: float = 1.0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.counts: Counter[str] = Counter()
+        self._log = log
+        self._every_s = every_s
+        self._clock = clock
+        self._due: dict[str, float] = {}
+        self._suppressed: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._last = ("", 0.0)
+
+    def __call__(self, kind: str, problem: str) -> None:
+        """Count one more problem of a kind, and report it if it is due."""
+        now = self._clock()
+        with self._lock:
+            self.counts[kind] += 1
+            self._last = f"{kind}: {problem}", now
+            if now < self._due.get(kind, now):
+                self._suppressed[kind] += 1
+                return
+            self._due[kind] = now + self._every_s
+            suppressed = self._suppressed.pop(kind, 0)
+        self._log(Level.WARN, f"{kind}: {problem}" + (f" (and {suppressed} more before)" if suppressed else ""))
+
+    def latest(self, within_s: float) -> str:
+        """Return the last problem within this many seconds; empty if there was none."""
+        with self._lock:
+            problem, when = self._last
+            return problem if problem and self._clock() - when <= within_s else ""
+
+
+@final
 class StatePublisher:
     """Observer that publishes pose and transform at each scan, entropy and particles at key scans, and the first map.
 
@@ -46,8 +95,8 @@ class StatePublisher:
         Frames and rates.
     outputs : Outputs
         The transport.
-    renderer : MapRenderer or KnownMapPublisher
-        Renders the map.
+    renderer : MapRenderer or None
+        Renders the map; None if it is known.
     queue : MeasurementQueue
         Provides the counts for the diagnostics.
     warn : ThrottledWarnings
@@ -58,12 +107,15 @@ class StatePublisher:
         self,
         settings: NodeSettings,
         outputs: Outputs,
-        renderer: MapRenderer | KnownMapPublisher,
+        renderer: MapRenderer | None,
         queue: MeasurementQueue,
         warn: ThrottledWarnings,
     ) -> None:
-        self._settings, self._outputs, self._renderer = settings, outputs, renderer
-        self._queue, self._warn = queue, warn
+        self._settings = settings
+        self._outputs = outputs
+        self._renderer = renderer
+        self._queue = queue
+        self._warn = warn
         self._lock = threading.Lock()  # the filter's thread and the timer both publish the transform
         self._measurement: AcceptedScan | None = None
         self._report: Report | None = None
@@ -97,8 +149,10 @@ class StatePublisher:
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
         """Publish the report of one scan."""
-        accepted, outputs, frame = self._measurement, self._outputs, self._settings.map_frame
+        accepted = self._measurement
         assert accepted is not None
+        outputs = self._outputs
+        frame = self._settings.map_frame
         odometry = accepted.measurement.odometry
         with self._lock:
             self._report = report
@@ -120,9 +174,11 @@ class StatePublisher:
 
     def publish_map(self, state: Any) -> None:  # noqa: ANN401
         """Render and publish the map if it is new and no other map is being rendered; call from the filter's thread."""
-        if self._report is not None and self._report is not self._mapped_report and self._renderer.is_idle:
-            self._mapped_report = self._report
-            self._memory_bytes = self._renderer.render(state, self._report.stamp_ns)
+        renderer = self._renderer
+        report = self._report
+        if renderer is not None and renderer.is_idle and report is not None and report is not self._mapped_report:
+            self._mapped_report = report
+            self._memory_bytes = renderer.render(state, report.stamp_ns)
 
     def publish_transform(self) -> None:
         """Publish the transform from map to odometry, stamped `tf_delay_s` ahead; nothing before the first scan."""
@@ -135,10 +191,10 @@ class StatePublisher:
             current = stamp_ns, self._report
             if current == self._published and now_s < self._repeat_after_s:  # a clock at rest: tf warns of repetitions
                 return
-            self._published, self._repeat_after_s = current, now_s + _REPEAT_PERIOD_S
+            self._published = current
+            self._repeat_after_s = now_s + _REPEAT_PERIOD_S
             x, y, theta = self._map_from_odom.tolist()
-            half = 0.5 * theta
-            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(half)), float(np.cos(half)))
+            pose = (x, y, 0.0, 0.0, 0.0, float(np.sin(0.5 * theta)), float(np.cos(0.5 * theta)))
             transform = StampedTransform(stamp_ns, settings.map_frame, self._child, pose)
             self._own_transforms[transform] = None  # before publishing: it may return at once on /tf
             if len(self._own_transforms) > _MAX_OWN_TRANSFORMS:
@@ -161,9 +217,9 @@ class StatePublisher:
 
     def diagnostics(self) -> Diagnostics:
         """Return counts, latency and the current problem or state."""
-        counts, report = self._queue.counts, self._report
+        report = self._report
         latency = Latency.of(np.array(tuple(self._latencies)))
-        values = {name: str(getattr(counts, name)) for name in Counts.__slots__}
+        values = {name: str(getattr(self._queue.counts, name)) for name in Counts.__slots__}
         values |= {f"{kind}, times": str(times) for kind, times in sorted(self._warn.counts.items())}
         values |= {
             "session": str(self.sessions),
@@ -185,7 +241,8 @@ class StatePublisher:
             self._outputs.log(*state)
 
     def _state(self) -> tuple[Level, str]:
-        report, accepted = self._report, self._measurement
+        report = self._report
+        accepted = self._measurement
         if self._queue.is_paused:
             return Level.OK, "paused"
         if report is None or accepted is None:

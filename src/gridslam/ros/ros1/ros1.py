@@ -8,243 +8,213 @@ Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 
 from __future__ import annotations
 
-import importlib
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
+from functools import partial
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
-from gridslam.io.bags.ros_messages import MessageError, decode_scan, decode_transforms, kind_of, wire_of_ros1
-from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.initial_pose import set_pose_from_message
-from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
-from gridslam.ros.node.parameters import NodeParameters, node_parameters
-from gridslam.ros.node.services import ViewerOpener, check_folder, close_node, describe_topics, save_results
-from gridslam.ros.ros1.arguments import check_ros1_arguments
+from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
+from gridslam.ros.node.messages import (
+    CloudMessage,
+    Diagnostics,
+    GridMessage,
+    Level,
+    Outputs,
+    PoseMessage,
+    StampedTransform,
+)  # fmt: skip
+from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
 from gridslam.ros.ros1.messages import cloud_class, grid_class, response_class
 
-__all__ = ["NODE_NAME", "Ros1Node", "run_ros1"]
+__all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
 NODE_NAME = "slam_gmapping"
 
-_POLL_S = 0.2
+_import = partial(import_ros, "ROS 1", "source its setup.bash, or install python3-rospy and the messages' packages")
 
 
-def _modules() -> dict[str, Any]:
-    """Import rospy and the message packages; raises ConfigurationError if ROS 1 is not installed."""
-    names = (
-        "rospy", "std_msgs.msg", "std_srvs.srv", "nav_msgs.msg", "nav_msgs.srv", "geometry_msgs.msg", "tf2_msgs.msg",
-        "diagnostic_msgs.msg",
-    )  # fmt: skip
-    try:
-        return {name: importlib.import_module(name) for name in names}
-    except ImportError as error:
-        hint = "source its setup.bash, or install python3-rospy and the messages' packages"
-        raise ConfigurationError(f"ROS 1 is not available ({error}): {hint}") from None
+def _name(topic: str) -> str:
+    """Return a name as ROS 1 has it: ~pose, and not ~/pose."""
+    return topic.replace("~/", "~")
 
 
 @final
-class Ros1Node:
-    """Publishers, subscribers and services of the node, after `rospy.init_node`.
+class Ros1Transport:
+    """Publishers, subscribers and services of the node, after `rospy.init_node`; its own `Outputs`."""
 
-    Parameters
-    ----------
-    parameters : NodeParameters
-        Settings and configuration from the node's private parameters.
-    """
+    global_localization = "global_localization"
 
-    def __init__(self, parameters: NodeParameters) -> None:
-        self._ros = _modules()
-        rospy, nav, std = self._ros["rospy"], self._ros["nav_msgs.msg"], self._ros["std_msgs.msg"]
-        self._grid_class = grid_class(nav.OccupancyGrid)
-        self._map = rospy.Publisher("map", nav.OccupancyGrid, queue_size=1, latch=True)
-        self._metadata = rospy.Publisher("map_metadata", nav.MapMetaData, queue_size=1, latch=True)
-        self._entropy = rospy.Publisher("~entropy", std.Float64, queue_size=1, latch=True)
-        self._tf = rospy.Publisher("/tf", self._ros["tf2_msgs.msg"].TFMessage, queue_size=100)
-        geometry = self._ros["geometry_msgs.msg"]
-        self._pose = rospy.Publisher("~pose", geometry.PoseWithCovarianceStamped, queue_size=10)
-        self._cloud_class = cloud_class(geometry.PoseArray)
-        self._cloud = rospy.Publisher("particlecloud", geometry.PoseArray, queue_size=1)
-        diagnostic = self._ros["diagnostic_msgs.msg"]
-        self._diagnostics = rospy.Publisher("/diagnostics", diagnostic.DiagnosticArray, queue_size=10)
-        self.core = NodeCore(parameters.settings, parameters.configuration, self, record=parameters.record)
-        if parameters.warning:
-            self.log(Level.WARN, parameters.warning)
-        self._out = parameters.out or Path("gridslam-map")
+    def __init__(self) -> None:
+        self.outputs: Outputs = self
+        self._rospy = _import("rospy")
+        self._grid_class = grid_class(_import("nav_msgs/OccupancyGrid"))
+        self._cloud_class = cloud_class(_import("geometry_msgs/PoseArray"))
+        self._publishers: dict[str, Any] = {}
 
-    def start(self) -> None:
-        """Start the core, services and subscribers."""
-        self.core.start()
-        self._advertise_services()
-        self._subscribe()
-        self.log(Level.OK, describe_topics(self._ros["rospy"].resolve_name("scan"), self.core))
+    def connect(self, refuse: Callable[[str, str], None]) -> None:
+        """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
+        self._refuse = refuse
+        for topic, kind in TOPICS.items():
+            options = {"queue_size": 1, "latch": True} if topic in LATCHED else {"queue_size": 10}
+            self._publishers[topic] = self._rospy.Publisher(_name(topic), _import(kind), **options)
+
+    def wire_of(self, data: bytes) -> Wire:
+        """Return the encoding of a message."""
+        return wire_of_ros1(data)
+
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic, after remapping."""
+        return str(self._rospy.resolve_name(_name(topic)))
+
+    def subscribe(
+        self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
+    ) -> None:
+        """Subscribe to the bytes of messages, which TCP carries reliably; none is dropped before it is handled."""
+
+        def on_message(message: Any) -> None:  # noqa: ANN401
+            header = message._connection_header
+            if header["type"] == kind or (kind_of(kind) and kind_of(header["type"]) == kind_of(kind)):
+                handle(message._buff, header.get("callerid", ""))
+            else:
+                self._refuse("message", f"expected {kind} on {header['topic']}, got {header['type']}")
+
+        options = {"queue_size": None, "buff_size": 1 << 24, "tcp_nodelay": True}
+        self._rospy.Subscriber(_name(topic), self._rospy.AnyMsg, on_message, **options)
+
+    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+        """Offer a service of std_srvs; rospy answers each request in a thread of its own."""
+        service_class = _import(kind, "srv")
+
+        def answer(request: Any) -> Any:  # noqa: ANN401
+            return service_class._response_class(*serve(getattr(request, "data", None)))
+
+        self._rospy.Service(_name(service), service_class, answer)
+
+    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
+        """Offer the map by a service, which fails where there is none."""
+        service_class = _import("nav_msgs/GetMap", "srv")
+        answer_class = response_class(service_class._response_class)
+
+        def answer(request: Any) -> Any:  # noqa: ANN401
+            latest = serve()
+            if latest is None:
+                raise self._rospy.ServiceException("there is no map yet")
+            return answer_class(map=self._grid(latest))
+
+        self._rospy.Service(service, service_class, answer)
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Wait until ROS is shut down or the event is set; rospy delivers messages in threads of its own."""
+        while not self._rospy.is_shutdown() and not ended.wait(POLL_S):
+            yield
+
+    def close(self) -> None:
+        """Shut down."""
+        self._rospy.signal_shutdown("done")
 
     def now_ns(self) -> int:
         """Return the current time, simulated or not, ns."""
-        return int(self._ros["rospy"].Time.now().to_nsec())
+        return int(self._rospy.Time.now().to_nsec())
 
     def map(self, message: GridMessage) -> None:
         """Publish the map and its metadata, latched."""
         grid = self._grid(message)
-        self._publish(self._metadata, grid.info)
-        self._publish(self._map, grid)
+        self._publish("map_metadata", grid.info)
+        self._publish("map", grid)
 
     def transform(self, message: StampedTransform) -> None:
         """Publish on /tf."""
-        geometry = self._ros["geometry_msgs.msg"]
-        sent = geometry.TransformStamped()
-        sent.header.stamp, sent.header.frame_id = self._stamp(message.stamp_ns), message.parent
+        sent = _import("geometry_msgs/TransformStamped")()
+        self._stamp(sent.header, message.stamp_ns, message.parent)
         sent.child_frame_id = message.child
         x, y, z, *xyzw = message.pose
-        sent.transform.translation = geometry.Vector3(x, y, z)
-        sent.transform.rotation = geometry.Quaternion(*xyzw)
-        self._publish(self._tf, self._ros["tf2_msgs.msg"].TFMessage([sent]))
+        sent.transform.translation = _import("geometry_msgs/Vector3")(x, y, z)
+        sent.transform.rotation = _import("geometry_msgs/Quaternion")(*xyzw)
+        self._publish("/tf", _import(TOPICS["/tf"])([sent]))
 
     def pose(self, message: PoseMessage) -> None:
         """Publish on ~pose."""
-        sent = self._ros["geometry_msgs.msg"].PoseWithCovarianceStamped()
-        sent.header.stamp, sent.header.frame_id = self._stamp(message.stamp_ns), message.frame
+        sent = _import(TOPICS["~/pose"])()
+        self._stamp(sent.header, message.stamp_ns, message.frame)
         message.fill(sent.pose)
-        self._publish(self._pose, sent)
+        self._publish("~/pose", sent)
 
     def entropy(self, nats: float) -> None:
         """Publish on ~entropy."""
-        self._publish(self._entropy, self._ros["std_msgs.msg"].Float64(nats))
+        self._publish("~/entropy", _import(TOPICS["~/entropy"])(nats))
 
     def particles(self, message: CloudMessage) -> None:
         """Publish on particlecloud."""
         cloud = self._cloud_class()
-        cloud.header.stamp, cloud.header.frame_id = self._stamp(message.stamp_ns), message.frame
-        cloud.count, cloud.data = len(message.poses), message.data()
-        self._publish(self._cloud, cloud)
+        self._stamp(cloud.header, message.stamp_ns, message.frame)
+        cloud.count = len(message.poses)
+        cloud.data = message.data()
+        self._publish("particlecloud", cloud)
 
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish on /diagnostics."""
-        rospy, diagnostic = self._ros["rospy"], self._ros["diagnostic_msgs.msg"]
-        values = [diagnostic.KeyValue(name, value) for name, value in message.values.items()]
-        name = f"{rospy.get_name().lstrip('/')}: SLAM"
-        status = diagnostic.DiagnosticStatus(int(message.level), name, message.summary, "", values)
-        sent = diagnostic.DiagnosticArray(status=[status])
-        sent.header.stamp = rospy.Time.now()
-        self._publish(self._diagnostics, sent)
+        pair = _import("diagnostic_msgs/KeyValue")
+        values = [pair(name, value) for name, value in message.values.items()]
+        name = f"{self._rospy.get_name().lstrip('/')}: SLAM"
+        status = _import("diagnostic_msgs/DiagnosticStatus")(int(message.level), name, message.summary, "", values)
+        sent = _import(TOPICS["/diagnostics"])(status=[status])
+        sent.header.stamp = self._rospy.Time.now()
+        self._publish("/diagnostics", sent)
 
     def log(self, level: Level, text: str) -> None:
         """Log to the console and /rosout."""
-        rospy = self._ros["rospy"]
+        rospy = self._rospy
         {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
         sys.stdout.flush()  # rospy does not flush
 
-    def _subscribe(self) -> None:
-        rospy = self._ros["rospy"]
-        large = {"buff_size": 1 << 24, "tcp_nodelay": True}
-        sensor = rospy.resolve_name("scan")
-
-        def on_scan(message: Any) -> None:  # noqa: ANN401
-            if data := self._bytes(message, "scan", "sensor_msgs/LaserScan"):
-                self.core.on_scan(decode_scan(data, wire_of_ros1(data)), sensor)
-
-        def on_transforms(static: bool) -> Callable[[Any], None]:
-            def handle(message: Any) -> None:  # noqa: ANN401
-                if data := self._bytes(message, "transforms", "tf2_msgs/TFMessage"):
-                    sender = message._connection_header.get("callerid", "")
-                    found = decode_transforms(data, wire_of_ros1(data))
-                    self.core.on_transforms(found, static=static, publisher=sender)
-
-            return handle
-
-        def on_pose(message: Any) -> None:  # noqa: ANN401
-            expected, got = "geometry_msgs/PoseWithCovarianceStamped", message._connection_header["type"]
-            if got != expected:
-                raise MessageError(f"expected {expected}, got {got}")
-            set_pose_from_message(self.core, message._buff, wire_of_ros1(message._buff))
-
-        if self.core.localizes:
-            rospy.Subscriber("initialpose", rospy.AnyMsg, self._make_callback("initialpose", on_pose), queue_size=1)
-        for topic, handle in (("/tf_static", on_transforms(True)), ("/tf", on_transforms(False)), ("scan", on_scan)):
-            rospy.Subscriber(topic, rospy.AnyMsg, self._make_callback(topic, handle), queue_size=None, **large)
-
-    def _bytes(self, message: Any, kind: str, expected: str) -> bytes:  # noqa: ANN401
-        """Bytes of a message of that kind; none, and a warning, for another one."""
-        header: Mapping[str, str] = message._connection_header
-        if kind_of(header["type"]) == kind:
-            data: bytes = message._buff
-            return data
-        self.core.refuse_message("message", f"expected {expected} on {header['topic']}, got {header['type']}")
-        return b""
-
-    def _make_callback(self, topic: str, handle: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Call back, and warn of bytes that are not a valid message."""
-
-        def on_message(message: Any) -> None:  # noqa: ANN401
-            try:
-                handle(message)
-            except MessageError as error:
-                self.core.refuse_message("message", f"{topic}: {error}")
-
-        return on_message
-
-    def _advertise_services(self) -> None:
-        rospy, services = self._ros["rospy"], self._ros["std_srvs.srv"]
-        get_map = self._ros["nav_msgs.srv"].GetMap
-        answer_class = response_class(get_map._response_class)
-
-        def dynamic_map(request: Any) -> Any:  # noqa: ANN401
-            latest = self.core.dynamic_map()
-            if latest is None:
-                raise rospy.ServiceException("there is no map yet")
-            return answer_class(map=self._grid(latest))
-
-        def reset(request: Any) -> Any:  # noqa: ANN401
-            self.core.reset()
-            return services.EmptyResponse()
-
-        def pause(request: Any) -> Any:  # noqa: ANN401
-            self.core.pause(request.data)
-            return services.SetBoolResponse(True, "paused" if request.data else "mapping")
-
-        def save(request: Any) -> Any:  # noqa: ANN401
-            return services.TriggerResponse(*save_results(self.core, self._out))
-
-        rospy.Service("dynamic_map", get_map, dynamic_map)
-        rospy.Service("~reset", services.Empty, reset)
-        if self.core.localizes:
-            rospy.Service("global_localization", services.Empty, reset)
-        rospy.Service("~pause", services.SetBool, pause)
-        rospy.Service("~save", services.Trigger, save)
-
     def _grid(self, message: GridMessage) -> Any:  # noqa: ANN401
         grid = self._grid_class()
-        height, width = message.cells.shape
-        grid.header.stamp, grid.header.frame_id = self._stamp(message.stamp_ns), message.frame
+        self._stamp(grid.header, message.stamp_ns, message.frame)
         grid.info.map_load_time = grid.header.stamp
-        grid.info.resolution, grid.info.width, grid.info.height = message.resolution_m, width, height
+        grid.info.resolution = message.resolution_m
+        grid.info.height, grid.info.width = message.cells.shape
         grid.info.origin.position.x, grid.info.origin.position.y = message.origin
         grid.info.origin.orientation.w = 1.0
         grid.cells = message.cells.tobytes()
         return grid
 
-    def _stamp(self, stamp_ns: int) -> Any:  # noqa: ANN401
-        return self._ros["rospy"].Time(*divmod(stamp_ns, 1_000_000_000))
+    def _stamp(self, header: Any, stamp_ns: int, frame: str) -> None:  # noqa: ANN401
+        header.stamp = self._rospy.Time(*divmod(stamp_ns, 1_000_000_000))
+        header.frame_id = frame
 
-    def _publish(self, publisher: Any, message: Any) -> None:  # noqa: ANN401
-        rospy = self._ros["rospy"]
+    def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
         try:
-            if not rospy.is_shutdown():
-                publisher.publish(message)
-        except rospy.ROSException:  # shut down in the meantime
+            if not self._rospy.is_shutdown():
+                self._publishers[topic].publish(message)
+        except self._rospy.ROSException:  # shut down in the meantime
             return
+
+
+def check_ros1_arguments(arguments: Sequence[str]) -> None:
+    """Raise ConfigurationError for an argument that rospy would ignore.
+
+    That is one other than ``name:=value``, and a parameter without its underscore.
+    """
+    for argument in arguments:
+        name, sign, _ = argument.partition(":=")
+        if not sign or not name or name.startswith("-"):
+            raise ConfigurationError(f"expected an option, _PARAMETER:=VALUE or TOPIC:=OTHER, got {argument!r}")
+        if name in GMAPPING_DEFAULTS or name in NODE_DEFAULTS:
+            raise ConfigurationError(f"{argument}: this would remap a topic; a parameter is given as _{argument}")
 
 
 def _wait_for_master(on_poll: Callable[[], None]) -> None:
     """Wait for roscore, as slam_gmapping does."""
-    graph = importlib.import_module("rosgraph")
+    graph = _import("rosgraph")
     if not graph.is_master_online():
         print(f"gridslam: waiting for a master at {graph.get_master_uri()}", file=sys.stderr, flush=True)
     while not graph.is_master_online():
-        time.sleep(_POLL_S)
+        time.sleep(POLL_S)
         on_poll()
 
 
@@ -264,7 +234,7 @@ def run_ros1(
     given : mapping, optional
         Parameters of the node that override its private parameters.
     open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
     on_poll : callable
         Called several times a second; may raise KeyboardInterrupt.
 
@@ -275,26 +245,12 @@ def run_ros1(
     GridslamError
         The node cannot be started, or its filter failed.
     """
-    rospy = _modules()["rospy"]
+    rospy = _import("rospy")
     check_ros1_arguments(arguments)
     _wait_for_master(on_poll)
     try:
         rospy.init_node(NODE_NAME, argv=["gridslam", *arguments], disable_signals=True)
     except rospy.ROSInitException as error:
         raise GridslamError(f"the node cannot be started: {error}") from None
-    private = rospy.get_param("~", {})
-    parameters = node_parameters({**private, **(given or {})})
-    check_folder(parameters.out)
-    node = Ros1Node(parameters)
-    with open_viewers(node.core):
-        try:
-            node.start()
-            while not rospy.is_shutdown() and not node.core.ended.wait(_POLL_S):
-                on_poll()
-        except KeyboardInterrupt:  # the usual end of a node
-            pass
-        finally:
-            close_node(node.core, parameters.out, node.log)
-            rospy.signal_shutdown("done")
-    if node.core.failure is not None:
-        raise GridslamError(f"the filter failed: {node.core.failure}") from node.core.failure
+    parameters = node_parameters({**rospy.get_param("~", {}), **(given or {})})
+    RosNode(Ros1Transport(), parameters).run(open_viewers, on_poll)

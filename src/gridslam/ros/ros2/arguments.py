@@ -5,15 +5,14 @@ Source: https://design.ros2.org/articles/ros_command_line_arguments.html
 
 from __future__ import annotations
 
-import importlib
 import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, final
 
 from gridslam.errors import ConfigurationError, InputError
+from gridslam.io.yaml import parse_yaml
 
 __all__ = ["RosArguments", "parse_ros_arguments"]
 
@@ -114,9 +113,9 @@ def _split(text: str) -> tuple[str, str, str]:
 def _read_file(path: str, node: str) -> dict[str, Any]:
     """Return the parameters of a file for the node with this full name."""
     try:
-        tree = _parse_yaml(Path(path).read_text(encoding="utf-8"))
+        tree = parse_yaml(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(path, str(error)) from None
+        raise InputError(path, str(error), getattr(error, "line", None)) from None
     found: dict[str, Any] = {}
     for pattern, parameters in _find_nodes(tree, ""):
         if not isinstance(parameters, dict):
@@ -144,20 +143,7 @@ def _node_pattern(pattern: str) -> str:
 def _parse_value(text: str) -> Any:  # noqa: ANN401
     """Return a YAML number, bool or list; otherwise the text itself."""
     try:
-        value = _parse_yaml(text)
+        value = parse_yaml(text)
     except ValueError:
         return text
     return text if value is None or isinstance(value, dict) else value
-
-
-def _parse_yaml(text: str) -> Any:  # noqa: ANN401
-    """Parse YAML 1.1, as ROS does; raises ValueError if it is invalid."""
-    ruamel = importlib.import_module("ruamel.yaml")  # of rosbags, which reads bags' metadata by it
-    reader = ruamel.YAML(typ="safe", pure=True)
-    reader.version = (1, 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
-        try:
-            return reader.load(text)
-        except ruamel.YAMLError as error:
-            raise ValueError(" ".join(str(error).split())) from None

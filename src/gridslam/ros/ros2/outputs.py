@@ -4,28 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, final
+from typing import Any, final
 
 import numpy as np
 
 from gridslam.ros.node.messages import CloudMessage, Diagnostics, GridMessage, Level, PoseMessage, StampedTransform
+from gridslam.ros.node.transport import TOPICS
 from gridslam.ros.ros2.cdr import encode_message
 
-__all__ = ["LATCHED", "TOPICS", "Ros2Outputs", "grid_values"]
-
-TOPICS: Final = {
-    "map": "nav_msgs/OccupancyGrid",
-    "map_metadata": "nav_msgs/MapMetaData",
-    "/tf": "tf2_msgs/TFMessage",
-    "~/pose": "geometry_msgs/PoseWithCovarianceStamped",
-    "~/entropy": "std_msgs/Float64",
-    "particlecloud": "geometry_msgs/PoseArray",
-    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
-}
-"""Published topics and their types."""
-
-LATCHED: Final = ("map", "map_metadata", "~/entropy")
-"""Topics published reliable and transient-local, so that late subscribers receive the last message."""
+__all__ = ["Ros2Outputs", "grid_values"]
 
 _LEVEL_TURN = (0.0, 0.0, 0.0, 1.0)
 

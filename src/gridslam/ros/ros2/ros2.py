@@ -8,77 +8,116 @@ forgets when it is cleaned up.
 from __future__ import annotations
 
 import array
-import importlib
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
+from functools import partial
 from typing import Any, final
 
-from gridslam.errors import ConfigurationError, GridslamError
-from gridslam.io.bags.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
+from gridslam.errors import ConfigurationError
+from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.initial_pose import set_pose_from_message
-from gridslam.ros.node.messages import Level
-from gridslam.ros.node.parameters import NodeParameters, node_parameters
-from gridslam.ros.node.services import ViewerOpener, check_folder, close_node, describe_topics, save_results
-from gridslam.ros.ros2.outputs import LATCHED, TOPICS, Ros2Outputs
+from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
+from gridslam.ros.ros2.outputs import Ros2Outputs
 
-__all__ = ["NODE_NAME", "Ros2Node", "run_ros2"]
+__all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
 
 NODE_NAME = "gridslam"
 
-_POLL_S = 0.2
 _ROS_S = ("use_sim_time", "start_type_description_service", "lifecycle")
 """Parameters that rclpy handles, or that are read before the node is created."""
 
 
-def _module(name: str) -> Any:  # noqa: ANN401
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        hint = "source a ROS 2's setup.bash, or use --transport dds"
-        raise ConfigurationError(f"ROS 2 is not available ({error}): {hint}") from None
-
-
-def _type(name: str, folder: str = "msg") -> Any:  # noqa: ANN401
-    package, _, kind = name.partition("/")
-    return getattr(_module(f"{package}.{folder}"), kind)
+_import = partial(import_ros, "ROS 2", "source a ROS 2's setup.bash, or use --transport dds")
 
 
 @final
-class Ros2Node:
-    """Publishers, subscriptions and services on a node of rclpy.
+class Ros2Transport:
+    """Publishers, subscriptions and services on a node of rclpy, which may be a managed one."""
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Or a managed node.
-    parameters : NodeParameters
-        Settings and configuration from the node's parameters.
-    """
+    global_localization = "reinitialize_global_localization"
 
-    def __init__(self, node: Any, parameters: NodeParameters) -> None:  # noqa: ANN401
-        self._node, self._qos, self._is_ok = node, _module("rclpy.qos"), _module("rclpy").ok
-        self._out = parameters.out or Path("gridslam-map")
-        self._publishers = {
-            topic: node.create_publisher(
-                _type(kind), topic, self._profile(latched=topic in LATCHED, depth=1 if topic in LATCHED else 10)
-            )
-            for topic, kind in TOPICS.items()
-        }
-        outputs = Ros2Outputs(self._publish, self._now_ns, self.log, node.get_name())
-        self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
-        if parameters.warning:
-            self.log(Level.WARN, parameters.warning)
+    def __init__(self, node: Any) -> None:  # noqa: ANN401
+        self._node = node
+        self._rclpy = _import("rclpy")
+        self._qos = _import("rclpy.qos")
+        self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
+        self._publishers: dict[str, Any] = {}
+        self.outputs: Outputs = Ros2Outputs(self._publish, self._now_ns, self._log, node.get_name())
 
-    def start(self) -> None:
-        """Start the core, services and subscriptions."""
-        self.core.start()
-        self._advertise_services()
-        self._subscribe()
-        self.log(Level.OK, describe_topics(self._node.resolve_topic_name("scan"), self.core))
+    def connect(self, refuse: Callable[[str, str], None]) -> None:
+        """Create the publishers; rclpy itself refuses what cannot be received."""
+        for topic, kind in TOPICS.items():
+            latched = topic in LATCHED
+            profile = self._profile(latched=latched, depth=1 if latched else 10)
+            self._publishers[topic] = self._node.create_publisher(_import(kind), topic, profile)
 
-    def log(self, level: Level, text: str) -> None:
+    def wire_of(self, data: bytes) -> Wire:
+        """Return the encoding of a message; raises MessageError if it has none."""
+        return wire_of_cdr(data)
+
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic, after remapping."""
+        return str(self._node.resolve_topic_name(topic))
+
+    def subscribe(
+        self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
+    ) -> None:
+        """Subscribe to the bytes of messages; rclpy does not name their publisher."""
+        profile = self._profile(reliable=reliable, latched=latched, depth=depth)
+        self._node.create_subscription(_import(kind), topic, lambda data: handle(data, ""), profile, raw=True)
+
+    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+        """Offer a service of std_srvs; scans do not wait for a slow one."""
+
+        def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
+            for name, value in zip(("success", "message"), serve(getattr(request, "data", None)), strict=False):
+                setattr(response, name, value)
+            return response
+
+        group = {"callback_group": self._apart} if slow else {}
+        self._node.create_service(_import(kind, "srv"), service, answer, **group)
+
+    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
+        """Offer the map by a service; without a map the response is empty."""
+
+        def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
+            latest = serve()
+            if latest is not None:
+                grid = response.map
+                stamp = divmod(latest.stamp_ns, 1_000_000_000)
+                grid.header.stamp.sec, grid.header.stamp.nanosec = stamp
+                grid.header.frame_id = latest.frame
+                grid.info.map_load_time.sec, grid.info.map_load_time.nanosec = stamp
+                grid.info.resolution = latest.resolution_m
+                grid.info.height, grid.info.width = latest.cells.shape
+                grid.info.origin.position.x, grid.info.origin.position.y = latest.origin
+                grid.info.origin.orientation.w = 1.0
+                grid.data = array.array("b", latest.cells.tobytes())
+            return response
+
+        self._node.create_service(_import("nav_msgs/GetMap", "srv"), service, answer)
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Deliver messages until ROS is shut down or the event is set."""
+        executors = _import("rclpy.executors")
+        executor = executors.MultiThreadedExecutor(2)
+        executor.add_node(self._node)
+        while self._rclpy.ok() and not ended.is_set():
+            try:
+                executor.spin_once(timeout_sec=POLL_S)
+            except executors.ExternalShutdownException:
+                return
+            yield
+
+    def close(self) -> None:
+        """Shut down."""
+        self._node.destroy_node()
+        self._rclpy.try_shutdown()
+
+    def _log(self, level: Level, text: str) -> None:
         """Log to the console and /rosout; rclpy requires one severity per line of code."""
         logger = self._node.get_logger()
         if level is Level.OK:
@@ -89,7 +128,7 @@ class Ros2Node:
             logger.error(text)
 
     def _publish(self, topic: str, data: bytes) -> None:
-        if self._is_ok():
+        if self._rclpy.ok():
             self._publishers[topic].publish(data)
 
     def _now_ns(self) -> int:
@@ -104,80 +143,6 @@ class Ros2Node:
             durability=qos.DurabilityPolicy.TRANSIENT_LOCAL if latched else qos.DurabilityPolicy.VOLATILE,
         )
 
-    def _subscribe(self) -> None:
-        node, sensor = self._node, self._node.resolve_topic_name("scan")
-
-        def on_scan(data: bytes) -> None:
-            self.core.on_scan(decode_scan(data, wire_of_cdr(data)), sensor)
-
-        def on_transforms(static: bool) -> Callable[[bytes], None]:
-            return lambda data: self.core.on_transforms(decode_transforms(data, wire_of_cdr(data)), static=static)
-
-        def on_pose(data: bytes) -> None:
-            set_pose_from_message(self.core, data, wire_of_cdr(data))
-
-        if self.core.localizes:
-            kind, on_message = (
-                _type("geometry_msgs/PoseWithCovarianceStamped"),
-                self._make_callback("initialpose", on_pose),
-            )
-            node.create_subscription(kind, "initialpose", on_message, self._profile(depth=1), raw=True)
-        for topic, kind, handle, profile in (
-            ("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), self._profile(latched=True, depth=100)),
-            ("/tf", "tf2_msgs/TFMessage", on_transforms(False), self._profile(depth=100)),
-            ("scan", "sensor_msgs/LaserScan", on_scan, self._profile(reliable=False, depth=5)),
-        ):
-            node.create_subscription(_type(kind), topic, self._make_callback(topic, handle), profile, raw=True)
-
-    def _make_callback(self, topic: str, handle: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Call back, and warn of bytes that are not a valid message."""
-
-        def on_message(data: bytes) -> None:
-            try:
-                handle(data)
-            except MessageError as error:
-                self.core.refuse_message("message", f"{topic}: {error}")
-
-        return on_message
-
-    def _advertise_services(self) -> None:
-        core, node = self.core, self._node
-
-        def dynamic_map(request: Any, response: Any) -> Any:  # noqa: ANN401
-            latest = core.dynamic_map()
-            if latest is not None:
-                grid = response.map
-                height, width = latest.cells.shape
-                stamp = grid.header.stamp.sec, grid.header.stamp.nanosec = divmod(latest.stamp_ns, 1_000_000_000)
-                grid.header.frame_id = latest.frame
-                grid.info.map_load_time.sec, grid.info.map_load_time.nanosec = stamp
-                grid.info.resolution, grid.info.width, grid.info.height = latest.resolution_m, width, height
-                grid.info.origin.position.x, grid.info.origin.position.y = latest.origin
-                grid.info.origin.orientation.w = 1.0
-                grid.data = array.array("b", latest.cells.tobytes())
-            return response
-
-        def reset(request: Any, response: Any) -> Any:  # noqa: ANN401
-            core.reset()
-            return response
-
-        def pause(request: Any, response: Any) -> Any:  # noqa: ANN401
-            core.pause(request.data)
-            response.success, response.message = True, "paused" if request.data else "mapping"
-            return response
-
-        def save(request: Any, response: Any) -> Any:  # noqa: ANN401
-            response.success, response.message = save_results(core, self._out)
-            return response
-
-        # A slow service must not block the scans.
-        apart = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
-        node.create_service(_type("nav_msgs/GetMap", "srv"), "dynamic_map", dynamic_map)
-        for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
-            node.create_service(_type("std_srvs/Empty", "srv"), name, reset)
-        node.create_service(_type("std_srvs/SetBool", "srv"), "~/pause", pause)
-        node.create_service(_type("std_srvs/Trigger", "srv"), "~/save", save, callback_group=apart)
-
 
 def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
     """Return the parameters set by launch files and arguments; no others are declared, so presets apply."""
@@ -186,44 +151,36 @@ def _read_parameters(node: Any) -> dict[str, Any]:  # noqa: ANN401
 
 
 def _make_managed_class(base: Any) -> Any:  # noqa: ANN401
-    """Return a node class whose transitions pause and reset the core."""
-    done = _module("rclpy.lifecycle").TransitionCallbackReturn.SUCCESS
+    """Return a node class whose transitions pause and reset the core, which is set before the node spins."""
 
     class Managed(base):  # type: ignore[misc]
-        core: NodeCore | None = None
-
-        def on_configure(self, state: Any) -> Any:  # noqa: ANN401
-            return done
+        core: NodeCore
 
         def on_activate(self, state: Any) -> Any:  # noqa: ANN401
-            if self.core is not None:
-                self.core.pause(False)
+            self.core.pause(False)
             return super().on_activate(state)
 
         def on_deactivate(self, state: Any) -> Any:  # noqa: ANN401
-            if self.core is not None:
-                self.core.pause(True)
+            self.core.pause(True)
             return super().on_deactivate(state)
 
         def on_shutdown(self, state: Any) -> Any:  # noqa: ANN401
-            if self.core is not None:
-                self.core.pause(True)
+            self.core.pause(True)
             return super().on_shutdown(state)
 
         def on_cleanup(self, state: Any) -> Any:  # noqa: ANN401
-            if self.core is not None:
-                self.core.reset()
-            return done
+            self.core.reset()
+            return super().on_cleanup(state)
 
     return Managed
 
 
 def _init_rclpy(rclpy: Any, arguments: list[str]) -> None:  # noqa: ANN401
     """Initialize rclpy, whose signal handlers would end it before the last map is published."""
-    unknown = _module("rclpy.utilities").remove_ros_args(arguments)[1:]
+    unknown = _import("rclpy.utilities").remove_ros_args(arguments)[1:]
     if unknown:
         raise ConfigurationError(f"expected ROS's arguments, after --ros-args, got {' '.join(unknown)}")
-    rclpy.init(args=arguments, signal_handler_options=_module("rclpy.signals").SignalHandlerOptions.NO)
+    rclpy.init(args=arguments, signal_handler_options=_import("rclpy.signals").SignalHandlerOptions.NO)
 
 
 def run_ros2(
@@ -242,7 +199,7 @@ def run_ros2(
     given : mapping, optional
         Parameters that override those of ROS.
     open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
     on_poll : callable
         Called several times a second; may raise KeyboardInterrupt.
 
@@ -251,34 +208,16 @@ def run_ros2(
     ConfigurationError
         ROS 2 is not available, or a parameter is invalid.
     """
-    rclpy = _module("rclpy")
-    _init_rclpy(rclpy, ["gridslam", *arguments])
+    _init_rclpy(_import("rclpy"), ["gridslam", *arguments])
     options = {"allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True}
-    node = _module("rclpy.node").Node(NODE_NAME, **options)
+    node = _import("rclpy.node").Node(NODE_NAME, **options)
     managed = node.has_parameter("lifecycle") and node.get_parameter("lifecycle").value is True
     if managed:
         node.destroy_node()
-        node = _make_managed_class(_module("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
+        node = _make_managed_class(_import("rclpy.lifecycle").LifecycleNode)(NODE_NAME, **options)
     parameters = node_parameters({**_read_parameters(node), **(given or {})}, "default")
-    check_folder(parameters.out)
-    ours = Ros2Node(node, parameters)
+    ours = RosNode(Ros2Transport(node), parameters)
     if managed:
         node.core = ours.core
         ours.core.pause(True)
-    executors = _module("rclpy.executors")
-    executor = executors.MultiThreadedExecutor(2)
-    executor.add_node(node)
-    with open_viewers(ours.core):
-        try:
-            ours.start()
-            while rclpy.ok() and not ours.core.ended.is_set():
-                executor.spin_once(timeout_sec=_POLL_S)
-                on_poll()
-        except (KeyboardInterrupt, executors.ExternalShutdownException):  # the usual end of a node
-            pass
-        finally:
-            close_node(ours.core, parameters.out, ours.log)
-            node.destroy_node()
-            rclpy.try_shutdown()
-    if ours.core.failure is not None:
-        raise GridslamError(f"the filter failed: {ours.core.failure}") from ours.core.failure
+    ours.run(open_viewers, on_poll)

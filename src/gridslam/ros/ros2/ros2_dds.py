@@ -6,31 +6,28 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any, final
 
-from gridslam.errors import ConfigurationError, GridslamError
-from gridslam.io.bags.ros_messages import MessageError, decode_scan, decode_transforms, wire_of_cdr
-from gridslam.ros.node.core import NodeCore
-from gridslam.ros.node.initial_pose import set_pose_from_message
-from gridslam.ros.node.messages import Level
-from gridslam.ros.node.parameters import NodeParameters, node_parameters
-from gridslam.ros.node.services import ViewerOpener, check_folder, close_node, describe_topics, save_results
+from gridslam.errors import ConfigurationError
+from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
+from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.parameters import node_parameters
+from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 from gridslam.ros.ros2.cdr import decode_message, encode_message
-from gridslam.ros.ros2.dds import DdsParticipant, Handler
-from gridslam.ros.ros2.outputs import LATCHED, TOPICS, Ros2Outputs, grid_values
+from gridslam.ros.ros2.dds import DdsParticipant
+from gridslam.ros.ros2.outputs import Ros2Outputs, grid_values
 
-__all__ = ["DdsNode", "run_dds"]
+__all__ = ["DdsTransport", "run_dds"]
 
-_POLL_S = 0.2
 _LEVELS = {Level.OK: "INFO", Level.WARN: "WARN", Level.ERROR: "ERROR"}
+_EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))), b"")
 
 
 @final
-class DdsNode:
+class DdsTransport:
     """Writers, readers and services of the node.
 
     The services only answer clients on rmw_cyclonedds: other vendors identify the client elsewhere.
@@ -39,8 +36,6 @@ class DdsNode:
     ----------
     arguments : RosArguments
         Names and remappings.
-    parameters : NodeParameters
-        Settings and configuration from the node's parameters.
     domain : int
         ROS_DOMAIN_ID.
     interfaces : sequence of str
@@ -49,42 +44,84 @@ class DdsNode:
         Whether to use the time of /clock.
     """
 
+    global_localization = "reinitialize_global_localization"
+
     def __init__(
-        self,
-        arguments: RosArguments,
-        parameters: NodeParameters,
-        *,
-        domain: int = 0,
-        interfaces: Sequence[str] = (),
-        simulated: bool = False,
+        self, arguments: RosArguments, *, domain: int = 0, interfaces: Sequence[str] = (), simulated: bool = False
     ) -> None:
-        self._arguments, self._out = arguments, parameters.out or Path("gridslam-map")
+        self._refuse: Callable[[str, str], None] = lambda kind, problem: None
+        self.outputs: Outputs = Ros2Outputs(self._publish, self._now_ns, self._log, arguments.node)
+        self._arguments = arguments
         self._clock_ns: int | None = 0 if simulated else None
         self._participant = DdsParticipant(domain, interfaces, self._on_mismatch)
-        outputs = Ros2Outputs(self._publish, self._now_ns, self._log, arguments.node)
-        self.core = NodeCore(parameters.settings, parameters.configuration, outputs, record=parameters.record)
-        if parameters.warning:
-            self._log(Level.WARN, parameters.warning)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
-        self._writers = {topic: f"rt{arguments.resolve(topic)}" for topic in TOPICS}
+        self._writers = {topic: f"rt{self.resolve(topic)}" for topic in TOPICS}
+
+    def connect(self, refuse: Callable[[str, str], None]) -> None:
+        """Create the writers; `refuse` is called with kind and problem of what cannot be received."""
+        self._refuse = refuse
         for topic, kind in TOPICS.items():
             self._participant.add_writer(self._writers[topic], kind, latched=topic in LATCHED)
-        self._subscribe()
-        self._advertise_services()
+        if self._clock_ns is not None:
+            self.subscribe("/clock", "rosgraph_msgs/Clock", self._on_clock, reliable=False, depth=1)
 
-    def start(self) -> None:
-        """Start the core and the participant."""
-        self.core.start()
+    def wire_of(self, data: bytes) -> Wire:
+        """Return the encoding of a message; raises MessageError if it has none."""
+        return wire_of_cdr(data)
+
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic, after remapping."""
+        return self._arguments.resolve(topic)
+
+    def subscribe(
+        self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
+    ) -> None:
+        """Subscribe to the bytes of messages."""
+        name = f"rt{self.resolve(topic)}"
+        self._participant.add_reader(name, kind, handle, reliable=reliable, latched=latched, depth=depth)
+
+    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+        """Offer a service; a slow one answers in a thread of its own."""
+        name = self.resolve(service)
+        reply = f"rr{name}Reply"
+        self._participant.add_writer(reply, f"{kind}_Response")
+
+        def answer(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
+            fields = serve(value) or (0,)  # a structure without fields has one all the same
+            self._participant.publish(reply, encode_message(f"{kind}_Response", (guid, sequence, *fields)))
+
+        def on_request(data: bytes, publisher: str) -> None:
+            try:
+                request = decode_message(f"{kind}_Request", data)
+            except ValueError as error:
+                self._refuse("request", f"{name}: {error}")
+                return
+            if slow:
+                threading.Thread(target=answer, args=tuple(request), daemon=True).start()
+            else:
+                answer(*request)
+
+        self._participant.add_reader(f"rq{name}Request", f"{kind}_Request", on_request)
+
+    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
+        """Offer the map by a service; without a map the response is empty."""
+
+        def serve_values(request: Any) -> Sequence[Any]:  # noqa: ANN401
+            latest = serve()
+            return (_EMPTY_GRID if latest is None else grid_values(latest),)
+
+        self.advertise(service, "nav_msgs/GetMap", serve_values)
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Deliver messages until the event is set."""
         self._participant.start()
-        self._log(Level.OK, describe_topics(self._arguments.resolve("scan"), self.core))
+        while not ended.wait(POLL_S):
+            yield
 
-    def close(self, out: Path | None) -> None:
-        """Stop the node, and write its map to `out` if given."""
-        try:
-            close_node(self.core, out, self._log)
-        finally:
-            self._participant.close()
+    def close(self) -> None:
+        """Shut down."""
+        self._participant.close()
 
     def _publish(self, topic: str, data: bytes) -> None:
         self._participant.publish(self._writers[topic], data)
@@ -96,94 +133,15 @@ class DdsNode:
         print(f"[{_LEVELS[level]}] [{time.time():.3f}] [{self._arguments.node}]: {text}", file=sys.stderr, flush=True)
 
     def _on_mismatch(self, what: str, topic: str, problem: str) -> None:
-        self.core.refuse_message(f"{what} of {topic[2:]}", problem)
+        self._refuse(f"{what} of {topic[2:]}", problem)
 
-    def _subscribe(self) -> None:
-        sensor = self._arguments.resolve("scan")
-
-        def on_scan(data: bytes, sender: str) -> None:
-            self.core.on_scan(decode_scan(data, wire_of_cdr(data)), sensor)
-
-        def on_transforms(static: bool) -> Handler:
-            def handle(data: bytes, sender: str) -> None:
-                found = decode_transforms(data, wire_of_cdr(data))
-                self.core.on_transforms(found, static=static, publisher=sender)
-
-            return handle
-
-        def on_clock(data: bytes, sender: str) -> None:
+    def _on_clock(self, data: bytes, publisher: str) -> None:
+        try:
             seconds, nanoseconds = decode_message("rosgraph_msgs/Clock", data)
+        except ValueError as error:
+            self._refuse("message", f"{self.resolve('/clock')}: {error}")
+        else:
             self._clock_ns = seconds * 1_000_000_000 + nanoseconds
-
-        def on_pose(data: bytes, sender: str) -> None:
-            set_pose_from_message(self.core, data, wire_of_cdr(data))
-
-        if self.core.localizes:
-            self._read("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
-        self._read("/tf_static", "tf2_msgs/TFMessage", on_transforms(True), latched=True, depth=100)
-        self._read("/tf", "tf2_msgs/TFMessage", on_transforms(False), depth=100)
-        self._read("scan", "sensor_msgs/LaserScan", on_scan, reliable=False, depth=10)
-        if self._clock_ns is not None:
-            self._read("/clock", "rosgraph_msgs/Clock", on_clock, reliable=False, depth=1)
-
-    def _read(self, topic: str, kind: str, handle: Handler, **qos: Any) -> None:  # noqa: ANN401
-        name = self._arguments.resolve(topic)
-
-        def on_message(data: bytes, sender: str) -> None:
-            try:
-                handle(data, sender)
-            except (MessageError, ValueError) as error:
-                self.core.refuse_message("message", f"{name}: {error}")
-
-        self._participant.add_reader(f"rt{name}", kind, on_message, **qos)
-
-    def _advertise_services(self) -> None:
-        core = self.core
-
-        def dynamic_map() -> tuple[Any, ...]:
-            latest = core.dynamic_map()
-            return (grid_values(latest) if latest is not None else _EMPTY_GRID,)
-
-        def reset() -> tuple[Any, ...]:
-            core.reset()
-            return (0,)
-
-        def pause(paused: bool) -> tuple[Any, ...]:
-            core.pause(paused)
-            return True, "paused" if paused else "mapping"
-
-        self._add_service("dynamic_map", "nav_msgs/GetMap", lambda unused: dynamic_map())
-        for name in ("~/reset", "reinitialize_global_localization")[: 1 + core.localizes]:
-            self._add_service(name, "std_srvs/Empty", lambda unused: reset())
-        self._add_service("~/pause", "std_srvs/SetBool", pause)
-        self._add_service("~/save", "std_srvs/Trigger", lambda unused: save_results(core, self._out), slow=True)
-
-    def _add_service(
-        self, service: str, kind: str, serve: Callable[[Any], tuple[Any, ...]], *, slow: bool = False
-    ) -> None:
-        """Add a service; a slow one answers in a thread of its own."""
-        name = self._arguments.resolve(service)
-        reply = f"rr{name}Reply"
-        self._participant.add_writer(reply, f"{kind}_Response")
-
-        def answer(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
-            self._participant.publish(reply, encode_message(f"{kind}_Response", (guid, sequence, *serve(value))))
-
-        def on_request(data: bytes, sender: str) -> None:
-            try:
-                request = decode_message(f"{kind}_Request", data)
-            except ValueError as error:
-                self.core.refuse_message("request", f"{name}: {error}")
-                return
-            if slow:
-                threading.Thread(target=answer, args=tuple(request), daemon=True).start()
-            else:
-                answer(*request)
-
-        self._participant.add_reader(f"rq{name}Request", f"{kind}_Request", on_request)
-
-
-_EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))), b"")
 
 
 def _is_local(environment: Mapping[str, str]) -> bool:
@@ -211,7 +169,7 @@ def run_dds(
     interfaces : sequence of str
         Network interfaces by address or name; if empty, ROS's environment variables or the library choose them.
     open_viewers : callable
-        Called with the core before it starts: see `gridslam.ros.node.services.ViewerOpener`.
+        Called with the core before it starts: see `gridslam.ros.node.transport.ViewerOpener`.
     on_poll : callable
         Called several times a second; may raise KeyboardInterrupt.
 
@@ -224,21 +182,10 @@ def run_dds(
     values = {**ros.parameters, **(given or {})}
     simulated = values.pop("use_sim_time", False) is True
     parameters = node_parameters(values, "default")
-    check_folder(parameters.out)
     try:
         domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
     except ValueError:
         raise ConfigurationError("ROS_DOMAIN_ID: expected a number, got " + os.environ["ROS_DOMAIN_ID"]) from None
     where = interfaces or (["127.0.0.1"] if _is_local(os.environ) else [])
-    node = DdsNode(ros, parameters, domain=domain, interfaces=where, simulated=simulated)
-    with open_viewers(node.core):
-        try:
-            node.start()
-            while not node.core.ended.wait(_POLL_S):
-                on_poll()
-        except KeyboardInterrupt:  # the usual end of a node
-            pass
-        finally:
-            node.close(parameters.out)
-    if node.core.failure is not None:
-        raise GridslamError(f"the filter failed: {node.core.failure}") from node.core.failure
+    transport = DdsTransport(ros, domain=domain, interfaces=where, simulated=simulated)
+    RosNode(transport, parameters).run(open_viewers, on_poll)

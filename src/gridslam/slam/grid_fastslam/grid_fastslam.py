@@ -213,7 +213,7 @@ class GridFastSlam:
             odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
         noise = OdometryNoise.from_reading(state, odometry, matched=isinstance(tracker, Tracker))
         state.odometry_covariance = None if noise is None else noise.covariance
-        return tracker.step(state.tracker, odometry, stamp_ns, beams), noise
+        return tracker.step(state.tracker, odometry, stamp_ns, beams, state.odometry_covariance), noise
 
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""

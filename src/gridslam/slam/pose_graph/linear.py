@@ -13,7 +13,7 @@ from gridslam.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-__all__ = ["BlockSystem", "MatrixBlocks", "is_connected", "linearize", "require_connected"]
+__all__ = ["BlockSystem", "MatrixBlocks", "find_parts", "is_connected", "linearize", "require_connected"]
 
 
 class MatrixBlocks(NamedTuple):
@@ -77,26 +77,26 @@ def _turned(information: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray
 
 def is_connected(edges: IntArray, poses: int) -> bool:
     """Whether `edges` (M, 2) join all poses."""
-    return bool(_parts(edges, poses)[0] == 1)
+    return not find_parts(edges, poses).any()
 
 
 def require_connected(edges: IntArray, poses: int) -> None:
     """Raise ArgumentError, saying in how many parts and who is apart, if `edges` (M, 2) do not join all poses."""
-    parts, part = _parts(edges, poses)
-    if parts > 1:
-        apart = np.flatnonzero(part != part[0])
+    part = find_parts(edges, poses)
+    apart = np.flatnonzero(part != part[0])
+    if len(apart):
         some = ", ".join(map(str, apart[:10].tolist())) + (", ..." if len(apart) > 10 else "")
-        got = f"{parts} parts: {len(apart)} poses cannot be reached from pose 0 ({some})"
+        got = f"{part.max() + 1} parts: {len(apart)} poses cannot be reached from pose 0 ({some})"
         raise ArgumentError("graph", "measurements that join all poses", got)
 
 
-def _parts(edges: IntArray, poses: int) -> tuple[int, IntArray]:
+def find_parts(edges: IntArray, poses: int) -> IntArray:
+    """Label (N,) of the connected part, from 0 on, in which `edges` (M, 2) put each pose."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     joined = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(poses, poses))
-    parts, part = connected_components(joined, directed=False)
-    return int(parts), np.asarray(part, np.int64)
+    return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
 
 @final

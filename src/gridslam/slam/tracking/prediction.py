@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, exp, log
 from gridslam.matching.branch_and_bound import BranchAndBound
+from gridslam.slam.tracking.odometry_calibration import motion_of
 from gridslam.slam.tracking.state import SensorTrack, TrackerState
 from gridslam.types import FloatArray, MotionSampler
 
@@ -21,7 +22,7 @@ __all__ = [
     "ConstantVelocity",
     "PoseEstimate",
     "Prediction",
-    "odometry_sigmas",
+    "predict_by_odometry",
     "widen_motion",
 ]
 
@@ -48,6 +49,9 @@ _BEAM_SIGMA_M = 0.03
 """Standard deviation of a beam against which a prediction by the velocity is weighed: a lidar's. Unlike wheels, mass
 does not slip."""
 
+_STILL_COVARIANCE = 1e-8 * np.eye(3)
+"""Of odometry that does not move: a tenth of a millimetre and of a milliradian."""
+
 NEWEST_WEIGHT = 0.05
 """Weight of the newest scan in a running mean."""
 
@@ -64,10 +68,13 @@ class Prediction(NamedTuple):
     sigma_m: float
     sigma_rad: float
     beam_sigma_m: float  # that of a beam, against which the prediction is weighed
+    covariance: FloatArray | None = None  # (3, 3) in the tracker's frame; None: by the standard deviations
 
     @property
     def prior(self) -> FloatArray:
         """Information (1, 3, 3) of the prediction, beside residuals in m."""
+        if self.covariance is not None:
+            return np.asarray(self.beam_sigma_m**2 * np.linalg.inv(self.covariance)[None], np.float64)
         position = (self.beam_sigma_m / self.sigma_m) ** 2
         heading = (self.beam_sigma_m / self.sigma_rad) ** 2
         return np.diag([position, position, heading])[None]
@@ -85,10 +92,28 @@ class PoseEstimate(NamedTuple):
     determined: bool = False  # by the scan, in all directions
 
 
-def odometry_sigmas(moved_m: float, turned_rad: float, cell_m: float) -> tuple[float, float]:
-    """Standard deviations (m, rad) of an increment of odometry, from a tenth of a cell on."""
-    sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
-    return sigma_m, 0.003 + 0.05 * turned_rad + 0.04 * moved_m
+def predict_by_odometry(
+    state: TrackerState, increment: FloatArray, seconds: float, covariance: FloatArray | None, beam_sigma_m: float
+) -> Prediction:
+    """Predict the pose after an increment (3,) of the odometry since the last scan that was matched.
+
+    `covariance` (3, 3) is that of the increment in the frame of the base at that scan. Where nothing is known of it
+    standard deviations are assumed that grow with the motion, from a tenth of a cell on.
+    """
+    pose = compose(state.matched_pose, increment)
+    moved_m, turned_rad = motion_of(increment)
+    if covariance is None:
+        cell_m = state.maps.resolution_m
+        sigma_m = 0.1 * cell_m + 0.15 * moved_m + 0.5 * cell_m * turned_rad
+        sigma_rad = 0.003 + 0.05 * turned_rad + 0.04 * moved_m
+    else:
+        c = math.cos(state.matched_pose[2])
+        s = math.sin(state.matched_pose[2])
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        covariance = rotation @ covariance @ rotation.T + _STILL_COVARIANCE
+        sigma_m = math.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+        sigma_rad = math.sqrt(covariance[2, 2])
+    return Prediction(pose, True, seconds, moved_m, turned_rad, sigma_m, sigma_rad, beam_sigma_m, covariance)
 
 
 @final

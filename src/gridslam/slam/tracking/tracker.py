@@ -21,7 +21,13 @@ from gridslam.matching.branch_and_bound import Pyramid
 from gridslam.matching.gauss_newton import EVALUATE_ONLY, GaussNewton, degenerate_direction
 from gridslam.models.parameters import Kind
 from gridslam.slam.tracking.odometry_calibration import OdometryCalibration, motion_of
-from gridslam.slam.tracking.prediction import NEWEST_WEIGHT, ConstantVelocity, PoseEstimate, Prediction, odometry_sigmas
+from gridslam.slam.tracking.prediction import (
+    NEWEST_WEIGHT,
+    ConstantVelocity,
+    PoseEstimate,
+    Prediction,
+    predict_by_odometry,
+)
 from gridslam.slam.tracking.search import NO_PRIOR, OdometrySearch, calibrated
 from gridslam.slam.tracking.state import (
     SensorTrack,
@@ -170,10 +176,7 @@ class Tracker:
         if math.isnan(measured[0]) or useless or jumped:
             return self.velocity.predict(state, seconds)
         increment = state.odometry_errors.correct_increment(measured)
-        moved, turned = motion_of(increment)
-        sigmas = odometry_sigmas(moved, turned, state.maps.resolution_m)
-        pose = compose(state.matched_pose, increment)
-        return Prediction(pose, True, seconds, moved, turned, *sigmas, self.beam_sigma_m)
+        return predict_by_odometry(state, increment, seconds, covariance, self.beam_sigma_m)
 
     def _locate_deskewed(self, state: TrackerState, predicted: Prediction, beams: Beams) -> tuple[PoseEstimate, Beams]:
         """Find where a scan with beam times was taken, and how its beams are seen from there at its stamp.

@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM (stamp and pose), and CSV with the covariance of each pose."""
+"""Trajectories as text: TUM (stamp and pose), and CSV with the covariance of each pose; relations between poses."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gridslam.errors import ArgumentError, InputError
+from gridslam.errors import ArgumentError
+from gridslam.evaluation.trajectory import Relations
 from gridslam.geometry.angles import wrap
-from gridslam.io.carmen.lines import LineError, parse_stamp_ns
-from gridslam.io.text import read_text
-from gridslam.io.trajectories.table import read_table
+from gridslam.io.tables import check_rows, format_stamp_ns, read_table, symmetric_of_upper, upper_of_symmetric
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = [
-    "CSV_HEADER", "columns_of_trajectory", "read_trajectory_csv", "read_tum", "write_trajectory_csv", "write_tum",
+    "CSV_HEADER", "columns_of_trajectory", "read_relations", "read_trajectory_csv", "read_tum", "write_trajectory_csv",
+    "write_tum",
 ]  # fmt: skip
 
 CSV_HEADER = (
@@ -23,8 +23,7 @@ CSV_HEADER = (
 )
 """First line of a trajectory in CSV: the columns with their units."""
 
-_UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]  # rows and columns of a covariance's six columns
-_FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # which of those six each of the nine entries is
+_PLANAR = (1e-3, 1e-3, 1e-3)  # m, rad, rad
 
 
 def write_tum(path: str | Path, trajectory: Trajectory) -> None:
@@ -41,8 +40,8 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     """
     with Path(path).open("w", encoding="ascii", newline="\n") as file:
         for stamp, (x, y, theta) in zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True):
-            qz, qw = math.sin(theta / 2), math.cos(theta / 2)
-            file.write(f"{_seconds(stamp)} {x:.9f} {y:.9f} 0 0 0 {qz:.9f} {qw:.9f}\n")
+            rotation = f"{math.sin(theta / 2):.9f} {math.cos(theta / 2):.9f}"
+            file.write(f"{format_stamp_ns(stamp, 9)} {x:.9f} {y:.9f} 0 0 0 {rotation}\n")
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -54,12 +53,11 @@ def read_tum(path: str | Path) -> Trajectory:
         Where the file cannot be read, holds no pose, or a line is not eight finite numbers with a quaternion of unit
         norm (within 1 %).
     """
-    table = read_table(path, 1, "stamp x y z qx qy qz qw")
+    table = read_table(path, "stamp x y z qx qy qz qw", stamps=1)
     x, y, _, qx, qy, qz, qw = table.values.T
     norm = np.sqrt(qx**2 + qy**2 + qz**2 + qw**2)
-    bad = np.flatnonzero(abs(norm - 1) > 0.01)
-    if len(bad):
-        raise InputError(path, f"expected a unit quaternion, got one of norm {norm[bad[0]]:g}", table.lines[bad[0]])
+    unit = abs(norm - 1) <= 0.01
+    check_rows(path, table.lines, unit, lambda row: f"expected a unit quaternion, got one of norm {norm[row]:g}")
     yaw = wrap(np.arctan2(2 * (qw * qz + qx * qy), qw**2 + qx**2 - qy**2 - qz**2))
     return Trajectory(table.stamps_ns[:, 0], np.column_stack([x, y, yaw]))
 
@@ -85,17 +83,17 @@ def write_trajectory_csv(path: str | Path, trajectory: Trajectory, covariances: 
     """
     if covariances.shape != (len(trajectory), 3, 3):
         raise ArgumentError("covariances", f"shape ({len(trajectory)}, 3, 3)", covariances.shape)
-    rows = np.concatenate([trajectory.poses, covariances[:, _UPPER[0], _UPPER[1]]], axis=1).tolist()
+    rows = np.concatenate([trajectory.poses, upper_of_symmetric(covariances)], axis=1).tolist()
     form = ",%.9f,%.9f,%.9f,%.9g,%.9g,%.9g,%.9g,%.9g,%.9g\n"
     with Path(path).open("w", encoding="ascii", newline="\n") as file:
         file.write(CSV_HEADER + "\n")
         for stamp, row in zip(trajectory.stamps_ns.tolist(), rows, strict=True):
-            file.write(_seconds(stamp) + form % tuple(row))
+            file.write(format_stamp_ns(stamp, 9) + form % tuple(row))
 
 
 def columns_of_trajectory(poses: FloatArray, covariances: FloatArray | None = None) -> dict[str, FloatArray]:
     """Columns (N,) of poses (N, 3), and of their covariances (N, 3, 3) where given, by `CSV_HEADER`'s names."""
-    parts = [poses] if covariances is None else [poses, covariances[:, _UPPER[0], _UPPER[1]]]
+    parts = [poses] if covariances is None else [poses, upper_of_symmetric(covariances)]
     return dict(zip(CSV_HEADER.split(",")[1:], np.concatenate(parts, axis=1).T, strict=False))
 
 
@@ -108,29 +106,30 @@ def read_trajectory_csv(path: str | Path) -> tuple[Trajectory, FloatArray]:
         Where the file cannot be read, its first line is not `CSV_HEADER`, it holds no pose, or a line is not ten finite
         numbers.
     """
-    header, *lines = read_text(path).splitlines()
-    if header != CSV_HEADER:
-        raise InputError(path, f"expected the columns {CSV_HEADER}, got {header!r}", 1)
-    stamps, rows = list[int](), list[list[float]]()
-    for number, line in enumerate(lines, 2):
-        words = line.split(",")
-        try:
-            stamps.append(parse_stamp_ns(words[0]))
-            rows.append([float(word) for word in words[1:]])
-        except LineError as error:
-            raise InputError(path, str(error), number) from None
-        except ValueError:
-            raise InputError(path, f"expected numbers ({CSV_HEADER}), got {line!r}", number) from None
-        if len(rows[-1]) != 9 or not all(map(math.isfinite, rows[-1])):
-            raise InputError(path, f"expected ten finite numbers ({CSV_HEADER}), got {line!r}", number)
-    if not rows:
-        raise InputError(path, f"expected rows of {CSV_HEADER}, got none")
-    values = np.array(rows)
-    poses = np.column_stack([values[:, :2], wrap(values[:, 2])])  # nine decimals may round beyond pi
-    return Trajectory(np.array(stamps, np.int64), poses), values[:, 3:][:, _FULL].reshape(-1, 3, 3)
+    table = read_table(path, CSV_HEADER, stamps=1)
+    poses = np.column_stack([table.values[:, :2], wrap(table.values[:, 2])])  # nine decimals may round beyond pi
+    return Trajectory(table.stamps_ns[:, 0], poses), symmetric_of_upper(table.values[:, 3:])
 
 
-def _seconds(stamp_ns: int) -> str:
-    """A stamp in seconds, exactly."""
-    seconds, nanoseconds = divmod(abs(stamp_ns), 10**9)
-    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
+def read_relations(path: str | Path) -> Relations:
+    """Read relations, ``t1 t2 x y z roll pitch yaw`` (s, m, rad): the true pose at t2 seen from the pose at t1.
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be read, holds no relation, or a line is not eight finite numbers of a planar motion
+        (z, roll and pitch below 1e-3).
+
+    Notes
+    -----
+    Source: Kuemmerle et al., *On measuring the accuracy of SLAM algorithms* (2009).
+    """
+    stamps_ns, values, lines = read_table(path, "t1 t2 x y z roll pitch yaw", stamps=2)
+    tilt = values[:, 2:5]
+
+    def describe(row: int) -> str:
+        return f"expected a planar relation (z roll pitch 0), got {' '.join(f'{value:g}' for value in tilt[row])}"
+
+    check_rows(path, lines, (np.abs(tilt) <= _PLANAR).all(axis=1), describe)
+    poses = np.column_stack([values[:, :2], wrap(values[:, 5])])
+    return Relations(stamps_ns[:, 0], stamps_ns[:, 1], poses)

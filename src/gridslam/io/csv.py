@@ -1,0 +1,381 @@
+"""Logs as tables of comma-separated values, one scan a row; see docs/logs.md for the columns."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import TypeAlias, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.angles import wrap
+from gridslam.io.log_statistics import LogStatistics, Mounting
+from gridslam.io.measurement import FARTHEST_LASER_M, FARTHEST_M, Measurement
+from gridslam.io.output import open_for_writing, write_atomically
+from gridslam.io.tables import format_stamp_ns, parse_stamp_ns
+from gridslam.io.text import TextSource
+from gridslam.scan import LONGEST_SCAN_S
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
+
+__all__ = [
+    "COLUMNS", "LASER", "ODOMETRY", "REQUIRED", "CsvLog", "angles_of_rotation", "rotation_of_angles", "write_csv_log",
+]  # fmt: skip
+
+ODOMETRY = "odom_x_m", "odom_y_m", "odom_theta_rad"
+"""Columns of the odometry; all three are empty where a scan has none."""
+
+LASER = "laser_x_m", "laser_y_m", "laser_z_m", "laser_roll_rad", "laser_pitch_rad", "laser_yaw_rad"
+"""Columns of the mounting: the laser seen from the base; empty is 0."""
+
+REQUIRED = "stamp_s", "angle_min_rad", "angle_increment_rad", "ranges_m"
+"""Columns without which there is no scan."""
+
+COLUMNS = (
+    "stamp_s", "sensor", "frame", *ODOMETRY, "odom_stamp_s", *LASER, "angle_min_rad", "angle_increment_rad",
+    "time_increment_s", "range_min_m", "range_max_m", "ranges_m",
+)  # fmt: skip
+"""All columns, as they are written; they are read in any order."""
+
+_OF_LASER = (
+    "sensor", "frame", *LASER, "angle_min_rad", "angle_increment_rad", "time_increment_s", "range_min_m", "range_max_m",
+)  # fmt: skip
+"""Columns of what scans of one laser have in common."""
+
+_DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
+_MOST_LASERS = 256  # kept at a time: the mounting of a laser that tilts is another one in each row
+_TURN_RAD = 6.3
+_Cells: TypeAlias = Mapping[str, str]
+
+
+def rotation_of_angles(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation (3, 3) about the fixed axes x, y, z, one after the other, by angles in rad."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
+
+
+def angles_of_rotation(rotation: ArrayLike) -> tuple[float, float, float]:
+    """Roll, pitch and yaw in rad of a rotation (3, 3); roll is 0 where the pitch is a right angle."""
+    r = np.asarray(rotation, dtype=np.float64).tolist()
+    level = math.hypot(r[0][0], r[1][0])
+    pitch = math.atan2(-r[2][0], level)
+    if level < 1e-9:
+        return 0.0, pitch, math.atan2(-r[0][1], r[1][1])
+    return math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])
+
+
+@final
+class CsvLog:
+    """Scans in CSV (plain, gzip or bzip2), one row each; iterating yields a `Measurement` for each row.
+
+    The first line names the columns, in any order; those that are not in `REQUIRED` may be missing, and their cells may
+    be empty. Lines that begin with # are comments. Rows come in file order, whatever their stamps are.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    keep_truncated : bool
+        Whether a file that is cut off gives the scans that are there instead of raising at its end.
+
+    Attributes
+    ----------
+    statistics : LogStatistics
+        What the latest iteration has met so far.
+
+    Raises
+    ------
+    InputError
+        At construction where there is no such file or it is empty; while iterating where a row is malformed (with its
+        line and column), where the file is binary, damaged or cut off, or where it has no row.
+
+    Notes
+    -----
+    `inf` and ranges at or above `range_max_m` are NO_RETURN; NaN, 0, negative ranges and those below `range_min_m` are
+    INVALID. A last line without a line end counts as cut off: its last range may be incomplete.
+    """
+
+    def __init__(self, path: str | Path, *, keep_truncated: bool = False) -> None:
+        """Check that there is a file; it is read by iterating."""
+        self.path = Path(path)
+        self.keep_truncated = keep_truncated
+        self.statistics = LogStatistics(total_bytes=TextSource(path).total_bytes)
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its start."""
+        source = TextSource(self.path)
+        statistics = self.statistics = LogStatistics(total_bytes=source.total_bytes)
+        rows = _Rows(statistics)
+        for lines in source:
+            statistics.bytes_read = source.bytes_read
+            if source.unterminated:
+                break
+            for line in lines:
+                statistics.lines += 1
+                try:
+                    measurement = rows.parse(line)
+                except ValueError as error:
+                    raise InputError(self.path, str(error), statistics.lines) from None
+                if measurement is not None:
+                    statistics.count(measurement)
+                    yield measurement
+        statistics.bytes_read = source.bytes_read
+        if source.is_truncated or source.unterminated:
+            self._end_early("the compressed file" if source.is_truncated else "the last line has no line end: it")
+        if statistics.scan_count == 0:
+            raise InputError(self.path, "expected a row for each scan, got none")
+
+    def _end_early(self, what: str) -> None:
+        self.statistics.truncated = True
+        if not self.keep_truncated:
+            raise InputError(self.path, f"{what} is cut off; {self.statistics.scan_count} scans were read before")
+
+
+class _CellError(ValueError):
+    """A cell cannot be read: names its column, what was expected and what was found."""
+
+    def __init__(self, column: str, expected: str, got: str) -> None:
+        super().__init__(f"column {column}: expected {expected}, got {got}")
+
+
+@final
+class _Rows:
+    """From lines to measurements: the header's names of the columns, and the lasers met so far."""
+
+    def __init__(self, statistics: LogStatistics) -> None:
+        self._statistics = statistics
+        self._names: list[str] = []
+        self._lasers: dict[tuple[str, ...], partial[LaserScan]] = {}
+
+    def parse(self, line: str) -> Measurement | None:
+        """The measurement of a row; None for the header, comments and blank lines."""
+        text = line.rstrip("\r")
+        if not self._names:
+            text = text.removeprefix("\xef\xbb\xbf")  # the mark that some programs put before UTF-8
+        if not text or text.isspace():
+            return None
+        if text.startswith("#"):
+            self._statistics.comments += 1
+            return None
+        if not self._names:
+            self._names = _parse_header(text)
+            return None
+        words = _split(text)
+        if len(words) != len(self._names):
+            raise ValueError(f"expected {len(self._names)} cells as in the first line, got {len(words)}")
+        cells = dict.fromkeys(COLUMNS, "") | dict(zip(self._names, words, strict=True))
+        stamp_ns = _stamp(cells, "stamp_s")
+        return Measurement(_odometry(cells, stamp_ns), self._scan(cells, stamp_ns))
+
+    def _scan(self, cells: _Cells, stamp_ns: int) -> LaserScan:
+        ranges = _parse_ranges(cells["ranges_m"])
+        key = *(cells[name] for name in _OF_LASER), str(len(ranges))
+        if key not in self._lasers:
+            if len(self._lasers) >= _MOST_LASERS:
+                self._lasers.clear()
+            self._lasers[key] = self._laser(cells, len(ranges))
+        return self._lasers[key](stamp_ns, ranges)
+
+    def _laser(self, row: _Cells, beams: int) -> partial[LaserScan]:
+        """`LaserScan.from_ranges` of a laser, for stamps and ranges."""
+        cells = {name: _utf8(name, row[name].strip()) or _DEFAULTS.get(name, "") for name in _OF_LASER}
+        start = _number(cells, "angle_min_rad")
+        step = _number(cells, "angle_increment_rad")
+        if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):
+            got = f"{beams} beams from {start:g} in steps of {step:g}"
+            raise _CellError("angle_increment_rad", "beams within one turn, in radians", got)
+        x, y, z, *angles = (_within(FARTHEST_LASER_M, cells, name) for name in LASER)
+        mounting = np.eye(4)
+        mounting[:3, :3] = rotation_of_angles(*angles)
+        mounting[:3, 3] = x, y, z
+        times = None
+        if cells["time_increment_s"]:
+            time = _number(cells, "time_increment_s")
+            if not abs(time) * beams < LONGEST_SCAN_S:
+                got = f"{beams} beams in steps of {time:g} s"
+                raise _CellError("time_increment_s", f"a scan that takes less than {LONGEST_SCAN_S:g} s", got)
+            times = time * np.arange(beams)
+        yaw = angles_of_rotation(mounting[:3, :3])[2]
+        self._statistics.mountings[cells["sensor"]] = Mounting(np.array([x, y, yaw]), "line")
+        return partial(
+            LaserScan.from_ranges,
+            geometry=ScanGeometry(start + step * np.arange(beams), mounting),
+            range_min_m=_number(cells, "range_min_m", 0.0),
+            range_max_m=_number(cells, "range_max_m", 0.0, infinite=True),
+            sensor=cells["sensor"],
+            frame=cells["frame"],
+            beam_times_s=times,
+        )
+
+
+def _parse_header(text: str) -> list[str]:
+    names = [name.strip() for name in _split(text)]
+    if len(names) < 2:
+        raise ValueError(f"expected names of columns with commas between them, got {text[:60]!r}")
+    unknown = [name for name in names if name not in COLUMNS]
+    if unknown:
+        raise ValueError(f"expected columns out of {', '.join(COLUMNS)}, got {unknown[0]!r}")
+    missing = [name for name in REQUIRED if name not in names]
+    if missing or len(set(names)) < len(names):
+        problem = f"none named {missing[0]}" if missing else "one of them twice"
+        raise ValueError(f"expected the columns {', '.join(REQUIRED)} and others, each once, got {problem}")
+    return names
+
+
+def _odometry(cells: _Cells, stamp_ns: int) -> Odometry | None:
+    if not any(cells[name] for name in ODOMETRY):
+        return None
+    pose = np.array([_within(FARTHEST_M, cells, name) for name in ODOMETRY])
+    pose[2] = wrap(pose[2])
+    pose.flags.writeable = False
+    return Odometry(_stamp(cells, "odom_stamp_s") if cells["odom_stamp_s"] else stamp_ns, pose)
+
+
+def _split(line: str) -> list[str]:
+    """Cells of a line; names of sensors may be quoted."""
+    if '"' not in line:
+        return line.split(",")
+    try:
+        return next(csv.reader([line], strict=True))
+    except csv.Error as error:
+        raise ValueError(f"expected cells with commas between them: {error}") from None
+
+
+def _stamp(cells: _Cells, column: str) -> int:
+    try:
+        return parse_stamp_ns(cells[column].strip())
+    except ValueError as error:
+        raise ValueError(f"column {column}: {error}") from None
+
+
+def _number(cells: _Cells, column: str, least: float = -math.inf, *, infinite: bool = False) -> float:
+    value = _float(cells[column])
+    if value is None or not value >= least or (math.isinf(value) and not infinite):
+        bound = "" if least == -math.inf else f" >= {least:g}"
+        raise _CellError(column, f"a number{bound}", repr(cells[column]))
+    return value
+
+
+def _within(limit: float, cells: _Cells, column: str) -> float:
+    value = _number(cells, column)
+    if not abs(value) <= limit:
+        raise _CellError(column, f"a number of at most {limit:g}", repr(cells[column]))
+    return value
+
+
+def _float(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _parse_ranges(text: str) -> list[float]:
+    words = text.split()
+    if not words:
+        raise _CellError("ranges_m", "at least one range", "none")
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        place, word = next((place, word) for place, word in enumerate(words, 1) if _float(word) is None)
+        raise _CellError("ranges_m", "numbers with blanks between them", f"{word!r} as {place}.") from None
+
+
+def _utf8(column: str, text: str) -> str:
+    """The text whose bytes were taken for Latin-1."""
+    try:
+        return text.encode("latin-1").decode("utf-8")
+    except UnicodeDecodeError:
+        raise _CellError(column, "text in UTF-8", repr(text)) from None
+
+
+def write_csv_log(path: str | Path, measurements: Iterable[Measurement]) -> None:
+    """Write a log that `CsvLog` reads back: stamps, hits, statuses and odometry exactly, directions to 1e-12.
+
+    Of beams that hit nothing only the status is kept: NO_RETURN is `inf`, INVALID is `nan`. The file appears under its
+    name only once it is whole.
+
+    Parameters
+    ----------
+    path : str or Path
+        Compressed where its suffix is .gz or .bz2.
+    measurements : iterable of Measurement
+        In the order in which they are to stand in the log; may be a generator.
+
+    Raises
+    ------
+    ArgumentError
+        For data that the columns cannot represent: beams that are not evenly spread in angle or in time, hits outside
+        the range limits.
+    OutputError
+        Where the file cannot be written.
+    """
+    with write_atomically(path) as aside, open_for_writing(aside, Path(path).suffix) as file:
+        file.write(f"{','.join(COLUMNS)}\n".encode())
+        for odometry, scan in measurements:
+            file.write(f"{','.join(_cells(odometry, scan))}\n".encode())
+
+
+def _cells(odometry: Odometry | None, scan: LaserScan) -> Iterator[str]:
+    """The cells of a row."""
+    yield format_stamp_ns(scan.stamp_ns)
+    yield _name(scan.sensor)
+    yield _name(scan.frame)
+    yield from map(repr, odometry.pose.tolist()) if odometry else ("", "", "")
+    yield format_stamp_ns(odometry.stamp_ns) if odometry and odometry.stamp_ns != scan.stamp_ns else ""
+    yield _geometry(scan.geometry)
+    yield "" if scan.beam_times_s is None else repr(_time_increment_s(scan.beam_times_s))
+    yield repr(float(scan.range_min_m))
+    yield repr(float(scan.range_max_m))
+    yield _format_ranges(scan)
+
+
+def _name(text: str) -> str:
+    if "\n" in text or "\r" in text:
+        raise ArgumentError("sensor, frame", "a name in one line", repr(text))
+    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
+
+
+@lru_cache(maxsize=256)
+def _geometry(geometry: ScanGeometry) -> str:
+    """The cells of a mounting and of bearings."""
+    transform = geometry.base_from_laser
+    values = [*transform[:3, 3].tolist(), *angles_of_rotation(transform[:3, :3]), *_even("bearings", geometry.bearings)]
+    return ",".join(repr(value + 0.0) for value in values)  # no -0.0
+
+
+def _even(name: str, values: FloatArray) -> tuple[float, float]:
+    """First value and step of evenly spread ones."""
+    if not len(values):
+        raise ArgumentError(name, "at least one beam", "none")
+    steps = max(len(values) - 1, 1)
+    step = float(values[-1] - values[0]) / steps
+    if not (abs(values - values[0] - step * np.arange(len(values))) <= 1e-9).all():
+        raise ArgumentError(name, "evenly spread beams", values)
+    return float(values[0]), step
+
+
+def _time_increment_s(times: FloatArray) -> float:
+    first, step = _even("beam_times_s", times)
+    if abs(first) > 1e-9:
+        raise ArgumentError("beam_times_s", "a first beam at the scan's stamp", first)
+    return step
+
+
+def _format_ranges(scan: LaserScan) -> str:
+    """Ranges with blanks between them: what `CsvLog` decides each beam's status by."""
+    hit = scan.status == BeamStatus.HIT
+    hits = scan.ranges[hit]
+    if not ((hits > 0) & (hits >= scan.range_min_m) & (hits < scan.range_max_m)).all():
+        limits = f"hits from {scan.range_min_m:g} m on and below {scan.range_max_m:g} m"
+        raise ArgumentError("ranges", limits, (float(hits.min()), float(hits.max())))
+    nothing = np.where(scan.status == BeamStatus.NO_RETURN, np.inf, np.nan)
+    return " ".join(map(repr, np.where(hit, scan.ranges, nothing).tolist()))

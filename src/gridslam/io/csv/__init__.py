@@ -1,1 +1,0 @@
-"""Logs as tables of comma-separated values."""

@@ -1,0 +1,256 @@
+"""Planar pose graphs in g2o's text form: lines VERTEX_SE2, EDGE_SE2 and FIX."""
+
+from __future__ import annotations
+
+import textwrap
+from array import array
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.geometry.angles import wrap
+from gridslam.io.measurement import FARTHEST_M
+from gridslam.io.output import write_atomically
+from gridslam.io.tables import check_rows, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.text import read_numbered_lines
+from gridslam.slam.pose_graph.linear import find_parts
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.types import FloatArray, IntArray
+
+__all__ = ["G2oGraph", "read_g2o", "write_g2o"]
+
+_VERTEX, _EDGE, _FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
+_IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id"}
+_VALUES = {_VERTEX: "x y theta", _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt", _FIX: ""}
+_FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
+_MOST = 1e30  # squares of errors, times this, are still numbers
+_SHOWN = 10  # ids in a message
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class G2oGraph:
+    """A pose graph and how a file names it.
+
+    Attributes
+    ----------
+    graph : PoseGraph
+        Pose 0 is the fixed vertex, the others follow in the file's order.
+    ids : (N,) int64
+        The file's names of the poses of `graph`.
+    order : (N,) int64
+        Places in `graph` of the vertices in the file's order.
+    skipped : dict
+        How many lines of each unknown tag were passed over.
+    """
+
+    graph: PoseGraph
+    ids: IntArray
+    order: IntArray
+    skipped: dict[str, int]
+
+    @property
+    def edge_ids(self) -> IntArray:
+        """The file's names (M, 2) of the two poses that each edge joins."""
+        return self.ids[self.graph.edges]
+
+
+def read_g2o(path: str | Path, *, skip_unknown: bool = False) -> G2oGraph:
+    """Read a planar pose graph; plain text, gzip or bzip2; lines in any order, those that begin with # are left out.
+
+    The vertex that a FIX line names is pose 0, else the first vertex of the file. Edges between consecutive ids are
+    taken for odometry and trusted. Headings are brought to [-pi, pi).
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    skip_unknown : bool
+        Whether lines of other tags are passed over and counted.
+
+    Raises
+    ------
+    InputError
+        With the line, where one is malformed or its tag unknown, a vertex is there twice, an edge or FIX names a vertex
+        that is not there, an edge joins a vertex to itself or its information matrix is not positive definite, more
+        than one vertex is fixed, or a vertex is not connected to the fixed one; without, where the file cannot be read
+        or has no vertex.
+    """
+    tables, skipped = _read_lines(path, skip_unknown)
+    vertices = tables[_VERTEX]
+    edges = tables[_EDGE]
+    names = vertices.ids[:, 0].tolist()
+    row_of = dict(zip(reversed(names), reversed(range(len(names))), strict=True))  # the first row of each name
+    _check_vertices(path, vertices, row_of)
+    fixed = _fixed_row(path, tables[_FIX], row_of)
+    pairs = _edge_rows(path, edges, row_of)
+    information = symmetric_of_upper(edges.values[:, 3:])
+    least = np.linalg.eigvalsh(information)[:, 0]
+    problem = "expected a positive definite information matrix, got one with the eigenvalue"
+    check_rows(path, edges.lines, least > 0, lambda edge: f"{problem} {least[edge]:g}")
+    _check_connected(path, vertices, pairs, fixed)
+    order = np.insert(np.arange(1, len(names)), fixed, 0)
+    by_place = np.argsort(order)
+    graph = PoseGraph(  # built directly: what PoseGraph.of checks has been checked, with the lines
+        _wrapped(vertices.values[by_place]),
+        order[pairs],
+        _wrapped(edges.values[:, :3]),
+        information,
+        np.abs(edges.ids[:, 1] - edges.ids[:, 0]) == 1,
+    )
+    return G2oGraph(graph, vertices.ids[by_place, 0], order, skipped)
+
+
+def write_g2o(path: str | Path, graph: PoseGraph, ids: ArrayLike | None = None, order: ArrayLike | None = None) -> None:
+    """Write a pose graph, its pose 0 fixed; every number is written so that it is read back exactly.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, plain text; written atomically.
+    graph : PoseGraph
+        The poses and what was measured. Which edges are trusted has no place in the file: see `read_g2o`.
+    ids : (N,) int, optional
+        Names of the poses, >= 0 and all different; their places if not given.
+    order : (N,) int, optional
+        Places of the poses in the order in which they are written, by default their own.
+
+    Raises
+    ------
+    ArgumentError
+        `ids` are not N different ones >= 0, or `order` is no permutation of the places.
+    OutputError
+        The file cannot be written.
+    """
+    places = np.arange(len(graph.poses))
+    names = places if ids is None else np.asarray(ids, np.int64)
+    written = places if order is None else np.asarray(order, np.int64)
+    if names.shape != places.shape or len(np.unique(names)) != len(places) or names.min() < 0:
+        raise ArgumentError("ids", f"{len(places)} different ids >= 0", names.tolist())
+    if not np.array_equal(np.sort(written), places):
+        raise ArgumentError("order", f"a permutation of the places 0 to {len(places) - 1}", written.tolist())
+    edges = np.concatenate([graph.measurements, upper_of_symmetric(graph.information)], axis=1)
+    lines = _format(_VERTEX, names[written, None], graph.poses[written])
+    lines.insert(int(np.flatnonzero(written == 0)[0]) + 1, f"{_FIX} {names[0]}\n")  # after its vertex
+    with write_atomically(path) as aside, aside.open("w", encoding="ascii", newline="\n") as file:
+        file.writelines(lines)
+        file.writelines(_format(_EDGE, names[graph.edges], edges))
+
+
+def _format(tag: str, ids: IntArray, values: FloatArray) -> list[str]:
+    rows = zip(ids.tolist(), values.tolist(), strict=True)
+    return [f"{tag} {' '.join(map(repr, [*names, *numbers]))}\n" for names, numbers in rows]
+
+
+class _Rows(NamedTuple):
+    """Lines of one tag: ids (K, 1 or 2) int64, numbers (K, V) float64, line numbers (K,)."""
+
+    ids: IntArray
+    values: FloatArray
+    lines: list[int]
+
+
+def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows], dict[str, int]]:
+    """Read the lines of each known tag, and count those of each unknown one."""
+    ids = {tag: array("q") for tag in _FIELDS}
+    values = {tag: array("d") for tag in _FIELDS}
+    lines: dict[str, list[int]] = {tag: [] for tag in _FIELDS}
+    skipped = Counter[str]()
+    for number, line in read_numbered_lines(path):
+        tag, *words = line.split()
+        if tag in _FIELDS:
+            split = len(_IDS[tag].split())
+            try:
+                # Python reads 1_000 as a number; the format knows no such thing.
+                if len(words) != len(_FIELDS[tag].split()) or any("_" in word for word in words):
+                    raise ValueError
+                own_ids = array("q", map(int, words[:split]))
+                if min(own_ids) < 0:
+                    raise ValueError
+                values[tag].extend(map(float, words[split:]))
+            except (ValueError, OverflowError):
+                got = textwrap.shorten(line, 100)
+                raise InputError(path, f"expected '{tag} {_FIELDS[tag]}', got {got!r}", number) from None
+            ids[tag].extend(own_ids)
+            lines[tag].append(number)
+        elif skip_unknown:
+            skipped[tag] += 1
+        else:
+            problem = f"expected the tag {_VERTEX}, {_EDGE} or {_FIX}, got {textwrap.shorten(tag, 40)!r}"
+            raise InputError(path, f"{problem} (--skip-unknown passes over such lines and counts them)", number)
+    return {tag: _table(path, tag, ids[tag], values[tag], lines[tag]) for tag in _FIELDS}, dict(skipped)
+
+
+def _table(path: str | Path, tag: str, ids: array[int], values: array[float], lines: list[int]) -> _Rows:
+    shape = len(lines), len(_VALUES[tag].split())
+    rows = _Rows(np.array(ids).reshape(len(lines), len(_IDS[tag].split())), np.array(values).reshape(shape), lines)
+    possible = (np.abs(rows.values[:, :3]) <= FARTHEST_M).all(axis=1) & (np.abs(rows.values[:, 3:]) <= _MOST).all(
+        axis=1
+    )
+    most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == _EDGE)
+    expected = f"expected {most} for {tag} {_FIELDS[tag]}"
+    check_rows(path, lines, possible, lambda row: f"{expected}, got {' '.join(f'{x:g}' for x in rows.values[row])}")
+    return rows
+
+
+def _wrapped(poses: FloatArray) -> FloatArray:
+    """Poses (N, 3) with headings in [-pi, pi)."""
+    return np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+
+
+def _check_vertices(path: str | Path, vertices: _Rows, row_of: dict[int, int]) -> None:
+    """Each vertex must be there once, and one at least."""
+    if not row_of:
+        raise InputError(path, f"expected a vertex ({_VERTEX}), got none")
+    names = vertices.ids[:, 0].tolist()
+    first = np.array([row_of[name] == row for row, name in enumerate(names)])
+
+    def describe(row: int) -> str:
+        return f"expected each vertex once, got {names[row]} again, which line {vertices.lines[row_of[names[row]]]} has"
+
+    check_rows(path, vertices.lines, first, describe)
+
+
+def _fixed_row(path: str | Path, fixes: _Rows, row_of: dict[int, int]) -> int:
+    """Which vertex of the file is fixed."""
+    names = fixes.ids[:, 0].tolist()
+    for name, line in zip(names, fixes.lines, strict=True):
+        if name not in row_of:
+            raise InputError(path, f"expected a vertex to fix, got {name}, which is not there", line)
+        if name != names[0]:
+            raise InputError(path, f"expected one fixed vertex, got {name} after {names[0]}", line)
+    return row_of[names[0]] if names else 0
+
+
+def _edge_rows(path: str | Path, edges: _Rows, row_of: dict[int, int]) -> IntArray:
+    """Which vertices of the file (M, 2) the edges join."""
+    ends = np.array([row_of.get(name, -1) for name in edges.ids.ravel().tolist()], np.int64).reshape(-1, 2)
+
+    def describe_missing(edge: int) -> str:
+        missing = edges.ids[edge][ends[edge] < 0][0]
+        return f"expected an edge between vertices, got vertex {missing}, which is not there"
+
+    def describe_loop(edge: int) -> str:
+        return f"expected an edge between two vertices, got one from {edges.ids[edge, 0]} to itself"
+
+    check_rows(path, edges.lines, (ends >= 0).all(axis=1), describe_missing)
+    check_rows(path, edges.lines, ends[:, 0] != ends[:, 1], describe_loop)
+    return ends
+
+
+def _check_connected(path: str | Path, vertices: _Rows, pairs: IntArray, fixed: int) -> None:
+    """Edges must lead from the fixed vertex to each other one."""
+    part = find_parts(pairs, len(vertices.lines))
+    apart = vertices.ids[part != part[fixed], 0]
+
+    def describe(_: int) -> str:
+        shown = " ".join(map(str, apart[:_SHOWN])) + (" ..." if len(apart) > _SHOWN else "")
+        fixed_id = vertices.ids[fixed, 0]
+        return f"expected edges from vertex {fixed_id} to all others, {len(apart)} cannot be reached: {shown}"
+
+    check_rows(path, vertices.lines, part == part[fixed], describe)

@@ -1,1 +1,0 @@
-"""Pose graphs in the format of g2o."""

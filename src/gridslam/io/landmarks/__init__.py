@@ -1,1 +1,0 @@
-"""Landmark logs: MRCLAM and Victoria Park."""

@@ -1,0 +1,314 @@
+"""Maps as ROS's map_server reads and writes them: an image, and a small YAML file that describes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.text import read_text
+from gridslam.io.yaml import YamlError, compose_yaml
+from gridslam.types import GridRows, OccupancyGrid
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = [
+    "FREE_THRESH", "OCCUPIED_THRESH", "MapDescription", "MapImage", "occupancy_percent", "read_map",
+    "read_map_description", "read_map_image", "unknown_read_as_free", "write_map",
+]  # fmt: skip
+
+OCCUPIED_THRESH = 0.65
+FREE_THRESH = 0.196
+
+_OCCUPIED = 0  # what map savers write in trinary mode
+_FREE = 254
+_UNKNOWN = 205
+_BAND = 64  # rows turned to pixels at a time
+_SURE = 0.98  # an image represents probabilities 0.01 to 0.99, so that log-odds stay finite
+_REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+_MODES = ("trinary", "scale", "raw")
+_FINEST_M = 0.001  # what lies outside is another unit, or a slip
+_COARSEST_M = 10.0
+_Fields: TypeAlias = Mapping[str, tuple[Any, int]]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class MapDescription:
+    """Content of map.yaml.
+
+    Attributes
+    ----------
+    image : str
+        Path of the image, relative to the YAML file.
+    resolution_m : float
+        Side of a cell.
+    origin : (float, float), m
+        Lower left corner of the map.
+    negate : bool
+        Whether white is occupied.
+    occupied_thresh, free_thresh : float
+        Probabilities above and below which a pixel is occupied and free.
+    mode : str
+        "trinary", "scale" or "raw".
+    """
+
+    image: str
+    resolution_m: float
+    origin: tuple[float, float]
+    negate: bool = False
+    occupied_thresh: float = OCCUPIED_THRESH
+    free_thresh: float = FREE_THRESH
+    mode: str = "trinary"
+
+    def to_yaml(self) -> str:
+        """Text of the YAML file."""
+        plain = self.image.replace(".", "").replace("_", "").replace("-", "").isalnum()
+        name = self.image if plain else "'" + self.image.replace("'", "''") + "'"
+        return (
+            f"image: {name}\nmode: {self.mode}\nresolution: {self.resolution_m!r}\n"
+            f"origin: [{self.origin[0]!r}, {self.origin[1]!r}, 0.0]\nnegate: {int(self.negate)}\n"
+            f"occupied_thresh: {self.occupied_thresh!r}\nfree_thresh: {self.free_thresh!r}\n"
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class MapImage:
+    """A grey image.
+
+    Attributes
+    ----------
+    brightness : (H, W) float64
+        0 black to 255 white; whole numbers where a pixel has 8 bits. The first row is the top one.
+    opaque : (H, W) bool
+        Which pixels are not transparent in the least.
+    """
+
+    brightness: NDArray[np.float64]
+    opaque: NDArray[np.bool_]
+
+
+def write_map(yaml_path: str | Path, grid: GridRows) -> None:
+    """Write a map in trinary form: occupied above probability 0.65, free below 0.196, unknown otherwise.
+
+    The image has its first row at the top, where y is largest. free_thresh lies below the 0.19608 that the pixel 205
+    means, so that unknown stays unknown for every reader.
+
+    Parameters
+    ----------
+    yaml_path : str or Path
+        The file to write; its image is a binary PGM of the same name beside it.
+    grid : OccupancyGrid, or another that gives rows
+        The map, at least one cell.
+    """
+    height, width = grid.shape
+    if height == 0 or width == 0:
+        raise ArgumentError("grid", "at least one cell", grid.shape)
+    image_path = Path(yaml_path).with_suffix(".pgm")
+    with image_path.open("wb") as file:
+        file.write(f"P5\n{width} {height}\n255\n".encode())
+        for top in range(height, 0, -_BAND):
+            file.write(_pixels(grid.rows(max(top - _BAND, 0), top))[::-1].tobytes())
+    x, y = (float(value) for value in grid.origin)
+    description = MapDescription(image_path.name, float(grid.resolution_m), (x, y))
+    Path(yaml_path).write_text(description.to_yaml(), encoding="utf-8")
+
+
+def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
+    pixels = np.full(grid.shape, _UNKNOWN, dtype=np.uint8)
+    pixels[grid.known & (grid.log_odds > _log_odds(OCCUPIED_THRESH))] = _OCCUPIED
+    pixels[grid.known & (grid.log_odds < _log_odds(FREE_THRESH))] = _FREE
+    return pixels
+
+
+def read_map(
+    yaml_path: str | Path, *, strict_thresholds: bool = False, tell: Callable[[str], None] = lambda remark: None
+) -> OccupancyGrid:
+    """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
+
+    Occupied cells get probability 0.99, free ones 0.01, and percentages between get probabilities between.
+
+    Parameters
+    ----------
+    yaml_path : str or Path
+        The YAML file; its image is named relative to it.
+    strict_thresholds : bool
+        Apply the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown for any
+        free_thresh: every map saver writes it for unknown, and a free_thresh of 0.25, as nav2's saver writes it, would
+        turn all unobserved cells into free space. If it would, a remark is issued.
+    tell : callable
+        Gets what is odd about the file, and what was made of it: a remark of one sentence each.
+
+    Raises
+    ------
+    InputError
+        The YAML file or the image cannot be read, a value is missing or out of range, the map is rotated, or the image
+        is not grey.
+    """
+    description = read_map_description(yaml_path)
+    image = read_map_image(Path(yaml_path).parent / description.image)
+    percent = occupancy_percent(image, description, strict_thresholds=strict_thresholds)
+    known = percent >= 0
+    probability = (1 - _SURE) / 2 + _SURE * percent / 100.0
+    odds = np.divide(probability, 1 - probability, out=np.ones(percent.shape), where=known)
+    grid = OccupancyGrid(np.log(odds).astype(np.float32), known, description.resolution_m, description.origin)
+    spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
+    if spared:
+        tell(
+            f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
+            f"its {spared} cells are taken as unknown"
+        )
+    return grid
+
+
+def read_map_description(path: str | Path) -> MapDescription:
+    """Read a map's YAML file; keys that map_server does not know are left out, as there.
+
+    Raises
+    ------
+    InputError
+        With the line, where a value is not what its key needs or the file is no YAML; where a key is missing.
+    """
+    fields = _read_fields(path)
+    missing = [key for key in _REQUIRED if key not in fields]
+    if missing:
+        raise InputError(path, f"expected the keys {', '.join(_REQUIRED)}, got none named {', '.join(missing)}")
+    image, line = fields["image"]
+    if not isinstance(image, str):
+        raise InputError(path, f"expected the name of an image, got {image!r}", line)
+    resolution = _finite(path, "resolution", *fields["resolution"])
+    if not _FINEST_M <= resolution <= _COARSEST_M:
+        problem = f"expected a resolution from {_FINEST_M:g} to {_COARSEST_M:g} m, got {resolution:g}"
+        raise InputError(path, problem, fields["resolution"][1])
+    low = _finite(path, "free_thresh", *fields["free_thresh"])
+    high = _finite(path, "occupied_thresh", *fields["occupied_thresh"])
+    if not 0 <= low < high <= 1:
+        problem = f"expected 0 <= free_thresh < occupied_thresh <= 1, got {low:g} and {high:g}"
+        raise InputError(path, problem, fields["free_thresh"][1])
+    mode, line = fields.get("mode", ("trinary", 0))
+    if mode not in _MODES:
+        raise InputError(path, f"expected the mode {', '.join(_MODES)}, got {mode!r}", line)
+    negate, line = fields["negate"]
+    if str(negate).lower() not in ("0", "1", "false", "true"):
+        raise InputError(path, f"expected negate 0 or 1, got {negate!r}", line)
+    origin, line = fields["origin"]
+    if not (isinstance(origin, list) and len(origin) == 3):
+        raise InputError(path, f"expected origin: [x, y, yaw], got {origin!r}", line)
+    x, y, yaw = (_finite(path, "origin", word, line) for word in origin)
+    if yaw != 0:
+        raise InputError(path, f"expected a map that is not rotated (yaw 0), got yaw {yaw:g}", line)
+    negated = negate.lower() in ("1", "true")
+    return MapDescription(image, resolution, (x, y), negated, high, low, mode)
+
+
+def _read_fields(path: str | Path) -> _Fields:
+    """Text of each key's value as it stands there, or texts of a list; and the line."""
+    try:
+        tree = compose_yaml(read_text(path))
+    except YamlError as error:
+        raise InputError(path, f"expected 'key: value' in YAML: {error}", error.line) from None
+    if getattr(tree, "id", None) != "mapping":
+        raise InputError(path, "expected 'key: value' in each line, got none")
+    fields: dict[str, tuple[Any, int]] = {}
+    for key, value in tree.value:
+        line = key.start_mark.line + 1
+        if key.value in fields:
+            raise InputError(path, f"expected each key once, got {key.value} again", line)
+        fields[str(key.value)] = [item.value for item in value.value] if value.id == "sequence" else value.value, line
+    return fields
+
+
+def _finite(path: str | Path, key: str, text: Any, line: int) -> float:  # noqa: ANN401
+    try:
+        number = float(text)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(path, f"expected a number for {key}, got {text!r}", line)
+    return number
+
+
+def read_map_image(path: str | Path) -> MapImage:
+    """Read an image of any form that Pillow knows, PGM and PNG among them.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is no image, or one with colours.
+    """
+    from PIL import Image, UnidentifiedImageError  # only readers of maps pay for its import
+
+    if not Path(path).is_file():
+        raise InputError(path, "no such image file")
+    try:
+        with Image.open(path) as image:
+            transparency = "A" in image.getbands() or "transparency" in image.info
+            alpha = np.asarray(image.convert("RGBA"))[:, :, 3] if transparency else None
+            brightness = _brightness(path, image)
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
+        raise InputError(path, f"expected an image, got: {error}") from None
+    return MapImage(brightness, np.ones(brightness.shape, np.bool_) if alpha is None else alpha == 255)
+
+
+def _brightness(path: str | Path, image: Image) -> NDArray[np.float64]:
+    """Brightness (H, W) from 0 to 255."""
+    if image.mode == "I" or image.mode.startswith("I;16"):  # Pillow would cut 16 bits off at 255
+        return np.asarray(image).astype(np.float64) / 257
+    if image.mode in ("1", "L", "LA"):
+        return np.asarray(image.convert("L")).astype(np.float64)
+    red, green, blue = (np.asarray(band) for band in image.convert("RGB").split())
+    coloured = (red != green) | (green != blue)
+    if coloured.any():
+        raise InputError(path, f"expected a grey image, got colours in {int(coloured.sum())} of {coloured.size} pixels")
+    return red.astype(np.float64)
+
+
+def occupancy_percent(
+    image: MapImage, description: MapDescription, *, strict_thresholds: bool = False
+) -> NDArray[np.int8]:
+    """How occupied each cell is (H, W), 0 to 100, and -1 where that is unknown: the data of a ROS OccupancyGrid.
+
+    The first row is the lowest one. The rules are those of map_server and nav2:
+
+    - trinary: occupied (100) where a pixel is darker than occupied_thresh, free (0) where it is less dark than
+      free_thresh, else unknown. The pixel 205 is unknown for any free_thresh, unless `strict_thresholds`.
+    - scale: between the thresholds the percentage rises linearly, and nothing opaque is unknown.
+    - raw: the pixel is the percentage, unknown above 100, for any negate and thresholds.
+
+    A transparent pixel is unknown, but for raw.
+    """
+    if description.mode == "raw":
+        percent = np.rint(image.brightness)
+        return np.where(percent <= 100, percent, -1).astype(np.int8)[::-1]
+    darkness, low, high = _darkness(image, description), description.free_thresh, description.occupied_thresh
+    between = -1.0 if description.mode == "trinary" else np.rint(100 * (darkness - low) / (high - low))
+    percent = np.where(darkness > high, 100, np.where(darkness < low, 0, between))
+    if not strict_thresholds:
+        percent[unknown_read_as_free(image, description)] = -1
+    percent[~image.opaque] = -1
+    return percent.astype(np.int8)[::-1]
+
+
+def unknown_read_as_free(image: MapImage, description: MapDescription) -> NDArray[np.bool_]:
+    """Which pixels (H, W) savers write for unknown, but the file's thresholds, read literally, make free."""
+    if description.mode != "trinary" or description.negate:
+        return np.zeros(image.opaque.shape, np.bool_)
+    free = _darkness(image, description) < description.free_thresh
+    return np.asarray(image.opaque & (image.brightness == _UNKNOWN) & free)
+
+
+def _darkness(image: MapImage, description: MapDescription) -> NDArray[np.float64]:
+    """0 where a pixel is as a free one, 1 where it is as an occupied one."""
+    return (image.brightness if description.negate else 255 - image.brightness) / 255
+
+
+def _log_odds(probability: float) -> float:
+    return math.log(probability / (1 - probability))

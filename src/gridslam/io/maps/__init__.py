@@ -1,1 +1,0 @@
-"""Maps in the format of map_server."""

@@ -1,0 +1,140 @@
+"""Numbers in text: stamps, and tables of rows with white space or commas between their numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridslam.errors import InputError
+from gridslam.io.text import read_numbered_lines
+from gridslam.types import FloatArray, IntArray
+
+__all__ = [
+    "Row", "Table", "check_rows", "format_stamp_ns", "parse_stamp_ns", "read_rows", "read_table",
+    "symmetric_of_upper", "upper_of_symmetric",
+]  # fmt: skip
+
+
+class Row(NamedTuple):
+    """Stamps of a row in ns, the numbers after them, and the line on which they stand."""
+
+    stamps_ns: list[int]
+    values: list[float]
+    line: int
+
+
+class Table(NamedTuple):
+    """Stamps (N, S) int64 ns, values (N, V) float64 and line numbers (N,) of a table's rows."""
+
+    stamps_ns: IntArray
+    values: FloatArray
+    lines: list[int]
+
+
+def parse_stamp_ns(text: str) -> int:
+    """Nanoseconds of a decimal number of seconds, exactly; raises ValueError, with what was expected."""
+    seconds, _, fraction = text.partition(".")
+    if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10:
+        stamp = int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
+        if stamp < 2**63:
+            return stamp
+    try:
+        value = Decimal(text).scaleb(9)
+        if -(2**63) <= value < 2**63:
+            return int(value)
+    except ArithmeticError:
+        pass
+    raise ValueError(f"expected a stamp in seconds that fits 64 bits of nanoseconds, got {text!r}")
+
+
+def format_stamp_ns(stamp_ns: int, decimals: int = 6) -> str:
+    """Exact decimal seconds, with `decimals` digits after the point, or nine where they are needed."""
+    seconds, nanoseconds = divmod(abs(stamp_ns), 10**9)
+    digits = 9 if nanoseconds % 10 ** (9 - decimals) else decimals
+    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{f'{nanoseconds:09d}'[:digits]}"
+
+
+def read_rows(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Iterator[Row]:
+    """Read rows of finite numbers, a piece at a time.
+
+    Parameters
+    ----------
+    path : str or Path
+        A text file, plain, gzip or bzip2.
+    columns : str
+        Names of all columns. With commas between them they are the file's first line, and each line after it is a row;
+        with blanks, blank lines and those that begin with # are left out.
+    stamps : int
+        How many of the columns, from the left, are stamps in seconds; they are read exactly.
+    in_order : bool
+        Whether the first stamp must never go back.
+
+    Raises
+    ------
+    InputError
+        With the line, where a row has another number of columns, a value that is no finite number, or a stamp before
+        that of the row above it; without, where the file cannot be read.
+    """
+    separator = "," if "," in columns else None
+    lines = read_numbered_lines(path, with_comments=separator is not None)
+    if separator and (header := next(lines, (1, ""))[1]) != columns:
+        raise InputError(path, f"expected the columns {columns}, got {header!r:.200}", 1)
+    width = len(columns.split(separator))
+    last_ns = -(2**63)
+    for number, line in lines:
+        words = line.split(separator)
+        if len(words) != width:
+            raise InputError(path, f"expected {width} numbers ({columns}), got {len(words)}", number)
+        try:
+            stamps_ns = [parse_stamp_ns(word) for word in words[:stamps]]
+        except ValueError as error:
+            raise InputError(path, str(error), number) from None
+        try:
+            values = [float(word) for word in words[stamps:]]
+        except ValueError:
+            raise InputError(path, f"expected numbers ({columns}), got {line!r:.200}", number) from None
+        if not all(map(math.isfinite, values)):
+            raise InputError(path, f"expected finite numbers ({columns}), got {line!r:.200}", number)
+        if in_order:
+            if stamps_ns[0] < last_ns:
+                raise InputError(path, f"expected stamps in order, got {words[0]} after a later one", number)
+            last_ns = stamps_ns[0]
+        yield Row(stamps_ns, values, number)
+
+
+def read_table(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Table:
+    """Read all rows of a table; as `read_rows`, and raises InputError where there is none."""
+    rows = list(read_rows(path, columns, stamps, in_order=in_order))
+    if not rows:
+        raise InputError(path, f"expected rows of {columns}, got none")
+    stamps_ns, values, lines = zip(*rows, strict=True)
+    return Table(np.array(stamps_ns, np.int64), np.array(values), list(lines))
+
+
+def check_rows(path: str | Path, lines: list[int], good: ArrayLike, describe: Callable[[int], str]) -> None:
+    """Raise InputError for the first row that is not `good` (N,), with its line and the text that `describe` gives."""
+    bad = np.flatnonzero(~np.asarray(good))
+    if len(bad):
+        raise InputError(path, describe(int(bad[0])), lines[bad[0]])
+
+
+def upper_of_symmetric(matrices: FloatArray) -> FloatArray:
+    """Upper triangles (..., S), row by row, of symmetric matrices (..., K, K)."""
+    rows, columns = np.triu_indices(matrices.shape[-1])
+    return np.asarray(matrices[..., rows, columns])
+
+
+def symmetric_of_upper(upper: FloatArray) -> FloatArray:
+    """Symmetric matrices (..., K, K) of their upper triangles (..., S), row by row."""
+    size = math.isqrt(2 * upper.shape[-1])
+    rows, columns = np.triu_indices(size)
+    matrices = np.empty((*upper.shape[:-1], size, size))
+    matrices[..., rows, columns] = upper
+    matrices[..., columns, rows] = upper
+    return matrices

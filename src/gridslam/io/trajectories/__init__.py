@@ -1,1 +1,0 @@
-"""Trajectories and relations between poses."""

@@ -1,0 +1,46 @@
+"""YAML 1.1, as ROS reads it."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+__all__ = ["YamlError", "compose_yaml", "parse_yaml"]
+
+
+class YamlError(ValueError):
+    """A text is no YAML; `line` is where, from 1, or None."""
+
+    def __init__(self, problem: str, line: int | None) -> None:
+        """State what is wrong, and where."""
+        super().__init__(problem)
+        self.line = line
+
+
+def parse_yaml(text: str) -> Any:  # noqa: ANN401
+    """Numbers, texts, lists and dicts of a text; raises YamlError."""
+    return _read(text, "load")
+
+
+def compose_yaml(text: str) -> Any:  # noqa: ANN401
+    """Nodes of a text (of `ruamel.yaml.nodes`), which know their lines and what stands there; raises YamlError."""
+    return _read(text, "compose")
+
+
+def _read(text: str, method: str) -> Any:  # noqa: ANN401
+    from ruamel.yaml import YAML  # slow to import
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+    from ruamel.yaml.scanner import ScannerError
+
+    reader = YAML(typ="safe", pure=True)
+    reader.version = (1, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
+        try:
+            return getattr(reader, method)(text)
+        except MarkedYAMLError as error:
+            begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
+            mark = begun or error.problem_mark
+            raise YamlError(error.problem, mark.line + 1) from None
+        except YAMLError as error:
+            raise YamlError(" ".join(str(error).split()), None) from None

@@ -1,0 +1,275 @@
+"""What all transports share: the node's topics, its services, and its life from the parameters to the last file."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import struct
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Final, Protocol, TypeAlias, final
+
+import numpy as np
+
+from gridslam.errors import ArgumentError, ConfigurationError, GridslamError
+from gridslam.io.bags.ros_messages import MessageError, Wire, decode_scan, decode_transforms
+from gridslam.io.output import OutputFolder
+from gridslam.ros.node.core import NodeCore
+from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.parameters import NodeParameters
+
+__all__ = [
+    "LATCHED",
+    "POLL_S",
+    "TOPICS",
+    "Handler",
+    "RosNode",
+    "Transport",
+    "ViewerOpener",
+    "import_ros",
+    "save_results",
+    "set_pose_from_message",
+]  # fmt: skip
+
+TOPICS: Final = {
+    "map": "nav_msgs/OccupancyGrid",
+    "map_metadata": "nav_msgs/MapMetaData",
+    "/tf": "tf2_msgs/TFMessage",
+    "~/pose": "geometry_msgs/PoseWithCovarianceStamped",
+    "~/entropy": "std_msgs/Float64",
+    "particlecloud": "geometry_msgs/PoseArray",
+    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
+}
+"""Published topics and their types; ~ is the node's own name."""
+
+LATCHED: Final = ("map", "map_metadata", "~/entropy")
+"""Topics whose last message late subscribers receive."""
+
+POLL_S: Final = 0.2
+"""Time between two looks at what may end a node, s."""
+
+Handler: TypeAlias = Callable[[bytes, str], None]
+"""Called with the bytes of a message, and the name of its publisher if known."""
+
+ViewerOpener: TypeAlias = Callable[[NodeCore], AbstractContextManager[object]]
+"""Opens the viewers of a core: a context entered before the core starts and left after it has stopped."""
+
+_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))  # x, y and yaw of x, y, z, roll, pitch, yaw
+
+
+def import_ros(ros: str, hint: str, name: str, folder: str = "msg") -> Any:  # noqa: ANN401
+    """Import a module of "ROS 1" or "ROS 2", or a type such as "nav_msgs/GetMap" from a folder of its package.
+
+    Raises ConfigurationError with a hint if it is not installed.
+    """
+    package, _, kind = name.partition("/")
+    try:
+        module = importlib.import_module(f"{package}.{folder}" if kind else name)
+    except ImportError as error:
+        raise ConfigurationError(f"{ros} is not available ({error}): {hint}") from None
+    return getattr(module, kind) if kind else module
+
+
+class Transport(Protocol):
+    """What carries the node's messages.
+
+    Attributes
+    ----------
+    outputs : Outputs
+        Publishes what the node reports.
+    global_localization : str
+        Name of the service that makes the pose unknown.
+    """
+
+    outputs: Outputs
+    global_localization: str
+
+    def connect(self, refuse: Callable[[str, str], None]) -> None:
+        """Announce the published topics; `refuse` is called with kind and problem of what cannot be received."""
+
+    def wire_of(self, data: bytes) -> Wire:
+        """Return the encoding of a message; raises MessageError if it has none."""
+
+    def resolve(self, topic: str) -> str:
+        """Return the full name of a topic, after remapping."""
+
+    def subscribe(
+        self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
+    ) -> None:
+        """Subscribe to the messages of a type; `latched`: also to the last one of a publisher that was there before."""
+
+    def advertise(self, service: str, kind: str, serve: Callable[[Any], Sequence[Any]], *, slow: bool = False) -> None:
+        """Offer a service of std_srvs: `serve` gets the request's value, if it has one, and returns the response's.
+
+        A slow service must not delay scans.
+        """
+
+    def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
+        """Offer the map by a service of nav_msgs/GetMap."""
+
+    def spin(self, ended: threading.Event) -> Iterator[None]:
+        """Deliver messages until the transport is shut down or the event is set; yields several times a second."""
+
+    def close(self) -> None:
+        """Shut down."""
+
+
+@final
+class RosNode:
+    """The node on a transport.
+
+    Parameters
+    ----------
+    transport : Transport
+        Carries its messages.
+    parameters : NodeParameters
+        Settings and configuration from the node's parameters.
+
+    Raises
+    ------
+    OutputError
+        Results or the record cannot be written.
+    """
+
+    def __init__(self, transport: Transport, parameters: NodeParameters) -> None:
+        if parameters.out is not None:  # before the run rather than after it
+            with OutputFolder(parameters.out):
+                pass
+        self._transport = transport
+        self._log = transport.outputs.log
+        self._out = parameters.out
+        self.core = NodeCore(parameters.settings, parameters.configuration, transport.outputs, record=parameters.record)
+        transport.connect(self.core.refuse_message)
+        if parameters.warning:
+            self._log(Level.WARN, parameters.warning)
+
+    def start(self) -> None:
+        """Start the core, services and subscriptions."""
+        core = self.core
+        core.start()
+        self._advertise_services()
+        if core.localizes:
+            self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", self._on_pose, depth=1)
+        self._subscribe("/tf_static", "tf2_msgs/TFMessage", self._on_static_transforms, latched=True, depth=100)
+        self._subscribe("/tf", "tf2_msgs/TFMessage", self._on_transforms, depth=100)
+        self._subscribe("scan", "sensor_msgs/LaserScan", self._on_scan, reliable=False)
+        settings = core.settings
+        odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"
+        self._log(Level.OK, f"waiting for scans on {self._transport.resolve('scan')}{odometry}")
+
+    def close(self) -> None:
+        """Stop the core, write its map if a folder was given and there is a map, and shut the transport down."""
+        try:
+            session = self.core.close()
+            if self._out is not None and session is not None:
+                self._log(Level.OK, f"writing {session.log.scan_count} scans to {self._out.resolve()}")
+                session.save(self._out)
+        finally:
+            self._transport.close()
+
+    def run(self, open_viewers: ViewerOpener, on_poll: Callable[[], None]) -> None:
+        """Run until the transport or a KeyboardInterrupt ends it.
+
+        Parameters
+        ----------
+        open_viewers : callable
+            Called with the core before it starts.
+        on_poll : callable
+            Called several times a second; may raise KeyboardInterrupt.
+
+        Raises
+        ------
+        GridslamError
+            The filter failed.
+        """
+        core = self.core
+        with open_viewers(core):
+            try:
+                self.start()
+                for _ in self._transport.spin(core.ended):
+                    on_poll()
+            except KeyboardInterrupt:  # the usual end of a node
+                pass
+            finally:
+                self.close()
+        if core.failure is not None:
+            raise GridslamError(f"the filter failed: {core.failure}") from core.failure
+
+    def _advertise_services(self) -> None:
+        core = self.core
+        transport = self._transport
+
+        def reset(request: Any) -> tuple[()]:  # noqa: ANN401
+            core.reset()
+            return ()
+
+        def pause(paused: bool) -> tuple[bool, str]:
+            core.pause(paused)
+            return True, "paused" if paused else "mapping"
+
+        transport.advertise_map("dynamic_map", core.dynamic_map)
+        transport.advertise("~/reset", "std_srvs/Empty", reset)
+        if core.localizes:
+            transport.advertise(transport.global_localization, "std_srvs/Empty", reset)
+        transport.advertise("~/pause", "std_srvs/SetBool", pause)
+        folder = self._out or Path("gridslam-map")
+        transport.advertise("~/save", "std_srvs/Trigger", lambda request: save_results(core, folder), slow=True)
+
+    def _subscribe(self, topic: str, kind: str, handle: Handler, **qos: Any) -> None:  # noqa: ANN401
+        """Subscribe, and warn of bytes that are not a valid message."""
+        name = self._transport.resolve(topic)
+
+        def on_message(data: bytes, publisher: str) -> None:
+            try:
+                handle(data, publisher)
+            except MessageError as error:
+                self.core.refuse_message("message", f"{name}: {error}")
+
+        self._transport.subscribe(topic, kind, on_message, **qos)
+
+    def _on_scan(self, data: bytes, publisher: str) -> None:
+        self.core.on_scan(decode_scan(data, self._transport.wire_of(data)), self._transport.resolve("scan"))
+
+    def _on_transforms(self, data: bytes, publisher: str) -> None:
+        transforms = decode_transforms(data, self._transport.wire_of(data))
+        self.core.on_transforms(transforms, publisher=publisher)
+
+    def _on_static_transforms(self, data: bytes, publisher: str) -> None:
+        transforms = decode_transforms(data, self._transport.wire_of(data))
+        self.core.on_transforms(transforms, static=True, publisher=publisher)
+
+    def _on_pose(self, data: bytes, publisher: str) -> None:
+        set_pose_from_message(self.core, data, self._transport.wire_of(data))
+
+
+def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:
+    """Save; return whether it succeeded, and a message."""
+    try:
+        document = core.save(folder)
+    except GridslamError as error:
+        return False, str(error)
+    return True, f"{document['scans']['read']} scans: {folder.resolve()}"
+
+
+def set_pose_from_message(core: NodeCore, data: bytes, wire: Wire) -> None:
+    """Set the pose of the robot from geometry_msgs/PoseWithCovarianceStamped, as RViz sends it on `initialpose`.
+
+    Raises MessageError if it is not a pose in the node's map.
+    """
+    try:
+        frame, end = wire.string(data, 12)
+        if wire.aligned:
+            end += (4 - end) & 7
+        x, y, _, qx, qy, qz, qw = wire.pose.unpack_from(data, end)
+        covariance = np.array(struct.unpack_from(f"{wire.order}36d", data, end + wire.pose.size)).reshape(6, 6)
+    except struct.error as error:
+        raise MessageError(str(error)) from None
+    if frame != core.settings.map_frame:
+        raise MessageError(f"expected a pose in the frame {core.settings.map_frame}, got {frame!r}")
+    yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    try:
+        core.set_pose((np.array([x, y, yaw]), covariance[_PLANAR]))
+    except ArgumentError as error:
+        raise MessageError(str(error)) from None
