@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import convert_log
+from gridslam.api.conversion import convert_log
 from gridslam.geometry.se2 import between, compose, compound_covariance, increment_covariance
 from gridslam.io.bags.bag import BagLog
 from gridslam.io.bags.rig import PoseCovariances
