@@ -29,7 +29,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
-from gridslam.viz.palette import CLOSURE, TRUTH
+from gridslam.viz.canvas import CLOSURE, TRUTH
 
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 

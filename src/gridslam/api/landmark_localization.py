@@ -101,7 +101,7 @@ class LandmarkLocalizationResult(ResultByLandmarks):
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""
-        from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
+        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
 
         compared = self.compare()
         truth = None if compared is None else compared[1]

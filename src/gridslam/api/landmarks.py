@@ -244,7 +244,7 @@ class LandmarkResult(ResultByLandmarks):
 
     def picture(self) -> Picture:
         """Draw the trajectory and the landmarks, and the truth where it is known."""
-        from gridslam.viz.landmark_picture import draw_landmarks  # only drawing pays for the import of Pillow
+        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
 
         way = points = None
         compared = self.compare()

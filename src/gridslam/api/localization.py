@@ -166,7 +166,7 @@ class LocalizationResult(Result):
 
     def picture(self) -> Picture:
         """Draw the map with the trajectory, and where the robot was lost."""
-        from gridslam.viz.localization_picture import draw_localization  # only drawing pays for the import of Pillow
+        from gridslam.viz import draw_localization  # only drawing pays for the import of Pillow
 
         return draw_localization(self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption())
 
