@@ -17,7 +17,7 @@ import numpy as np
 
 from gridslam import StepReport, build, preset, run
 from gridslam.kernels import backend, compiled, reference
-from gridslam.localization.field_table import FieldTable
+from gridslam.localization.known_map import FieldTable
 from gridslam.matching import BranchAndBound, Pyramid
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from gridslam.types import Beams, FloatArray
@@ -26,7 +26,7 @@ from report import table
 __all__ = ["Call", "Situation", "kernel_times", "record"]
 
 _SEARCH = "gridslam.matching.branch_and_bound.backend"
-_TABLE = "gridslam.localization.field_table.backend"
+_TABLE = "gridslam.localization.known_map.backend"
 
 
 class Call(NamedTuple):

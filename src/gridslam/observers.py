@@ -57,7 +57,8 @@ class TrajectoryRecorder:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrajectoryRecorder:
         """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
-        self, count = cls(), len(arrays.get("stamps_ns", ()))
+        self = cls()
+        count = len(arrays.get("stamps_ns", ()))
         for name, kept, shape in (
             ("stamps_ns", self._stamps_ns, (count,)),
             ("keys", self._keys, (count,)),
@@ -183,7 +184,8 @@ class StatisticsRecorder:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> StatisticsRecorder:
         """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
-        self, counts = cls(), array("q")
+        self = cls()
+        counts = array("q")
         _append_array(self._seconds, arrays, "seconds", (-1,))
         _append_array(self._is_key, arrays, "is_key", (len(self._seconds),))
         _append_array(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
@@ -194,7 +196,8 @@ class StatisticsRecorder:
 
     def summary(self) -> RunStatistics:
         """Summarize the scans so far."""
-        seconds, is_key = np.frombuffer(self._seconds.tobytes()), np.frombuffer(self._is_key.tobytes(), np.bool_)
+        seconds = np.frombuffer(self._seconds.tobytes())
+        is_key = np.frombuffer(self._is_key.tobytes(), np.bool_)
         n_eff = np.frombuffer(self._n_eff.tobytes())
         return RunStatistics(
             scans=len(seconds),

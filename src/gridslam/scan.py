@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from pydantic.dataclasses import dataclass as parameters
 from gridslam.arguments import freeze, require_array, require_instance
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
+from gridslam.geometry.se3 import from_planar
 
 __all__ = [
     "LONGEST_SCAN_S",
@@ -85,9 +86,7 @@ class ScanGeometry:
     @classmethod
     def planar(cls, bearings: ArrayLike, base_from_laser: ArrayLike) -> ScanGeometry:
         """Geometry of a laser mounted level at the planar pose `base_from_laser` (3,) = [x m, y m, theta rad]."""
-        x, y, theta = freeze(base_from_laser, np.float64, (3,), "base_from_laser")
-        c, s = np.cos(theta), np.sin(theta)
-        return cls(bearings, [[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+        return cls(bearings, from_planar(freeze(base_from_laser, np.float64, (3,), "base_from_laser")))
 
 
 _STRAIGHT = 1e-12  # rad/s: a turn below this moves nothing by a rounding error
@@ -156,9 +155,11 @@ class Beams:
         v_x, v_y, omega = twist.tolist()
         times = self.scan.beam_times_s.take(self.indices)
         half_turns = np.empty(len(times), np.complex128)
-        half_turns.real, half_turns.imag = np.cos(0.5 * omega * times), np.sin(0.5 * omega * times)
+        half_turns.real = np.cos(0.5 * omega * times)
+        half_turns.imag = np.sin(0.5 * omega * times)
         chords = half_turns.imag * (2 / omega) if abs(omega) > _STRAIGHT else times
-        ways, turns = complex(v_x, v_y) * chords * half_turns, half_turns * half_turns
+        ways = complex(v_x, v_y) * chords * half_turns
+        turns = half_turns * half_turns
         ends = turns * self.ends.view(np.complex128)[:, 0] + ways
         origin = (turns * complex(*self.origin.tolist()) + ways).mean(keepdims=True)
         return Beams(self.scan, self.indices, ends.view(np.float64).reshape(-1, 2), origin.view(np.float64), omega)
@@ -182,23 +183,8 @@ class StoredScan:
         return _reach_m(self.ends, self.origin)
 
 
-class BeamEnds(Protocol):
-    """Where beams end, seen from the base: `Beams` of a scan at hand, or `StoredScan` of one that was kept."""
-
-    @property
-    def ends(self) -> FloatArray:
-        """End points (K, 2) in the base frame, m."""
-
-    @property
-    def origin(self) -> FloatArray:
-        """The laser's place (2,) in the base frame, m."""
-
-    @property
-    def reach_m(self) -> float:
-        """Distance of the farthest end or of the laser from the base."""
-
-    def __len__(self) -> int:
-        """Return the number of beams K."""
+BeamEnds: TypeAlias = Beams | StoredScan
+"""Where beams end, seen from the base: `Beams` of a scan at hand, or `StoredScan` of one that was kept."""
 
 
 def _reach_m(ends: FloatArray, origin: FloatArray) -> float:
@@ -262,7 +248,8 @@ class BeamStatus(IntEnum):
     INVALID = 2
 
 
-_HIT, _GREATEST = np.uint8(BeamStatus.HIT), int(max(BeamStatus))
+_HIT = np.uint8(BeamStatus.HIT)
+_GREATEST = int(max(BeamStatus))
 
 
 @final
@@ -421,12 +408,12 @@ class LaserScan:
 
         Dense scans are thinned by `thinning`.
         """
-        ranges, geometry = self.ranges, self.geometry
-        usable = ((self.status == _HIT) & (ranges >= min_m) & (ranges < max_m)).nonzero()[0]
-        taken = thinning(ranges.take(usable), geometry.widths.take(usable))
+        hits = (self.status == _HIT) & (self.ranges >= min_m) & (self.ranges < max_m)
+        usable = hits.nonzero()[0]
+        taken = thinning(self.ranges.take(usable), self.geometry.widths.take(usable))
         if taken is not None:
             usable = usable[taken]
-        ends = geometry.directions.take(usable, axis=0)
-        ends *= ranges.take(usable)[:, None]
-        ends += geometry.origin
-        return Beams(self, usable, ends, geometry.origin)
+        ends = self.geometry.directions.take(usable, axis=0)
+        ends *= self.ranges.take(usable)[:, None]
+        ends += self.geometry.origin
+        return Beams(self, usable, ends, self.geometry.origin)

@@ -49,17 +49,10 @@ def turn_between(a: np.ndarray, b: np.ndarray) -> float:
     return math.atan2(sine, np.trace(r) - 1)
 
 
-@given(transforms)
-def test_a_transform_times_its_inverse_is_the_identity(a):
-    assert_same(a @ se3.inverse(a), np.eye(4))
-    assert_same(se3.inverse(a) @ a, np.eye(4))
-    assert_same(se3.inverse(se3.inverse(a)), a)
-
-
 @given(rigids, rigids, rigids)
 def test_seven_floats_are_the_group_of_the_matrices(a, b, c):
     assert_same(rigid.to_matrix(rigid.compose(a, b)), rigid.to_matrix(a) @ rigid.to_matrix(b))
-    assert_same(rigid.to_matrix(rigid.inverse(a)), se3.inverse(rigid.to_matrix(a)))
+    assert_same(rigid.to_matrix(rigid.inverse(a)), np.linalg.inv(rigid.to_matrix(a)))
     left, right = rigid.compose(rigid.compose(a, b), c), rigid.compose(a, rigid.compose(b, c))
     np.testing.assert_allclose(left[:3], right[:3], rtol=0, atol=METRES)
     np.testing.assert_allclose(left[3:], right[3:], rtol=0, atol=TURN)
@@ -89,15 +82,19 @@ def test_a_quaternion_turns_a_vector_by_its_angle_about_its_axis(xyzw, vector):
     np.testing.assert_allclose(se3.from_quaternion([0, 0, 0], xyzw)[:3, :3] @ v, want, rtol=0, atol=1e-12)
 
 
+def interpolate(a: np.ndarray, b: np.ndarray, fraction: float) -> np.ndarray:
+    return rigid.to_matrix(rigid.interpolate(rigid.from_matrix(a), rigid.from_matrix(b), fraction))
+
+
 @given(transforms, transforms)
 def test_interpolation_begins_and_ends_where_it_should(a, b):
-    assert_same(se3.interpolate(a, b, 0.0), a)
-    assert_same(se3.interpolate(a, b, 1.0), b)
+    assert_same(interpolate(a, b, 0.0), a)
+    assert_same(interpolate(a, b, 1.0), b)
 
 
 @given(transforms, transforms, fractions)
 def test_interpolation_is_uniform_on_the_shorter_arc(a, b, fraction):
-    between = se3.interpolate(a, b, fraction)
+    between = interpolate(a, b, fraction)
     np.testing.assert_allclose(between[:3, :3] @ between[:3, :3].T, np.eye(3), rtol=0, atol=1e-12)
     whole = turn_between(a, b)
     # The angle of a matrix is known to 1e-13 / sin(pi - angle); within 1e-3 of half a turn either arc may be taken.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.kernels import reference
-from gridslam.localization.field_table import FieldTable
+from gridslam.localization.known_map import FieldTable
 
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from gridslam.evaluation import Consistency, check_consistency, nees
 from gridslam.models.landmark import RangeBearing
-from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 

@@ -8,7 +8,7 @@ import pytest
 from global_localization import Building, GlobalRun
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import LikelihoodField
 from support.localization_world import RandomWalk, drive, flat_map
 
 RUNS = 100

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gridslam.geometry.se2 import compose
-from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, LandmarkStep, RangeBearing
 from gridslam.models.motion import DiffusionMotion
 
 MOTION = DiffusionMotion(sigma_xy_m=0.05, sigma_theta_rad=0.03)

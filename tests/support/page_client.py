@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import struct
+import zlib
 from typing import Any
 
 import numpy as np
 
-from gridslam.live.protocol import decode, unpack_tiles
+from gridslam.kernels import TILE
 from gridslam.live.tiles import TileReplica, split_into_tiles
 from gridslam.types import OccupancyGrid
 
@@ -64,3 +67,21 @@ class PageClient:
             at = int(self.arrays["tree_parents"][at])
         stem = self.path if at == -1 else np.zeros((0, 2), np.float32)
         return np.concatenate([stem, np.array(places[::-1]).reshape(-1, 2)])
+
+
+def decode(message: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Read a message: its header, and its arrays by name."""
+    data = zlib.decompress(message)
+    start = 4 + struct.unpack_from("<I", data)[0]
+    header: dict[str, Any] = json.loads(data[4:start])
+    arrays = {}
+    for name, kind, shape in header.pop("arrays"):
+        dtype, count = np.dtype(f"<{kind}"), int(np.prod(shape))
+        arrays[name] = np.frombuffer(data, dtype, count, start).reshape(shape)
+        start += (count * dtype.itemsize + 3) // 4 * 4
+    return header, arrays
+
+
+def unpack_tiles(data: np.ndarray) -> np.ndarray:
+    """Levels (K, 32, 32) from `pack_tiles` ones."""
+    return np.stack([data & 15, data >> 4], axis=-1).reshape(len(data), TILE, TILE)

@@ -113,6 +113,11 @@ def test_at_most_fifteen_parameters_face_the_user_and_each_is_one():
         assert path in known or f"{path}.kind" in known
 
 
+def test_the_tracker_has_at_most_twenty_parameters_beside_those_of_its_matcher():
+    own = [name for name in names(Configuration()) if name.startswith("tracker.") and not name.endswith(".kind")]
+    assert len([name for name in own if not name.startswith("tracker.matcher.")]) <= 20
+
+
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_short_name_means_the_dotted_one(name):
     path = PARAMETERS[name][0]
@@ -126,6 +131,11 @@ def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
     config = override(Configuration(), "motion.alpha1=0.5", "motion.kind=OdometryMotion")
     assert config.motion == OdometryMotion(alpha1=0.5)
     assert override(config, "motion.kind=OdometryMotion") == config
+
+
+def test_the_last_assignment_counts_by_whatever_name():
+    config = override(Configuration(), "insert_m=0.1", "tracker.insert_m=0.2", "insert_m=0.3")
+    assert config.tracker.insert_m == 0.3
 
 
 def test_parameters_that_belong_together_are_checked_when_all_are_set():

@@ -10,7 +10,7 @@ import numpy as np
 
 from gridslam.config.tables import Table, nest, read_assignments, replace_parameters, suggest_names, to_table
 from gridslam.errors import ConfigurationError
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.types import FloatArray
 
 __all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration"]

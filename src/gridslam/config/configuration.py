@@ -14,8 +14,7 @@ from gridslam.config.tables import nest, read_assignments, replace_parameters, t
 from gridslam.errors import ConfigurationError
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import CauchyEndPoint, GMappingEndPoint, LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.models.parameters import Kind
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold, NeverResample

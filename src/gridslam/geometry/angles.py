@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["circular_mean", "normalize_weights", "wrap"]
+__all__ = ["normalize_weights", "wrap"]
 
 FloatArray = NDArray[np.float64]
 
-TAU = 2.0 * math.pi
 _MANY = 500  # of which fmod takes longer than to look at them all
 
 
@@ -44,49 +43,18 @@ def wrap(angle: float | NDArray[Any]) -> Any:
     if isinstance(angle, float | int):
         if -math.pi <= angle < math.pi:
             return float(angle)
-        rest = math.fmod(angle, TAU)
-        return rest - TAU if rest >= math.pi else rest + TAU if rest < -math.pi else rest
+        rest = math.fmod(angle, math.tau)
+        return rest - math.tau if rest >= math.pi else rest + math.tau if rest < -math.pi else rest
     near = False
     if angle.size > _MANY:
-        least, most = angle.min(), angle.max()
+        least = angle.min()
+        most = angle.max()
         if -math.pi <= least and most < math.pi:
             return angle.astype(np.float64)
-        near = bool(least > -1.5 * TAU and most < 1.5 * TAU)
-    remainder = angle if near else np.fmod(angle, TAU, dtype=np.float64)
+        near = bool(least > -1.5 * math.tau and most < 1.5 * math.tau)
+    remainder = angle if near else np.fmod(angle, math.tau, dtype=np.float64)
     turns = np.subtract(remainder >= math.pi, remainder < -math.pi, dtype=np.float64)
-    return remainder - TAU * turns
-
-
-def circular_mean(angles: ArrayLike, weights: ArrayLike | None = None) -> FloatArray:
-    """Mean direction: the angle of the weighted sum of unit vectors.
-
-    Where that sum vanishes, as for two opposite angles, no direction is better than another: the result is arbitrary.
-
-    Parameters
-    ----------
-    angles : (..., N) float64, rad
-        Any finite angles; the mean is taken over the last axis.
-    weights : (..., N) float64, optional
-        Finite, >= 0 and not all 0, of any scale; equal if not given.
-
-    Returns
-    -------
-    (...) float64, rad
-        In [-pi, pi).
-
-    Raises
-    ------
-    ArgumentError
-        If there is no angle, there is not one weight for each, a weight is negative or not finite, or all are 0.
-    """
-    theta = np.asarray(angles, dtype=np.float64)
-    if theta.ndim == 0 or theta.shape[-1] == 0:
-        raise ArgumentError("angles", "shape (..., N) with N >= 1", theta.shape)
-    share = normalize_weights(np.ones(theta.shape[-1]) if weights is None else weights)
-    if share.shape[-1] != theta.shape[-1]:
-        raise ArgumentError("weights", f"one for each of {theta.shape[-1]} angles", share.shape[-1])
-    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
-    return np.asarray(wrap(direction))
+    return remainder - math.tau * turns
 
 
 def normalize_weights(weights: ArrayLike) -> FloatArray:

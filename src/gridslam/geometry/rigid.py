@@ -95,7 +95,8 @@ def planar(a: Rigid) -> tuple[float, float, float]:
     Raises ArgumentError where the x axis is vertical (to 1e-6) and so points nowhere on the ground.
     """
     x, y, _, i, j, k, w = a
-    ahead, left = 1 - 2 * (j * j + k * k), 2 * (i * j + w * k)
+    ahead = 1 - 2 * (j * j + k * k)
+    left = 2 * (i * j + w * k)
     if abs(ahead) + abs(left) < _ROTATION_TOLERANCE:
         raise ArgumentError("transform", "an x axis that is not vertical, to be seen from above", a)
     return x, y, math.atan2(left, ahead)
@@ -106,7 +107,9 @@ def compose(a: Rigid, b: Rigid) -> Rigid:
     ax, ay, az, ai, aj, ak, aw = a
     bx, by, bz, bi, bj, bk, bw = b
     # A vector v turned by (u, w) is v + w c + u x c with c = 2 u x v.
-    cx, cy, cz = 2 * (aj * bz - ak * by), 2 * (ak * bx - ai * bz), 2 * (ai * by - aj * bx)
+    cx = 2 * (aj * bz - ak * by)
+    cy = 2 * (ak * bx - ai * bz)
+    cz = 2 * (ai * by - aj * bx)
     return (
         ax + bx + aw * cx + aj * cz - ak * cy,
         ay + by + aw * cy + ak * cx - ai * cz,
@@ -135,12 +138,13 @@ def interpolate(a: Rigid, b: Rigid, fraction: float) -> Rigid:
     ax, ay, az, ai, aj, ak, aw = a
     bx, by, bz, bi, bj, bk, bw = b
     cosine = ai * bi + aj * bj + ak * bk + aw * bw
-    p, q = 1.0 - fraction, fraction
-    s, t = p, q
+    p = s = 1.0 - fraction
+    q = t = fraction
     if abs(cosine) < 1.0:
         angle = math.acos(abs(cosine))
         scale = 1.0 / math.sin(angle)
-        s, t = scale * math.sin(p * angle), scale * math.sin(q * angle)
+        s = scale * math.sin(p * angle)
+        t = scale * math.sin(q * angle)
     if cosine < 0.0:
         t = -t
     return (

@@ -1,9 +1,10 @@
 """SE(2), the rigid motions of the plane, on arrays of poses [x m, y m, theta rad].
 
 With frames in the names, `compose(map_from_robot, robot_from_laser)` is `map_from_laser`. All functions broadcast
-over the leading dimensions, and what they return has theta in [-pi, pi). Jacobians of `compose`, `between` and
-`inverse` are partial derivatives of the coordinates [x, y, theta] (Smith, Self and Cheeseman 1990); `adjoint` and
-`right_jacobian` belong to the tangent space, of vectors [v_x, v_y, omega] (Sola, Deray and Atchuthan 2018).
+over the leading dimensions, and what they return has theta in [-pi, pi). Jacobians of `compose` and `between` are
+partial derivatives of the coordinates [x, y, theta], and covariances are by x and y in m and theta in rad (Smith, Self
+and Cheeseman 1990); `adjoint` belongs to the tangent space, of vectors [v_x, v_y, omega] (Sola, Deray and Atchuthan
+2018).
 
 A single pose takes the same formulas through Python floats, which is several times faster than arrays of one element.
 """
@@ -17,12 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import circular_mean, normalize_weights, wrap
+from gridslam.geometry.angles import normalize_weights, wrap
 
 __all__ = [
-    "adjoint", "between", "between_jacobians", "compose", "compose_jacobians", "exp", "inverse", "inverse_jacobian",
-    "log", "right_jacobian", "transform_points", "weighted_covariance", "weighted_mean",
+    "adjoint", "between", "between_jacobians", "compose", "compose_jacobians", "compound_covariance", "exp",
+    "increment_covariance", "inverse", "lever_arm_jacobian", "log", "transform_points", "weighted_covariance",
+    "weighted_mean",
 ]  # fmt: skip
+
 
 FloatArray = NDArray[np.float64]
 _FLOAT64 = np.dtype(np.float64)  # NumPy's one and only, so that it need not be compared
@@ -47,7 +50,8 @@ def compose(a: ArrayLike, b: ArrayLike) -> FloatArray:
     ArgumentError
         If the last dimension of an argument is not 3.
     """
-    (ax, ay, at), (bx, by, bt) = _components(a, "a"), _components(b, "b")
+    ax, ay, at = _components(a, "a")
+    bx, by, bt = _components(b, "b")
     c, s = _cos_sin(at)
     return _pose(ax + c * bx - s * by, ay + s * bx + c * by, at + bt)
 
@@ -57,9 +61,11 @@ def between(a: ArrayLike, b: ArrayLike) -> FloatArray:
 
     Raises ArgumentError if the last dimension of an argument is not 3.
     """
-    (ax, ay, at), (bx, by, bt) = _components(a, "a"), _components(b, "b")
+    ax, ay, at = _components(a, "a")
+    bx, by, bt = _components(b, "b")
     c, s = _cos_sin(at)
-    dx, dy = bx - ax, by - ay
+    dx = bx - ax
+    dy = by - ay
     return _pose(c * dx + s * dy, c * dy - s * dx, bt - at)
 
 
@@ -164,17 +170,6 @@ def between_jacobians(a: ArrayLike, b: ArrayLike) -> tuple[FloatArray, FloatArra
     return _matrix(-c, -s, y, s, -c, -x, 0, 0, -1), _matrix(c, s, 0, -s, c, 0, 0, 0, 1)
 
 
-def inverse_jacobian(a: ArrayLike) -> FloatArray:
-    """Return the Jacobian (..., 3, 3) of inverse(a). Raises ArgumentError if the last dimension of `a` is not 3.
-
-    Source: Smith, Self and Cheeseman, Estimating uncertain spatial relationships in robotics (1990).
-    """
-    _, _, theta = _components(a, "a")
-    x, y, _ = _components(inverse(a), "a")
-    c, s = _cos_sin(theta)
-    return _matrix(-c, -s, y, s, -c, -x, 0, 0, -1)
-
-
 def adjoint(pose: ArrayLike) -> FloatArray:
     """Return the adjoint (..., 3, 3) of poses: pose compose exp(xi) = exp(adjoint @ xi) compose pose.
 
@@ -187,19 +182,46 @@ def adjoint(pose: ArrayLike) -> FloatArray:
     return _matrix(c, -s, y, s, c, -x, 0, 0, 1)
 
 
-def right_jacobian(xi: ArrayLike) -> FloatArray:
-    """Return the right Jacobian (..., 3, 3) of `exp`: exp(xi + d) is near exp(xi) compose exp(J d).
+def lever_arm_jacobian(frames: FloatArray, carried: FloatArray) -> FloatArray:
+    """Jacobians of poses that a frame carries along when it moves, by the pose of that frame.
 
-    Raises ArgumentError if the last dimension of `xi` is not 3.
+    Parameters
+    ----------
+    frames : (..., 3) float64
+        Poses of the frames, map frame; leading dimensions broadcast to those of `carried`.
+    carried : (..., 2 or more) float64
+        Poses, or points, in the map frame, too.
 
-    Source: Sola et al., A micro Lie theory (2018), equation 163.
+    Returns
+    -------
+    (..., 3, 3) float64
+        Of points the first two rows count.
     """
-    vx, vy, omega = _components(xi, "xi")
-    c, s = _cos_sin(0.5 * omega)
-    chord = _sinc(0.5 * omega)
-    p, q = chord * c, chord * s  # sin(omega) / omega, (1 - cos(omega)) / omega
-    even, odd = 0.5 * chord * chord, _sine_gap(omega)
-    return _matrix(p, q, odd * vx - even * vy, -q, p, even * vx + odd * vy, 0, 0, 1)
+    jacobian = np.zeros((*carried.shape[:-1], 3, 3))
+    jacobian[..., 0, 0] = jacobian[..., 1, 1] = jacobian[..., 2, 2] = 1.0
+    jacobian[..., 0, 2] = frames[..., 1] - carried[..., 1]
+    jacobian[..., 1, 2] = carried[..., 0] - frames[..., 0]
+    return jacobian
+
+
+def compound_covariance(
+    moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, noise: FloatArray
+) -> FloatArray:
+    """Covariance (3, 3) of a motion and an increment after it, which has a noise (3, 3) of its own, to first order.
+
+    Source: Smith, Self and Cheeseman, Estimating uncertain spatial relationships in robotics (1990).
+    """
+    by_moved, by_increment = compose_jacobians(moved, increment)
+    return np.asarray(by_moved @ covariance @ by_moved.T + by_increment @ noise @ by_increment.T)
+
+
+def increment_covariance(
+    moved: ArrayLike, covariance: FloatArray, increment: ArrayLike, both: FloatArray
+) -> FloatArray:
+    """Undo `compound_covariance`: the noise (3, 3) of the increment, which need not be a valid covariance."""
+    by_moved, by_increment = compose_jacobians(moved, increment)
+    noise = by_increment.T @ (both - by_moved @ covariance @ by_moved.T) @ by_increment  # a rotation
+    return np.asarray(0.5 * (noise + noise.T))
 
 
 def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
@@ -227,7 +249,9 @@ def weighted_mean(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
     if given.ndim < 2 or given.shape[-2] != share.shape[-1]:
         raise ArgumentError("weights", f"one for each pose of shape {given.shape}", f"shape {share.shape}")
     position = (share[..., None] * given[..., :2]).sum(axis=-2)
-    return np.concatenate([position, np.asarray(circular_mean(given[..., 2], share))[..., None]], axis=-1)
+    theta = given[..., 2]
+    direction = np.arctan2((share * np.sin(theta)).sum(axis=-1), (share * np.cos(theta)).sum(axis=-1))
+    return np.concatenate([position, np.asarray(wrap(direction))[..., None]], axis=-1)
 
 
 def weighted_covariance(poses: ArrayLike, weights: ArrayLike) -> FloatArray:
@@ -267,14 +291,6 @@ def _sinc(angle: Component) -> Component:
         return math.sin(angle) / angle if angle else 1.0
     safe = np.where(angle == 0.0, 1.0, angle)
     return np.where(angle == 0.0, 1.0, np.sin(safe) / safe)
-
-
-def _sine_gap(angle: Component) -> Component:
-    """Return (angle - sin(angle)) / angle^2; by its series below 0.25, where the difference would cancel."""
-    square = np.square(angle)
-    series = angle * (1 / 6 - square * (1 / 120 - square * (1 / 5040 - square * (1 / 362880 - square / 39916800))))
-    large = np.where(np.abs(angle) < 0.25, 1.0, angle)
-    return np.where(np.abs(angle) < 0.25, series, (large - np.sin(large)) / np.square(large))
 
 
 def _pose(x: Component, y: Component, theta: Component) -> FloatArray:

@@ -15,7 +15,7 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry import rigid
 from gridslam.geometry.angles import wrap
 
-__all__ = ["from_planar", "from_quaternion", "interpolate", "inverse", "tilt_rad", "to_planar", "to_quaternion"]
+__all__ = ["from_planar", "from_quaternion", "tilt_rad", "to_planar", "to_quaternion"]
 
 FloatArray = NDArray[np.float64]
 
@@ -51,31 +51,11 @@ def to_quaternion(transform: ArrayLike) -> tuple[FloatArray, FloatArray]:
     return values[:3], math.copysign(1.0, values[6]) * values[3:]
 
 
-def inverse(transform: ArrayLike) -> FloatArray:
-    """Invert a transform (4, 4): b_from_a of a_from_b. Raises ArgumentError where it is not rigid."""
-    given = _rigid(transform)
-    inverted = np.eye(4)
-    inverted[:3, :3] = given[:3, :3].T
-    inverted[:3, 3] = -given[:3, :3].T @ given[:3, 3]
-    return inverted
-
-
-def interpolate(a: ArrayLike, b: ArrayLike, fraction: float) -> FloatArray:
-    """Transform (4, 4) at `fraction` of the way from `a` to `b`: a straight line, and the shorter arc uniformly.
-
-    Raises ArgumentError where `a` or `b` is not rigid or `fraction` is outside [0, 1]: nothing is extrapolated.
-
-    Source: Shoemake, Animating rotation with quaternion curves (1985), section 3.3.
-    """
-    if not 0.0 <= fraction <= 1.0:
-        raise ArgumentError("fraction", "a value in [0, 1]", fraction)
-    return rigid.to_matrix(rigid.interpolate(rigid.from_matrix(a), rigid.from_matrix(b), fraction))
-
-
 def from_planar(pose: ArrayLike) -> FloatArray:
     """Transform (4, 4) of a pose (3,) = [x m, y m, theta rad] in the ground plane; raises ArgumentError otherwise."""
     x, y, theta = _vector(pose, "pose", 3)
-    c, s = math.cos(theta), math.sin(theta)
+    c = math.cos(theta)
+    s = math.sin(theta)
     return np.array([[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -94,14 +74,9 @@ def tilt_rad(transform: ArrayLike) -> float:
 
     Raises ArgumentError where the transform is not rigid.
     """
-    axis = _rigid(transform)[:3, 2]
+    rigid.from_matrix(transform)  # raises where it is not rigid
+    axis = np.asarray(transform, dtype=np.float64)[:3, 2]
     return math.atan2(math.hypot(axis[0], axis[1]), axis[2])
-
-
-def _rigid(transform: ArrayLike) -> FloatArray:
-    given = np.asarray(transform, dtype=np.float64)
-    rigid.from_matrix(given)
-    return given
 
 
 def _vector(values: ArrayLike, name: str, width: int) -> list[float]:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
 from gridslam.kernels import PAGE, TILE, UNKNOWN
+from gridslam.kernels.reference_update import Int32Array
 from gridslam.types import IntArray
 
-__all__ = ["TileArena", "renumber"]
-
-Int32Array = NDArray[np.int32]
+__all__ = ["Int32Array", "TileArena", "renumber"]
 
 _MOVED = 1024
 """Tiles that are copied at a time."""

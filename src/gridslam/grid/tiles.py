@@ -179,14 +179,15 @@ class TileMaps:
         if not len(beams):
             return
         self._cover(poses, beams)
-        resolution, threads = self.resolution_m, self.threads
-        self._make_writable(backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, resolution, threads))
+        self._make_writable(
+            backend.tiles_on_rays(rows, poses, beams.ends, beams.origin, self.resolution_m, self.threads)
+        )
         changed = backend.update_log_odds(
-            *self._view, rows, poses, beams.ends, beams.origin, resolution, *self.evidence.steps, threads
+            *self._view, rows, poses, beams.ends, beams.origin, self.resolution_m, *self.evidence.steps, self.threads
         )
         if len(changed):
             self._make_writable(backend.tiles_near_cells(changed, int(self.reach_cells)))
-            backend.update_field(*self._view, changed, self._cone, threads)
+            backend.update_field(*self._view, changed, self._cone, self.threads)
 
     def match(
         self, rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, *settings: float

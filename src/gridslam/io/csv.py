@@ -47,14 +47,14 @@ _OF_LASER = (
 """Columns of what scans of one laser have in common."""
 
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
-_MOST_LASERS = 256  # kept at a time: the mounting of a laser that tilts is another one in each row
 _TURN_RAD = 6.3
 _Cells: TypeAlias = Mapping[str, str]
 
 
 def rotation_of_angles(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation (3, 3) about the fixed axes x, y, z, one after the other, by angles in rad."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    cr, cp, cy = np.cos([roll, pitch, yaw])
+    sr, sp, sy = np.sin([roll, pitch, yaw])
     return np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -128,15 +128,12 @@ class CsvLog:
                     statistics.count(measurement)
                     yield measurement
         statistics.bytes_read = source.bytes_read
-        if source.is_truncated or source.unterminated:
-            self._end_early("the compressed file" if source.is_truncated else "the last line has no line end: it")
+        statistics.truncated = source.is_truncated or source.unterminated
+        if statistics.truncated and not self.keep_truncated:
+            what = "the compressed file" if source.is_truncated else "the last line has no line end: it"
+            raise InputError(self.path, f"{what} is cut off; {statistics.scan_count} scans were read before")
         if statistics.scan_count == 0:
             raise InputError(self.path, "expected a row for each scan, got none")
-
-    def _end_early(self, what: str) -> None:
-        self.statistics.truncated = True
-        if not self.keep_truncated:
-            raise InputError(self.path, f"{what} is cut off; {self.statistics.scan_count} scans were read before")
 
 
 class _CellError(ValueError):
@@ -153,7 +150,7 @@ class _Rows:
     def __init__(self, statistics: LogStatistics) -> None:
         self._statistics = statistics
         self._names: list[str] = []
-        self._lasers: dict[tuple[str, ...], partial[LaserScan]] = {}
+        self._laser = lru_cache(maxsize=256)(self._make_laser)  # one that tilts is another one in each row
 
     def parse(self, line: str) -> Measurement | None:
         """The measurement of a row; None for the header, comments and blank lines."""
@@ -173,20 +170,14 @@ class _Rows:
             raise ValueError(f"expected {len(self._names)} cells as in the first line, got {len(words)}")
         cells = dict.fromkeys(COLUMNS, "") | dict(zip(self._names, words, strict=True))
         stamp_ns = _stamp(cells, "stamp_s")
-        return Measurement(_odometry(cells, stamp_ns), self._scan(cells, stamp_ns))
-
-    def _scan(self, cells: _Cells, stamp_ns: int) -> LaserScan:
         ranges = _parse_ranges(cells["ranges_m"])
-        key = *(cells[name] for name in _OF_LASER), str(len(ranges))
-        if key not in self._lasers:
-            if len(self._lasers) >= _MOST_LASERS:
-                self._lasers.clear()
-            self._lasers[key] = self._laser(cells, len(ranges))
-        return self._lasers[key](stamp_ns, ranges)
+        laser = self._laser(tuple(cells[name] for name in _OF_LASER), len(ranges))
+        return Measurement(_odometry(cells, stamp_ns), laser(stamp_ns, ranges))
 
-    def _laser(self, row: _Cells, beams: int) -> partial[LaserScan]:
-        """`LaserScan.from_ranges` of a laser, for stamps and ranges."""
-        cells = {name: _utf8(name, row[name].strip()) or _DEFAULTS.get(name, "") for name in _OF_LASER}
+    def _make_laser(self, words: tuple[str, ...], beams: int) -> partial[LaserScan]:
+        """`LaserScan.from_ranges` for the laser of these cells, which asks for a stamp and ranges."""
+        texts = dict(zip(_OF_LASER, words, strict=True))
+        cells = {name: _utf8(name, text.strip()) or _DEFAULTS.get(name, "") for name, text in texts.items()}
         start = _number(cells, "angle_min_rad")
         step = _number(cells, "angle_increment_rad")
         if abs(start) > 2 * _TURN_RAD or abs(step) * (beams - 1) > _TURN_RAD + abs(step) or (step == 0 and beams > 1):

@@ -107,12 +107,12 @@ def fetch_dataset(name: str, folder: str | Path = ".", *, url: str | None = None
     OutputError
         The folder cannot be written.
     """
-    dataset, target = find_dataset(name), Path(folder)
-    file = target / dataset.file
+    dataset = find_dataset(name)
+    file = Path(folder) / dataset.file
     if file.is_file() and file.stat().st_size == dataset.size and compute_digest(file) == dataset.sha256:
         return file
     source = f"{(url or os.environ.get(MIRROR) or PUBLIC).rstrip('/')}/{dataset.file}"
-    with OutputFolder(target) as out:
+    with OutputFolder(folder) as out:
         _retrieve(source, dataset, out.file(dataset.file))
     return file
 

@@ -16,7 +16,7 @@ from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.io.measurement import FARTHEST_M
 from gridslam.io.output import write_atomically
-from gridslam.io.tables import check_rows, symmetric_of_upper, upper_of_symmetric
+from gridslam.io.tables import check_rows, parse_tagged, symmetric_of_upper, upper_of_symmetric
 from gridslam.io.text import read_numbered_lines
 from gridslam.slam.pose_graph.linear import find_parts
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -24,7 +24,9 @@ from gridslam.types import FloatArray, IntArray
 
 __all__ = ["G2oGraph", "read_g2o", "write_g2o"]
 
-_VERTEX, _EDGE, _FIX = "VERTEX_SE2", "EDGE_SE2", "FIX"
+_VERTEX = "VERTEX_SE2"
+_EDGE = "EDGE_SE2"
+_FIX = "FIX"
 _IDS = {_VERTEX: "id", _EDGE: "from to", _FIX: "id"}
 _VALUES = {_VERTEX: "x y theta", _EDGE: "x y theta I_xx I_xy I_xt I_yy I_yt I_tt", _FIX: ""}
 _FIELDS = {tag: f"{ids} {_VALUES[tag]}".strip() for tag, ids in _IDS.items()}
@@ -162,21 +164,11 @@ def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows],
     lines: dict[str, list[int]] = {tag: [] for tag in _FIELDS}
     skipped = Counter[str]()
     for number, line in read_numbered_lines(path):
-        tag, *words = line.split()
+        tag = line.split(None, 1)[0]
         if tag in _FIELDS:
-            split = len(_IDS[tag].split())
-            try:
-                # Python reads 1_000 as a number; the format knows no such thing.
-                if len(words) != len(_FIELDS[tag].split()) or any("_" in word for word in words):
-                    raise ValueError
-                own_ids = array("q", map(int, words[:split]))
-                if min(own_ids) < 0:
-                    raise ValueError
-                values[tag].extend(map(float, words[split:]))
-            except (ValueError, OverflowError):
-                got = textwrap.shorten(line, 100)
-                raise InputError(path, f"expected '{tag} {_FIELDS[tag]}', got {got!r}", number) from None
+            own_ids, numbers = parse_tagged(path, number, line, _IDS[tag], _VALUES[tag])
             ids[tag].extend(own_ids)
+            values[tag].extend(numbers)
             lines[tag].append(number)
         elif skip_unknown:
             skipped[tag] += 1
@@ -187,11 +179,10 @@ def _read_lines(path: str | Path, skip_unknown: bool) -> tuple[dict[str, _Rows],
 
 
 def _table(path: str | Path, tag: str, ids: array[int], values: array[float], lines: list[int]) -> _Rows:
-    shape = len(lines), len(_VALUES[tag].split())
-    rows = _Rows(np.array(ids).reshape(len(lines), len(_IDS[tag].split())), np.array(values).reshape(shape), lines)
-    possible = (np.abs(rows.values[:, :3]) <= FARTHEST_M).all(axis=1) & (np.abs(rows.values[:, 3:]) <= _MOST).all(
-        axis=1
-    )
+    width = len(_VALUES[tag].split())
+    names = np.array(ids).reshape(len(lines), len(_IDS[tag].split()))
+    rows = _Rows(names, np.array(values).reshape(len(lines), width), lines)
+    possible = (np.abs(rows.values) <= ([FARTHEST_M] * 3 + [_MOST] * 6)[:width]).all(axis=1)
     most = f"numbers up to {FARTHEST_M:g} m and rad" + f", information up to {_MOST:g}" * (tag == _EDGE)
     expected = f"expected {most} for {tag} {_FIELDS[tag]}"
     check_rows(path, lines, possible, lambda row: f"{expected}, got {' '.join(f'{x:g}' for x in rows.values[row])}")

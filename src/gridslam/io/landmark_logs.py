@@ -17,9 +17,9 @@ from gridslam.arguments import describe
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, exp
-from gridslam.io.tables import Row, read_rows, read_table, symmetric_of_upper
+from gridslam.io.tables import Row, parse_tagged, read_rows, read_table, symmetric_of_upper
 from gridslam.io.text import read_head, read_numbered_lines
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep, ObservationKind
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
@@ -33,8 +33,8 @@ _MRCLAM_NAME = re.compile(r"(?P<set>.*?)(?P<robot>Robot\d+_)(Odometry|Measuremen
 _MEASUREMENT = "time_s barcode range_m bearing_rad"
 _STANDING = np.zeros(3)
 _PARK_COLUMNS = {
-    "ODOMETRY": "from to x_m y_m theta_rad xx xy xt yy yt tt",
-    "LANDMARK": "pose landmark x_m y_m xx xy yy",
+    "ODOMETRY": ("from to", "x_m y_m theta_rad xx xy xt yy yt tt"),
+    "LANDMARK": ("pose landmark", "x_m y_m xx xy yy"),
 }
 _SECOND_NS = 10**9
 
@@ -294,61 +294,49 @@ class VictoriaParkLog:
         """Yield the steps in the order of the file, the first of them without motion."""
         self.statistics = LandmarkLogStatistics()
         pose = None
-        increment = np.zeros(3)
-        spread = np.zeros((3, 3))
+        motion = np.zeros(3), np.zeros((3, 3))
         seen: dict[int, tuple[FloatArray, FloatArray]] = {}
-        for line, tag, ids, values, covariance in self._rows():
-            if pose is None:
-                pose = ids[0]
+        for line, tag, ids, measured in self._rows():
+            pose = ids[0] if pose is None else pose
             if ids[0] != pose:
                 raise InputError(self.path, f"expected a line of pose {pose}, the last one, got {ids[0]}", line)
-            if tag == "LANDMARK":
-                if ids[1] in seen:
-                    raise InputError(self.path, f"landmark {ids[1]} is seen twice from pose {pose}", line)
-                seen[ids[1]] = values, covariance
-                continue
-            yield self._step(increment, spread, seen)
-            self.statistics.odometry += 1
-            pose = ids[1]
-            increment = values
-            spread = covariance
-            seen = {}
+            if tag == "ODOMETRY":
+                yield self._step(motion, seen)
+                self.statistics.odometry += 1
+                pose = ids[1]
+                motion = measured
+                seen = {}
+            elif ids[1] in seen:
+                raise InputError(self.path, f"landmark {ids[1]} is seen twice from pose {pose}", line)
+            else:
+                seen[ids[1]] = measured
         if pose is None:
             raise InputError(self.path, "expected lines ODOMETRY and LANDMARK, got none")
-        yield self._step(increment, spread, seen)
+        yield self._step(motion, seen)
 
     def _step(
-        self, increment: FloatArray, covariance: FloatArray, seen: dict[int, tuple[FloatArray, FloatArray]]
+        self, motion: tuple[FloatArray, FloatArray], seen: dict[int, tuple[FloatArray, FloatArray]]
     ) -> LandmarkStep:
+        """The step of an increment, and of the landmarks seen after it, each with its covariance."""
         values = np.array([value for value, _ in seen.values()]).reshape(-1, 2)
-        covariances = np.array([spread for _, spread in seen.values()]).reshape(-1, 2, 2)
+        covariances = np.array([covariance for _, covariance in seen.values()]).reshape(-1, 2, 2)
         observations = LandmarkObservations.of(values, list(seen), covariances)
-        return self.statistics.count(
-            LandmarkStep(self.statistics.steps * _SECOND_NS, increment, covariance, observations)
-        )
+        return self.statistics.count(LandmarkStep(self.statistics.steps * _SECOND_NS, *motion, observations))
 
-    def _rows(self) -> Iterator[tuple[int, str, list[int], FloatArray, FloatArray]]:
-        """Number, tag, two ids, measurement (3,) or (2,) and covariance of each line."""
+    def _rows(self) -> Iterator[tuple[int, str, list[int], tuple[FloatArray, FloatArray]]]:
+        """Number, tag, two ids, and measurement (3,) or (2,) with covariance of each line."""
         for line, text in read_numbered_lines(self.path):
-            tag, *words = text.split()
-            columns = _PARK_COLUMNS.get(tag)
-            if columns is None:
+            tag = text.split(None, 1)[0]
+            if tag not in _PARK_COLUMNS:
                 raise InputError(self.path, f"expected ODOMETRY or LANDMARK, got {tag[:40]!r}", line)
-            width = len(columns.split())
-            if len(words) != width:
-                raise InputError(self.path, f"{tag}: expected {width} numbers ({columns}), got {len(words)}", line)
-            try:
-                ids = [int(word) for word in words[:2]]
-                numbers = [float(word) for word in words[2:]]
-            except ValueError:
-                raise InputError(self.path, f"{tag}: expected numbers ({columns}), got {text!r:.200}", line) from None
+            ids, numbers = parse_tagged(self.path, line, text, *_PARK_COLUMNS[tag])
             size = 3 if tag == "ODOMETRY" else 2
             values = np.array(numbers[:size])
             covariance = _positive_definite(tuple(numbers[size:]))
             if covariance is None or not np.isfinite(values).all():
                 problem = "expected finite numbers and a positive definite covariance"
                 raise InputError(self.path, f"{tag}: {problem}, got {text!r:.200}", line)
-            yield line, tag, ids, values, covariance
+            yield line, tag, ids, (values, covariance)
 
 
 @lru_cache(maxsize=16)  # most files have one covariance of each size

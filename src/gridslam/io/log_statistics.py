@@ -162,10 +162,9 @@ class LogStatistics:
         if odometry is None:
             self.without_odometry += 1
             return
-        last, here = self._last_place, odometry.pose.tolist()[:2]
-        if last is not None:
-            self.odometry_length_m += math.dist(last, here)
-        self._last_place = here
+        place = odometry.pose.tolist()[:2]
+        self.odometry_length_m += 0.0 if self._last_place is None else math.dist(self._last_place, place)
+        self._last_place = place
 
     def count_stamp(self, scan: LaserScan) -> None:
         """Take the next scan's stamp into account."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text import read_text
-from gridslam.io.yaml import YamlError, compose_yaml
+from gridslam.io.yaml import YamlError, parse_yaml
 from gridslam.types import GridRows, OccupancyGrid
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ def read_map_description(path: str | Path) -> MapDescription:
 def _read_fields(path: str | Path) -> _Fields:
     """Text of each key's value as it stands there, or texts of a list; and the line."""
     try:
-        tree = compose_yaml(read_text(path))
+        tree = parse_yaml(read_text(path), as_nodes=True)
     except YamlError as error:
         raise InputError(path, f"expected 'key: value' in YAML: {error}", error.line) from None
     if getattr(tree, "id", None) != "mapping":
@@ -288,7 +288,9 @@ def occupancy_percent(
     if description.mode == "raw":
         percent = np.rint(image.brightness)
         return np.where(percent <= 100, percent, -1).astype(np.int8)[::-1]
-    darkness, low, high = _darkness(image, description), description.free_thresh, description.occupied_thresh
+    darkness = _darkness(image, description)
+    low = description.free_thresh
+    high = description.occupied_thresh
     between = -1.0 if description.mode == "trinary" else np.rint(100 * (darkness - low) / (high - low))
     percent = np.where(darkness > high, 100, np.where(darkness < low, 0, between))
     if not strict_thresholds:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any, Protocol, final, runtime_checkable
 
 from gridslam.errors import ArgumentError, InputError
-from gridslam.geometry.compounding import compound_covariance
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compound_covariance
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.types import FloatArray, Odometry
@@ -132,11 +133,13 @@ class SelectedLog:
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
-        counts, options = LogStatistics(selection=self._selection()), self._options
-        self._counts = counts
-        seen, since = Counter[str](), CovarianceSum()
+        options = self._options
+        counts = self._counts = LogStatistics(selection=self._selection())
+        seen = Counter[str]()
+        since = CovarianceSum()
         for measurement in self._in_span(counts):
-            sensor, odometry = measurement.scan.sensor, since.add(measurement.odometry)
+            sensor = measurement.scan.sensor
+            odometry = since.add(measurement.odometry)
             seen[sensor] += 1
             unwanted = options.scan_topics and sensor not in options.scan_topics
             if unwanted or (seen[sensor] - 1) % options.every:
@@ -150,40 +153,27 @@ class SelectedLog:
             others = ", ".join(sorted(seen))
             raise InputError(self.path, f"expected scans of {', '.join(missing)}, got scans of {others} alone")
         if not seen:
-            raise InputError(self.path, f"expected scans {self._span()}: the log lasts {self._lasts_s():.1f} s")
+            until = "" if options.duration_s is None else f" and less than {options.start_s + options.duration_s:g} s"
+            span = f"{options.start_s:g} s or more{until} after the first"
+            raise InputError(self.path, f"expected scans {span}: the log lasts {self._log.statistics.duration_s:.1f} s")
 
     def _in_span(self, counts: LogStatistics) -> Iterator[Measurement]:
         """Measurements of the chosen span of time."""
-        start_s, duration_s = self._options.start_s, self._options.duration_s
-        if not start_s and duration_s is None:
-            yield from self._log
-            return
-        start_ns = round(start_s * 1e9)
-        length_ns = None if duration_s is None else max(1, round(duration_s * 1e9))
-        begun = False
-        for elapsed_ns, measurement in _timed(self._log):
+        start_ns = round(self._options.start_s * 1e9)
+        duration_s = self._options.duration_s
+        length_ns = math.inf if duration_s is None else max(1, round(duration_s * 1e9))
+        chosen = dropwhile(lambda timed: timed[0] < start_ns, _timed(self._log))
+        for elapsed_ns, measurement in chosen:
             into_ns = elapsed_ns - start_ns
-            begun = begun or into_ns >= 0
-            if not begun:
-                continue
-            if length_ns is not None:
-                if into_ns >= length_ns:
-                    return
-                counts.span_read = max(counts.span_read, into_ns / length_ns)
+            if into_ns >= length_ns:
+                return
+            counts.span_read = max(counts.span_read, into_ns / length_ns)
             yield measurement
 
     def _selection(self) -> dict[str, Any]:
         """The options that leave something out."""
         values = {name: getattr(self._options, name) for name in _CHOOSING}
         return {name: value for name, value in values.items() if value != getattr(LogOptions(), name)}
-
-    def _span(self) -> str:
-        start_s, duration_s = self._options.start_s, self._options.duration_s
-        until = "" if duration_s is None else f" and less than {start_s + duration_s:g} s"
-        return f"{start_s:g} s or more{until} after the first"
-
-    def _lasts_s(self) -> float:
-        return self._log.statistics.duration_s
 
 
 @final
@@ -199,14 +189,18 @@ class CovarianceSum:
         """Take the next reading; give it with the covariance since the last one that was `given`."""
         if odometry is None:
             return None
-        last, before, covariance = self._last, self._covariance, odometry.covariance
+        last = self._last
+        before = self._covariance
+        covariance = odometry.covariance
         if self._begin is not None and last is not None and last is not self._begin:
             if before is None or covariance is None:
                 covariance = None
             else:
-                moved, increment = between(self._begin.pose, last.pose), between(last.pose, odometry.pose)
+                moved = between(self._begin.pose, last.pose)
+                increment = between(last.pose, odometry.pose)
                 covariance = compound_covariance(moved, before, increment, covariance)
-        self._last, self._covariance = odometry, covariance
+        self._last = odometry
+        self._covariance = covariance
         told = covariance is odometry.covariance
         return odometry if told else Odometry(odometry.stamp_ns, odometry.pose, covariance)
 
@@ -217,7 +211,7 @@ class CovarianceSum:
 
 def _timed(log: Log) -> Iterator[tuple[int, Measurement]]:
     """Time since the log's first stamp, ns, and measurement; the first and the last have only their own stamps."""
-    first_ns, before_ns = 0, 0
+    first_ns = before_ns = 0
     here: Measurement | None = None
     for after in log:
         if here is None:

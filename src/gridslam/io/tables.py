@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator
-from decimal import Decimal
+from decimal import Context, Decimal
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,9 +17,13 @@ from gridslam.io.text import read_numbered_lines
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
-    "Row", "Table", "check_rows", "format_stamp_ns", "parse_stamp_ns", "read_rows", "read_table",
+    "Row", "Table", "check_rows", "format_stamp_ns", "parse_stamp_ns", "parse_tagged", "read_rows", "read_table",
     "symmetric_of_upper", "upper_of_symmetric",
 ]  # fmt: skip
+
+
+_EXACT = Context(prec=1000)  # digits
+_STAMPS_NS = Decimal(-(2**63)), Decimal(2**63)  # range of 64 bits
 
 
 class Row(NamedTuple):
@@ -39,14 +44,9 @@ class Table(NamedTuple):
 
 def parse_stamp_ns(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, exactly; raises ValueError, with what was expected."""
-    seconds, _, fraction = text.partition(".")
-    if seconds.isdecimal() and fraction.isdecimal() and len(seconds) <= 10:
-        stamp = int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
-        if stamp < 2**63:
-            return stamp
     try:
-        value = Decimal(text).scaleb(9)
-        if -(2**63) <= value < 2**63:
+        value = Decimal(text).scaleb(9, _EXACT)
+        if _STAMPS_NS[0] <= value < _STAMPS_NS[1]:
             return int(value)
     except ArithmeticError:
         pass
@@ -106,6 +106,39 @@ def read_rows(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool
                 raise InputError(path, f"expected stamps in order, got {words[0]} after a later one", number)
             last_ns = stamps_ns[0]
         yield Row(stamps_ns, values, number)
+
+
+def parse_tagged(path: str | Path, number: int, line: str, ids: str, values: str) -> tuple[list[int], list[float]]:
+    """Parse the ids and the numbers that follow a line's tag.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, and
+    number : int
+        the number of the line, for the error.
+    line : str
+        The line, with its tag.
+    ids, values : str
+        Names of the columns of whole numbers >= 0 of 64 bits, and of those of other numbers.
+
+    Raises
+    ------
+    InputError
+        The line has other columns.
+    """
+    tag, *words = line.split()
+    split = len(ids.split())
+    try:
+        # Python reads 1_000 as a number; the formats know no such thing.
+        if len(words) == split + len(values.split()) and not any("_" in word for word in words):
+            names = [int(word) for word in words[:split]]
+            if min(names) >= 0 and max(names) < 2**63:
+                return names, [float(word) for word in words[split:]]
+    except ValueError:
+        pass
+    expected = " ".join([tag, *ids.split(), *values.split()])
+    raise InputError(path, f"expected '{expected}', got {textwrap.shorten(line, 100)!r}", number)
 
 
 def read_table(path: str | Path, columns: str, stamps: int = 0, *, in_order: bool = False) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-__all__ = ["YamlError", "compose_yaml", "parse_yaml"]
+__all__ = ["YamlError", "parse_yaml"]
 
 
 class YamlError(ValueError):
@@ -17,17 +17,11 @@ class YamlError(ValueError):
         self.line = line
 
 
-def parse_yaml(text: str) -> Any:  # noqa: ANN401
-    """Numbers, texts, lists and dicts of a text; raises YamlError."""
-    return _read(text, "load")
+def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
+    """Numbers, texts, lists and dicts of a text; or nodes (of `ruamel.yaml.nodes`), which know what stands where.
 
-
-def compose_yaml(text: str) -> Any:  # noqa: ANN401
-    """Nodes of a text (of `ruamel.yaml.nodes`), which know their lines and what stands there; raises YamlError."""
-    return _read(text, "compose")
-
-
-def _read(text: str, method: str) -> Any:  # noqa: ANN401
+    Raises YamlError.
+    """
     from ruamel.yaml import YAML  # slow to import
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
     from ruamel.yaml.scanner import ScannerError
@@ -37,7 +31,7 @@ def _read(text: str, method: str) -> Any:  # noqa: ANN401
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
         try:
-            return getattr(reader, method)(text)
+            return reader.compose(text) if as_nodes else reader.load(text)
         except MarkedYAMLError as error:
             begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
             mark = begun or error.problem_mark

@@ -59,6 +59,7 @@ __all__ = [
 
 FloatMap = NDArray[np.float32]
 
+_SINGULAR = 1e-18  # least eigenvalue of a matrix that can be inverted
 _PIN = 1e6  # information, 1 / cell^2, that pins the guess along an undetermined direction
 _BASE = np.float32(6.0)  # cells between the ends that must lie on a line to be a wall
 _ASIDE = np.float32(1.0)  # cells by which they may miss it: what noise and mapping leave of a wall's thickness
@@ -85,12 +86,18 @@ class _Field(NamedTuple):
 
     def sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatMap, FloatMap, FloatMap]:
         """Bilinear value and derivatives (K, B) along x and y per cell, at points u, v (K, B) in cells."""
-        fu, fv = np.floor(u - 0.5), np.floor(v - 0.5)
-        x, y = fu.astype(np.int64), fv.astype(np.int64)
-        a, b = (u - 0.5 - fu).astype(np.float32), (v - 0.5 - fv).astype(np.float32)
-        f00, f01 = self.at(y, x).astype(np.float32), self.at(y, x + 1).astype(np.float32)
-        f10, f11 = self.at(y + 1, x).astype(np.float32), self.at(y + 1, x + 1).astype(np.float32)
-        low, high = f00 + a * (f01 - f00), f10 + a * (f11 - f10)
+        fu = np.floor(u - 0.5)
+        fv = np.floor(v - 0.5)
+        x = fu.astype(np.int64)
+        y = fv.astype(np.int64)
+        a = (u - 0.5 - fu).astype(np.float32)
+        b = (v - 0.5 - fv).astype(np.float32)
+        f00 = self.at(y, x).astype(np.float32)
+        f01 = self.at(y, x + 1).astype(np.float32)
+        f10 = self.at(y + 1, x).astype(np.float32)
+        f11 = self.at(y + 1, x + 1).astype(np.float32)
+        low = f00 + a * (f01 - f00)
+        high = f10 + a * (f11 - f10)
         return low + b * (high - low), (1 - b) * (f01 - f00) + b * (f11 - f10), high - low
 
 
@@ -102,7 +109,8 @@ def distances(
 
     Interpolated between cells; the field's reach where nothing is nearer.
     """
-    scale, reach_m = 1.0 / resolution, reach_cells * resolution
+    scale = 1.0 / resolution
+    reach_m = reach_cells * resolution
     x, y = transform_to_world(poses, ends)
     value, _, _ = _Field(roots, first, pages, field, rows).sample(x * scale, y * scale)
     return (reach_m - reach_m / 255.0 * value.astype(np.float64)).astype(np.float32)
@@ -172,7 +180,8 @@ def match(
     unit = np.array([resolution, resolution, 1.0])
     prior = priors * unit[:, None] * unit / resolution**2
     guess = guesses / unit
-    pose, going = guess.copy(), np.arange(len(guesses))
+    pose = guess.copy()
+    going = np.arange(len(guesses))
     settings = ends / resolution, _walls(ends * (1 / resolution), dense_spacing_cells), cauchy_cells, reach_cells
     for _ in range(max_iterations):
         lookup = _Field(roots, first, pages, field, rows[going])
@@ -202,7 +211,8 @@ def _linearize(
     to_cells = reach_cells / 255.0
     d = reach_cells - to_cells * value.astype(np.float64)
     gradient = -to_cells * np.stack([du, dv], axis=-1).astype(np.float64)
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    c = np.cos(poses[:, 2])
+    s = np.sin(poses[:, 2])
     own, along = walls
     normals = own @ np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     slope = (gradient * normals).sum(axis=-1, keepdims=True)
@@ -226,7 +236,8 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
     of a wall, the last; else the first. All is in single precision, so that the kernel decides alike.
     """
     at = ends.astype(np.float32)
-    normals, along = np.zeros_like(at), np.ones(len(at), np.float32)
+    normals = np.zeros_like(at)
+    along = np.ones(len(at), np.float32)
     if not np.float32(sparse) > 0 or len(ends) < 3:
         return normals, along
     steps = np.diff(at, axis=0)
@@ -239,7 +250,8 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
         a, m, b = (left + (first + k) * stride for k in range(3))
         inside = (a >= 0) & (b < len(ends))
         i, a, m, b = left[inside], a[inside], m[inside], b[inside]
-        u, v = at[m] - at[a], at[b] - at[m]
+        u = at[m] - at[a]
+        v = at[b] - at[m]
         chord = u + v
         length = np.sqrt((chord * chord).sum(axis=1))
         straight = (u * v).sum(axis=1) > 0
@@ -252,33 +264,21 @@ def _walls(ends: FloatArray, sparse: float) -> tuple[FloatMap, FloatMap]:
 
 def _pin_degenerate(h: FloatArray, least: FloatArray) -> FloatArray:
     """Information (K, 3, 3) that pins the position where its own, the heading marginalized, is below `least` (K,)."""
-    turn = h[:, 2, 2]
-    known = np.where(turn > 0, 1.0 / np.where(turn > 0, turn, 1.0), 0.0)
-    a, b, c = (h[:, i, j] - h[:, i, 2] * h[:, j, 2] * known for i, j in ((0, 0), (0, 1), (1, 1)))
-    mean, half = 0.5 * (a + c), np.sqrt(0.25 * (a - c) ** 2 + b * b)
-    angle = 0.5 * np.arctan2(2 * b, a - c)
-    weakest = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    turn = np.where(h[:, 2, 2] > 0, h[:, 2, 2], np.inf)[:, None, None]
+    position = h[:, :2, :2] - h[:, :2, 2, None] * h[:, 2, None, :2] / turn
+    strengths, directions = np.linalg.eigh(position)
     held = np.zeros_like(h)
-    one, both = mean - half < least, mean + half < least
-    held[one, :2, :2] = _PIN * weakest[one, :, None] * weakest[one, None, :]
-    held[both, :2, :2] = _PIN * np.eye(2)
+    pins = _PIN * (strengths < least[:, None])
+    held[:, :2, :2] = np.einsum("kij,kj,klj->kil", directions, pins, directions)
     return held
 
 
 def _solve(h: FloatArray, g: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Steps (K, 3) that solve h step = g by Cholesky, and whether each h (K, 3, 3) is positive definite."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        l00 = np.sqrt(h[:, 0, 0])
-        l10, l20 = h[:, 1, 0] / l00, h[:, 2, 0] / l00
-        l11 = np.sqrt(h[:, 1, 1] - l10**2)
-        l21 = (h[:, 2, 1] - l20 * l10) / l11
-        l22 = np.sqrt(h[:, 2, 2] - l20**2 - l21**2)
-        y0 = g[:, 0] / l00
-        y1 = (g[:, 1] - l10 * y0) / l11
-        turn = (g[:, 2] - l20 * y0 - l21 * y1) / l22**2
-        y = (y1 - l21 * turn) / l11
-        step = np.stack([(y0 - l10 * y - l20 * turn) / l00, y, turn], axis=1)
-    return step, (l00 > 1e-9) & (l11 > 1e-9) & (l22 > 1e-9)
+    """Steps (K, 3) that solve h step = g, and whether each h (K, 3, 3) is positive definite; 0 where it is not."""
+    solved = np.linalg.eigvalsh(h)[:, 0] > _SINGULAR
+    step = np.zeros_like(g)
+    step[solved] = np.linalg.solve(h[solved], g[solved, :, None])[..., 0]
+    return step, solved
 
 
 _AT_ONCE = 1 << 20  # look-ups: some 50 MB of intermediate arrays
@@ -307,10 +307,14 @@ def _sum_some(
     x, y = transform_to_world(poses, ends)
     u = np.clip((x - corner[0]) / resolution - 0.5, 0, np.nextafter(columns, 0))
     v = np.clip((y - corner[1]) / resolution - 0.5, 0, np.nextafter(rows, 0))
-    column, row = u.astype(np.int64), v.astype(np.int64)
-    a, b, patch = u - column, v - row, patches[row, column]
+    column = u.astype(np.int64)
+    row = v.astype(np.int64)
+    a = u - column
+    b = v - row
+    patch = patches[row, column]
     f00, f01, f10, f11 = ((patch >> shift & 255).astype(np.float64) for shift in (0, 8, 16, 24))
-    low, high = f00 + a * (f01 - f00), f10 + a * (f11 - f10)
+    low = f00 + a * (f01 - f00)
+    high = f10 + a * (f11 - f10)
     sums: FloatArray = (low + b * (high - low)).sum(axis=1)
     return sums
 
@@ -336,7 +340,8 @@ def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
     side = 2**levels
     fine = [np.pad(likelihood, side)]
     for h in range(levels):
-        below, step = np.pad(fine[h], (0, 2**h)), 2**h
+        below = np.pad(fine[h], (0, 2**h))
+        step = 2**h
         halves = np.maximum(below[:, :-step], below[:, step:])
         fine.append(np.maximum(halves[:-step], halves[step:]))
     rows, cols = fine[0].shape
@@ -400,16 +405,21 @@ def correlate(
 
 def _sums(fine: Bytes, ends: FloatArray, heading: float, window: tuple[int, int, int, int]) -> IntArray:
     """Sums (y1 - y0, x1 - x0) of the window's poses with one heading."""
-    (x0, x1, y0, y1), border = window, 2 ** len(fine)
+    (x0, x1, y0, y1) = window
+    border = 2 ** len(fine)
     likelihood = fine[0, border:-border, border:-border]
     height, width = likelihood.shape
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     dx = np.floor(c * ends[:, 0] - s * ends[:, 1] + 0.5).astype(np.int64)
     dy = np.floor(s * ends[:, 0] + c * ends[:, 1] + 0.5).astype(np.int64)
     sums = np.zeros((y1 - y0, x1 - x0), np.int64)
     for x, y in zip(dx.tolist(), dy.tolist(), strict=True):
         # The poses from which this end lies inside the map
-        left, right, low, high = max(x0, -x), min(x1, width - x), max(y0, -y), min(y1, height - y)
+        left = max(x0, -x)
+        right = min(x1, width - x)
+        low = max(y0, -y)
+        high = min(y1, height - y)
         if left < right and low < high:
             sums[low - y0 : high - y0, left - x0 : right - x0] += likelihood[low + y : high + y, left + x : right + x]
     return sums
@@ -420,8 +430,9 @@ def _within(
 ) -> NDArray[np.bool_]:
     """Which of the window's poses (y1 - y0, x1 - x0) with one heading are within `distance` of `centre`."""
     x0, x1, y0, y1 = window
-    x, y = np.arange(x0, x1) + 0.5 - centre[0], (np.arange(y0, y1) + 0.5 - centre[1])[:, None]
-    t, m = heading - centre[2], information
-    form = x * (m[0, 0] * x + 2 * (m[0, 1] * y + m[0, 2] * t)) + y * (m[1, 1] * y + 2 * m[1, 2] * t) + m[2, 2] * t * t
-    inside: NDArray[np.bool_] = form <= distance * distance
+    away = np.empty((y1 - y0, x1 - x0, 3))
+    away[..., 0] = np.arange(x0, x1) + 0.5 - centre[0]
+    away[..., 1] = (np.arange(y0, y1) + 0.5 - centre[1])[:, None]
+    away[..., 2] = heading - centre[2]
+    inside: NDArray[np.bool_] = np.einsum("yxi,ij,yxj->yx", away, information, away) <= distance * distance
     return inside

@@ -39,7 +39,8 @@ Int32Array = NDArray[np.int32]
 IntArray = NDArray[np.int64]
 
 # Shifts and masks: NumPy's floor division of signed integers takes several times as long.
-_TILE_BITS, _PAGE_BITS = TILE.bit_length() - 1, PAGE.bit_length() - 1
+_TILE_BITS = TILE.bit_length() - 1
+_PAGE_BITS = PAGE.bit_length() - 1
 _BLOCK = 512  # changed cells whose windows are in memory at once
 
 
@@ -50,7 +51,8 @@ def transform_to_world(poses: FloatArray, points: FloatArray) -> tuple[FloatArra
     """
     c = np.array([math.cos(theta) for theta in poses[:, 2]])[:, None]
     s = np.array([math.sin(theta) for theta in poses[:, 2]])[:, None]
-    px, py = points[:, 0], points[:, 1]
+    px = points[:, 0]
+    py = points[:, 1]
     return poses[:, :1] + c * px - s * py, poses[:, 1:2] + s * px + c * py
 
 
@@ -73,8 +75,10 @@ def cell_addresses(
 
     That of tile 0 where there is none.
     """
-    ty, tx = y >> _TILE_BITS, x >> _TILE_BITS
-    py, px = (ty >> _PAGE_BITS) - first[0], (tx >> _PAGE_BITS) - first[1]
+    ty = y >> _TILE_BITS
+    tx = x >> _TILE_BITS
+    py = (ty >> _PAGE_BITS) - first[0]
+    px = (tx >> _PAGE_BITS) - first[1]
     inside = (py >= 0) & (py < roots.shape[1]) & (px >= 0) & (px < roots.shape[2])
     page = np.where(inside, roots[rows, np.where(inside, py, 0), np.where(inside, px, 0)], 0)
     tile = pages[page, ty & (PAGE - 1), tx & (PAGE - 1)].astype(np.int64)
@@ -107,7 +111,8 @@ def tiles_on_rays(
     (N, 3) int32
         [row, tile y, tile x], each tile of a row once; grouped by pose, ascending within.
     """
-    starts, tips = _cells(poses, origin[None], resolution)[:, 0], _cells(poses, ends, resolution)
+    starts = _cells(poses, origin[None], resolution)[:, 0]
+    tips = _cells(poses, ends, resolution)
     tiles_to_write = [np.zeros((0, 3), np.int32)]
     for row, start, tip in zip(rows, starts, tips, strict=True):
         tiles = np.concatenate([ray_cells(start, tip), tip]) // TILE
@@ -157,7 +162,9 @@ def make_tiles_writable(
     (int, int, int)
         How many free pages and tiles were taken, and how many of the touched tiles are owned now.
     """
-    pages_left, tiles_left, done = len(free_pages), len(free_tiles), 0
+    pages_left = len(free_pages)
+    tiles_left = len(free_tiles)
+    done = 0
     for row, ty, tx in tiles_to_write.tolist():
         at = row, ty // PAGE - first[0], tx // PAGE - first[1]
         page = roots[at]
@@ -178,7 +185,8 @@ def make_tiles_writable(
                 break
             tiles_left -= 1
             fresh = free_tiles[tiles_left]
-            log_odds[fresh], field[fresh] = log_odds[tile], field[tile]
+            log_odds[fresh] = log_odds[tile]
+            field[fresh] = field[tile]
             if tile != 0:
                 tile_refs[tile] -= 1
             tile_refs[fresh] = 1
@@ -210,7 +218,8 @@ def update_log_odds(
 
     Source: Probabilistic Robotics, Table 9.1.
     """
-    starts, tips = _cells(poses, origin[None], resolution)[:, 0], _cells(poses, ends, resolution)
+    starts = _cells(poses, origin[None], resolution)[:, 0]
+    tips = _cells(poses, ends, resolution)
     stored = log_odds.reshape(-1)
     changed = [np.zeros((0, 4), np.int32)]
     for row, start, tip in zip(rows, starts, tips, strict=True):
@@ -240,7 +249,9 @@ def update_field(
     The field is the grey dilation of the occupied cells, those at 255, by the `cone` (2 r + 1, 2 r + 1). Around a cell
     that became free it is recomputed; then each new obstacle lifts its surroundings to its cone.
     """
-    values, reach, side = field.reshape(-1), len(cone) // 2, len(cone)
+    values = field.reshape(-1)
+    reach = len(cone) // 2
+    side = len(cone)
 
     def windows(part: Int32Array, around: int) -> IntArray:
         d = np.arange(-around, around + 1)
@@ -248,7 +259,8 @@ def update_field(
         return cell_addresses(roots, first, pages, row, *np.broadcast_arrays(y + d[:, None], x + d))
 
     values[windows(cells, 0)[:, 0, 0]] = np.where(cells[:, 3] != 0, OCCUPIED, 0)
-    freed, met = cells[cells[:, 3] == 0], cells[cells[:, 3] != 0]
+    freed = cells[cells[:, 3] == 0]
+    met = cells[cells[:, 3] != 0]
     for part in (freed[i : i + _BLOCK] for i in range(0, len(freed), _BLOCK)):
         occupied = (values[windows(part, 2 * reach)] == OCCUPIED).astype(np.uint8)
         dilated = np.zeros((len(part), side, side), np.uint8)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, final
+from typing import Any, NamedTuple, TypeAlias, final
 
 import numpy as np
 
@@ -57,22 +57,6 @@ class StateView(NamedTuple):
     resolution_m: float
     status: dict[str, Any]
     make_frame: Callable[[], Frame]
-
-
-class FilterMonitor(Protocol):
-    """Collects what changes from a filter's reports and states; used by the filter's thread only."""
-
-    def reset(self) -> None:
-        """Start before the first scan."""
-
-    def record(self, report: Any, scan: LaserScan | None) -> int:  # noqa: ANN401
-        """Record a scan; returns flags such as `LOST`."""
-
-    def show_particle(self, channel: int, particle: int, keys: int) -> None:
-        """Show the map of a particle and its descendants (see `LiveObserver.show_particle`)."""
-
-    def view(self, report: Any, state: Any) -> StateView:  # noqa: ANN401
-        """Return a view of the current state, with all changes since the last view."""
 
 
 @final
@@ -216,6 +200,10 @@ class LocalizationMonitor:
             "inlier_ratio": report.inlier_ratio,
         }
         return StateView({}, {BEST: 0}, self._resolution_m, status, make_frame)
+
+
+FilterMonitor: TypeAlias = MappingMonitor | LocalizationMonitor
+"""Collects what changes from a filter's reports and states; used by the filter's thread only."""
 
 
 def _find_children(line: IntArray, parents: IntArray) -> IntArray:

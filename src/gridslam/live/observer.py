@@ -100,19 +100,18 @@ class LiveObserver:
         self._scans = self._keys = 0
         self._is_new = False
         self._scan: LaserScan | None = None
-        self._latest: tuple[StepReport | LocalizationReport, Any] | None = None
+        self._latest: tuple[Any, Any] | None = None  # report and state
         self._series: list[tuple[float, float, float, int, int]] = []
         self._requests: deque[tuple[int, int, int]] = deque()
         self._monitor.reset()
 
     def pace(self, source: Iterable[_Measured], stopwatch: Stopwatch | None = None) -> Iterator[_Measured]:
         """Yield measurements at the pace that the viewers set; the stopwatch does not count the waiting time."""
+        watch = stopwatch or Stopwatch()
         for measurement in source:
-            if stopwatch is not None:
-                stopwatch.lap("read")
-            waited = self._control.wait(measurement[1].stamp_ns, self.take_pending_snapshot)
-            if waited and stopwatch is not None:
-                stopwatch.resume()
+            watch.lap("read")
+            if self._control.wait(measurement[1].stamp_ns, self.take_pending_snapshot):
+                watch.resume()
             self._scan = measurement[1]
             yield measurement
         deadline = time.perf_counter() + _FINAL_SNAPSHOT_S
@@ -126,7 +125,7 @@ class LiveObserver:
             self._scan = measurement[1]
             yield measurement
 
-    def __call__(self, report: StepReport | LocalizationReport, state: Any, seconds: float) -> None:  # noqa: ANN401
+    def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record one scan, and take a snapshot if it is due."""
         self._scans += 1
         self._latest = (report, state)

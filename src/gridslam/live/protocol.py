@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.grid.cells import LOG_ODDS_UNIT
-from gridslam.kernels import TILE, UNKNOWN
+from gridslam.kernels import UNKNOWN
 
-__all__ = ["STEP_NATS", "decode", "encode", "levels", "pack_tiles", "unpack_tiles"]
+__all__ = ["STEP_NATS", "encode", "levels", "pack_tiles"]
 
 STEP_NATS = 0.2
 """Log-odds between two levels."""
@@ -41,19 +41,6 @@ def encode(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> byt
         data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
         parts.append(packer.compress(data + bytes(-len(data) % 4)))
     return b"".join([*parts, packer.flush()])
-
-
-def decode(message: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a message: its header, and its arrays by name."""
-    data = zlib.decompress(message)
-    start = 4 + struct.unpack_from("<I", data)[0]
-    header: dict[str, Any] = json.loads(data[4:start])
-    arrays = {}
-    for name, kind, shape in header.pop("arrays"):
-        dtype, count = np.dtype(f"<{kind}"), int(np.prod(shape))
-        arrays[name] = np.frombuffer(data, dtype, count, start).reshape(shape)
-        start += (count * dtype.itemsize + 3) // 4 * 4
-    return header, arrays
 
 
 def _table() -> NDArray[np.uint8]:
@@ -77,8 +64,3 @@ def pack_tiles(tiles: NDArray[np.uint8]) -> NDArray[np.uint8]:
     pairs = tiles.reshape(len(tiles), -1, 2)
     both: NDArray[np.uint8] = pairs[:, :, 0] | pairs[:, :, 1] << np.uint8(4)
     return both
-
-
-def unpack_tiles(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Levels (K, 32, 32) from `pack_tiles` ones."""
-    return np.stack([data & 15, data >> 4], axis=-1).reshape(len(data), TILE, TILE)

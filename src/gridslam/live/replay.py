@@ -184,16 +184,12 @@ def _read_landmark_run(out: Path, document: dict[str, Any]) -> Results:
     return TrajectoryRun(trajectory, covariances, landmarks=rows)
 
 
-def _read_grid(out: Path, document: dict[str, Any]) -> Results:
-    return StaticMap(read_map(out / "map.yaml"))
-
-
-_READERS = {
+_READERS: dict[str, Callable[[Path, dict[str, Any]], Results]] = {
     "gridslam.run": _read_mapping,
     "gridslam.localization": _read_localization,
     "gridslam.landmarks": _read_landmark_run,
     "gridslam.landmark_localization": _read_landmark_run,
-    "gridslam.grid": _read_grid,
+    "gridslam.grid": lambda out, document: StaticMap(read_map(out / "map.yaml")),
 }
 
 

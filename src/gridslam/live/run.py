@@ -49,7 +49,7 @@ class LiveRun:
         known: OccupancyGrid | None = None,
     ) -> None:
         """Start before the first snapshot."""
-        self.observer: LiveObserver | None = None
+        self.observer: LiveObserver  # set before there are viewers
         self.control = control
         self._title = title
         self._range_max_m = range_max_m
@@ -90,7 +90,10 @@ class LiveRun:
             if channel in self._replicas:
                 self._replicas[channel].apply(changes)
         self._rows = view.rows
-        self._append_series(snapshot)
+        if snapshot.series:
+            if self._first_s is None:
+                self._first_s = snapshot.series[0][0]
+            self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
         self._frame = view.make_frame()
         if snapshot.scan is not None and snapshot.scan is not self._last_scan:
             self._last_scan = snapshot.scan
@@ -149,13 +152,12 @@ class LiveRun:
         self._channels += 1
         self._replicas[self._channels] = TileReplica()
         self._rows[self._channels] = particle
-        if self.observer is not None:
-            self.observer.show_particle(self._channels, particle, self._status["keys"])
+        self.observer.show_particle(self._channels, particle, self._status["keys"])
         return self._channels
 
     def close_channel(self, channel: int) -> None:
         """Close a channel."""
-        if self._replicas.pop(channel, None) is not None and self.observer is not None:
+        if self._replicas.pop(channel, None) is not None:
             self.observer.show_particle(channel, -1, 0)
 
     def make_scene(self, channel: int) -> Scene:
@@ -176,16 +178,8 @@ class LiveRun:
             notify()
 
     def _count_viewers(self) -> None:
-        if self.observer is not None:
-            self.observer.period_s = VIEWED_PERIOD_S if self._viewers else UNVIEWED_PERIOD_S
+        self.observer.period_s = VIEWED_PERIOD_S if self._viewers else UNVIEWED_PERIOD_S
         self.notify_viewers()
-
-    def _append_series(self, snapshot: Snapshot) -> None:
-        if not snapshot.series:
-            return
-        if self._first_s is None:
-            self._first_s = snapshot.series[0][0]
-        self._series.append(np.array(snapshot.series) * (1, 1, 1e3, 1, 1) - (self._first_s, 0, 0, 0, 0))
 
     def _update_status(self, snapshot: Snapshot) -> None:
         report = snapshot.report

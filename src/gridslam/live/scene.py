@@ -90,7 +90,9 @@ NO_TREE = AncestryTree(NO_POINTS, np.zeros(0, np.int32), np.zeros(0, np.int32))
 def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32Array, AncestryTree]:
     """Return the path (T, 2) that all particles share, and the tree after it, thinned to about `max_nodes`."""
     arrays = ancestry.to_arrays()
-    counts, parents, leaves = arrays["counts"], arrays["parents"], arrays["leaves"]
+    counts = arrays["counts"]
+    parents = arrays["parents"]
+    leaves = arrays["leaves"]
     begins = np.concatenate([[0], np.cumsum(counts)])
     stride = -(-len(parents) // max_nodes) or 1
     kept = range(len(counts) - 1, -1, -stride)  # levels, the newest first
@@ -232,20 +234,19 @@ class SentState:
         self._add_tiles(scene.replica, header, arrays)
         self._add_rows("path", scene.frame.path, header, arrays)
         self._add_rows("series", scene.series, header, arrays)
-        self._add_whole({"particles": scene.frame.particles}, arrays)
-        self._add_whole({"closures": scene.frame.closures}, arrays)
-        self._add_whole({"scan": scene.scan}, arrays)
-        self._add_whole({"plan": scene.plan}, arrays)
-        self._add_whole({"landmarks": scene.landmarks}, arrays)
         positions, parents, leaves = scene.frame.tree
-        self._add_whole({"tree": positions, "tree_parents": parents, "tree_leaves": leaves}, arrays)
+        for parts in (
+            {"particles": scene.frame.particles},
+            {"closures": scene.frame.closures},
+            {"scan": scene.scan},
+            {"plan": scene.plan},
+            {"landmarks": scene.landmarks},
+            {"tree": positions, "tree_parents": parents, "tree_leaves": leaves},  # sent together
+        ):
+            if not all(name in self._arrays and _equal(self._arrays[name], array) for name, array in parts.items()):
+                self._arrays |= parts
+                arrays |= parts
         return encode(header, arrays) if header or arrays else None
-
-    def _add_whole(self, parts: dict[str, NDArray[Any]], arrays: dict[str, NDArray[Any]]) -> None:
-        """Add arrays that belong together if one of them has changed."""
-        if not all(name in self._arrays and _equal(self._arrays[name], array) for name, array in parts.items()):
-            self._arrays |= parts
-            arrays |= parts
 
     def _add_rows(self, name: str, rows: Float32Array, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add what follows the rows that the viewer has, or all of them where those have changed."""

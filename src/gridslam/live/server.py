@@ -142,7 +142,8 @@ class PageServer:
         return True
 
     def _open_socket(self) -> socket.socket:
-        host, port = self._options.host, self._options.port
+        host = self._options.host
+        port = self._options.port
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             return socket.create_server((host, port), family=family)
@@ -220,7 +221,8 @@ def _guard(app: ASGIApp, names: set[str] | None) -> ASGIApp:
 
 async def _serve_viewer(websocket: WebSocket, content: PageContent) -> None:
     """Send messages to one viewer and execute its commands until it disconnects."""
-    notify, window = asyncio.Event(), asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
+    notify = asyncio.Event()
+    window = asyncio.BoundedSemaphore(_MAX_UNACKNOWLEDGED)
     viewer = content.add_viewer(notify.set)
     sender = asyncio.create_task(_send_all(websocket, viewer, notify, window))
     try:

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
-from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence
-from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.landmark_observations import LandmarkObservations
+from gridslam.geometry.se2 import lever_arm_jacobian
+from gridslam.models.association import Association, KnownCorrespondence
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
 __all__ = ["EkfLocalization", "EkfLocalizationReport", "KnownLandmarks", "PoseGaussian"]
@@ -141,21 +141,20 @@ class EkfLocalization:
         ArgumentError
             The association needs correspondences that the observations do not contain.
         """
-        belief = self._predicted(belief, motion)
+        belief = self._predict(belief, motion)
         if not len(observations):
             return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
         noise = self.sensor.noise(observations)
         places = self._correspondences(belief, observations, noise)
         seen = np.flatnonzero(places >= 0)
-        belief, log_likelihood = self._corrected(belief, places[seen], observations.values[seen], noise[seen])
-        told = np.where(places >= 0, self.landmarks.names[places], np.where(places == NEW, NEW, AMBIGUOUS))
+        belief, log_likelihood = self._correct(belief, places[seen], observations.values[seen], noise[seen])
+        told = np.where(places >= 0, self.landmarks.names[places], places)
         return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
 
-    def _predicted(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
+    def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
         """Table 7.2, lines 2 to 7."""
         (pose,), (motion_noise,) = motion.moments(belief.pose[None])
-        G = np.eye(3)
-        G[:2, 2] = belief.pose[1] - pose[1], pose[0] - belief.pose[0]
+        G = lever_arm_jacobian(belief.pose, pose)
         return PoseGaussian(pose, G @ belief.covariance @ G.T + motion_noise)
 
     def _correspondences(self, belief: PoseGaussian, observations: LandmarkObservations, noise: FloatArray) -> IntArray:
@@ -166,7 +165,7 @@ class EkfLocalization:
         distances = np.einsum("kmi,kmij,kmj->km", residuals, np.linalg.inv(S), residuals)
         return self.association(observations, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
 
-    def _corrected(
+    def _correct(
         self, belief: PoseGaussian, places: IntArray, measured: FloatArray, noise: FloatArray
     ) -> tuple[PoseGaussian, float]:
         """Table 7.2, lines 11 to 21, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""
@@ -178,7 +177,8 @@ class EkfLocalization:
         S = (H @ P @ H.T).reshape(count, 2, count, 2)
         S[np.arange(count), :, np.arange(count)] += noise
         L = np.linalg.cholesky(S.reshape(2 * count, 2 * count))
-        W, whitened = np.linalg.solve(L, H @ P), np.linalg.solve(L, residuals)
+        W = np.linalg.solve(L, H @ P)
+        whitened = np.linalg.solve(L, residuals)
         pose = belief.pose + whitened @ W
         pose[2] = wrap(float(pose[2]))
         log_likelihood = -0.5 * float(whitened @ whitened) - count * math.log(2 * math.pi)

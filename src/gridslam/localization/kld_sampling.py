@@ -79,7 +79,9 @@ class KldSampling:
         """Find the number of particles to draw, by drawing until there are enough."""
         if self.particles_min == self.particles_max:
             return self.particles_max
-        bins, ends, drawn = self.bins(poses), np.cumsum(weights), np.empty(0, np.int64)
+        bins = self.bins(poses)
+        ends = np.cumsum(weights)
+        drawn = np.empty(0, np.int64)
         count = self.particles_min
         while True:
             points = rng.random(count - len(drawn)) * ends[-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, final
 
@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ArgumentError
+from gridslam.geometry.se2 import transform_points
 from gridslam.grid.cells import Evidence
 from gridslam.grid.tiles import TileMaps
-from gridslam.kernels import PAGE, TILE, UNKNOWN
-from gridslam.localization.distance_transform import distance_transform
-from gridslam.localization.field_table import FieldTable
+from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
 from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
 
-__all__ = ["KnownMap", "PoseLikelihood"]
+__all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
+
 
 PoseLikelihood = Callable[[FloatArray], FloatArray]
 """A measurement model conditioned on one scan and one map: log likelihoods (K,) of poses (K, 3)."""
 
-_OCCUPIED, _FREE = math.log(0.65 / 0.35), math.log(0.196 / 0.804)  # as map_server writes and reads maps
+_OCCUPIED = math.log(0.65 / 0.35)  # as map_server writes and reads maps
+_FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
 _CLOSE_CELLS = 15.5  # as far as tiles know distances
 _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is written into a known map
@@ -56,25 +56,28 @@ class KnownMap:
     """
 
     def __init__(self, grid: OccupancyGrid, *, reach_m: float = 1.0, threads: int = 1) -> None:
-        free, occupied = grid.known & (grid.log_odds < _FREE), grid.known & (grid.log_odds > _OCCUPIED)
-        for name, some in (("free", free), ("occupied", occupied)):
+        self.free: NDArray[np.bool_] = grid.known & (grid.log_odds < _FREE)
+        occupied = grid.known & (grid.log_odds > _OCCUPIED)
+        for name, some in (("free", self.free), ("occupied", occupied)):
             if not some.any():
                 raise ArgumentError("map", f"at least one {name} cell", f"none of {some.shape[1]} x {some.shape[0]}")
         if not reach_m > 0:
             raise ArgumentError("reach_m", "a length above 0 m", reach_m)
-        self.grid, self.reach_m, self.threads = grid, reach_m, threads
+        self.grid = grid
+        self.reach_m = reach_m
+        self.threads = threads
         self.resolution_m = grid.resolution_m
-        self.free: NDArray[np.bool_] = free
-        self._free_cells = np.argwhere(free)
+        self._free_cells = np.argwhere(self.free)
         self._middle = (self._free_cells.mean(axis=0)[::-1] + 0.5) * grid.resolution_m + grid.origin
         self._spread = np.cov(self._free_cells[:, ::-1].T, bias=True) * grid.resolution_m**2
         reach = math.ceil(reach_m / grid.resolution_m)
-        rim = reach + 1  # the field is extended beyond the map, to where it is constant
-        self._corner = np.array(grid.origin) - rim * grid.resolution_m
-        cells = distance_transform(np.pad(occupied, rim), reach)
+        self._rim = reach + 1  # the field is extended beyond the map, to where it is constant
+        self._corner = np.array(grid.origin) - self._rim * grid.resolution_m
+        from scipy.ndimage import distance_transform_edt  # only a map to localize in pays for its import
+
+        cells = np.minimum(distance_transform_edt(~np.pad(occupied, self._rim)), reach).astype(np.float32)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
         self._tabulated: dict[LikelihoodField | CauchyEndPoint, FieldTable] = {}
-        self._rim = rim
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -88,7 +91,8 @@ class KnownMap:
 
     def require(self, pose: ArrayLike) -> None:
         """Raise ArgumentError for a pose (3,) outside the map's borders."""
-        place, low = np.asarray(pose, dtype=np.float64)[:2], np.array(self.grid.origin)
+        place = np.asarray(pose, dtype=np.float64)[:2]
+        low = np.array(self.grid.origin)
         high = low + self.resolution_m * np.array(self.free.shape[::-1])
         if (place < low).any() or (place > high).any():
             sides = (f"{c} from {a:g} to {b:g} m" for c, a, b in zip("xy", low, high, strict=True))
@@ -100,8 +104,7 @@ class KnownMap:
         height, width = self.free.shape
         column, row = cells.T
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        found: NDArray[np.bool_] = inside & self.free[np.where(inside, row, 0), np.where(inside, column, 0)]
-        return found
+        return np.asarray(inside & self.free[np.where(inside, row, 0), np.where(inside, column, 0)])
 
     def spread_about(self, pose: FloatArray) -> FloatArray:
         """Mean square (3, 3) of how far poses that are even over free cells and headings are from a pose (3,)."""
@@ -127,11 +130,11 @@ class KnownMap:
         """Condition a measurement model on this map and one scan.
 
         The likelihood of an end point under a likelihood field depends on its distance alone, so it is tabulated for
-        all
-        cells once and each scan only adds it up; any other model looks at the map for itself.
+        all cells once and each scan only adds it up; any other model looks at the map for itself.
         """
         if isinstance(sensor, LikelihoodField | CauchyEndPoint):
-            table, ends = self._tabulate(sensor), np.ascontiguousarray(beams.ends)
+            table = self._tabulate(sensor)
+            ends = np.ascontiguousarray(beams.ends)
             return lambda poses: table.sums(poses, ends, self.threads)
         log_likelihood = sensor(beams)
         return lambda poses: log_likelihood(self, np.zeros(len(poses), np.int32), poses)
@@ -141,11 +144,10 @@ class KnownMap:
 
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
         """
-        world = np.stack([*_placed(poses, points), np.zeros((len(poses), len(points)))], axis=-1).reshape(-1, 3)
-        found = FieldTable.of(self._distances, self._corner, self.resolution_m).sums(
-            world, np.zeros((1, 2)), self.threads
-        )
-        return found.reshape(len(poses), len(points)).astype(np.float32)
+        places = np.pad(transform_points(poses[:, None], points), ((0, 0), (0, 0), (0, 1)))
+        table = FieldTable.of(self._distances, self._corner, self.resolution_m)
+        found = table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
+        return found.reshape(places.shape[:2]).astype(np.float32)
 
     def cast_rays(
         self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
@@ -185,12 +187,6 @@ class KnownMap:
         return self._tabulated[sensor]
 
 
-def _placed(poses: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """World coordinates x and y (K, B) of points (B, 2) of the base frame at poses (K, 3)."""
-    c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    return poses[:, :1] + c * points[:, 0] - s * points[:, 1], poses[:, 1:2] + s * points[:, 0] + c * points[:, 1]
-
-
 def _tiles_of(log_odds: NDArray[np.int16], field: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
     """Lay out cells (H, W) as `TileMaps.to_arrays` does: pages of tiles, all of them there, the first ones empty."""
     pages_up, pages_across = (-(-side // _PAGE_CELLS) for side in field.shape)
@@ -207,3 +203,43 @@ def _tiles_of(log_odds: NDArray[np.int16], field: NDArray[np.uint8]) -> dict[str
         tiles = whole.reshape(pages_up, PAGE, TILE, pages_across, PAGE, TILE).transpose(0, 3, 1, 4, 2, 5)
         arrays[name] = np.concatenate([np.full((1, TILE, TILE), empty, cells.dtype), tiles.reshape(-1, TILE, TILE)])
     return arrays
+
+
+_STEPS = 255
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldTable:
+    """A field in 255 equal steps; each cell holds four neighbouring values in one word, so a look-up is one load.
+
+    Attributes
+    ----------
+    patches : (H - 1, W - 1) uint32
+        The values of a cell, of that to its right, above, and above to the right.
+    corner : (2,) float64, m
+        Lower left corner of the first cell.
+    resolution_m : float
+    least, step : float
+        The value that 0 stands for, and what one step is.
+    """
+
+    patches: NDArray[np.uint32]
+    corner: FloatArray
+    resolution_m: float
+    least: float
+    step: float
+
+    @classmethod
+    def of(cls, field: NDArray[np.float32], corner: FloatArray, resolution_m: float) -> FieldTable:
+        """Lay out a field (H, W), known at the centres of cells; at least two of these along each side."""
+        least = float(field.min())
+        step = (float(field.max()) - least) / _STEPS
+        steps = np.rint((field - least) / (step or 1.0)).astype(np.uint32)
+        patches = steps[:-1, :-1] | steps[:-1, 1:] << 8 | steps[1:, :-1] << 16 | steps[1:, 1:] << 24
+        return cls(np.ascontiguousarray(patches), corner, resolution_m, least, step)
+
+    def sums(self, poses: FloatArray, ends: FloatArray, threads: int) -> FloatArray:
+        """Sum (K,) of the field over ends (B, 2) of the base frame at poses (K, 3); its border holds beyond it."""
+        steps = backend.sum_at_ends(self.patches, self.corner, self.resolution_m, poses, ends, threads)
+        return np.asarray(len(ends) * self.least + self.step * steps)

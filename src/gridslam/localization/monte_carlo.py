@@ -9,19 +9,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import final
+from typing import Annotated, final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, log
-from gridslam.localization.belief import PoseEstimate, estimate_pose, propagate_covariance
+from gridslam.localization.belief import HypothesisTracker, PoseEstimate, estimate_pose, propagate_covariance
+from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
-from gridslam.models.endpoint import CauchyEndPoint
+from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.models.beam import BeamRangeFinder
+from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
+from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
+from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
+from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow, MotionThreshold
 from gridslam.particles.resampling import Systematic, effective_sample_size, normalize
 from gridslam.types import (
     Beams,
@@ -34,12 +42,112 @@ from gridslam.types import (
     require_step,
 )
 
-__all__ = ["MonteCarloLocalization"]
+__all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
+
 
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
+
+
 _INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
+
+
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
+
+
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
+
+
+@final
+@parameters(frozen=True, config=STRICT)
+class MonteCarloConfiguration:
+    """Parts and parameters of the filter; each part is explained at its class.
+
+    Parameters
+    ----------
+    motion : GMappingMotion, OdometryMotion or DiffusionMotion
+        p(x_t | u_t, x_{t-1}), conditioned on the odometry since the last update. The default has noise across the
+        motion, too: a base frame beside the wheels' axle slides sideways when the robot turns.
+    sensor : LikelihoodField or BeamRangeFinder
+        p(z_t | x_t, m), conditioned on the scan. Of 120 beams few count: they share the map's errors, by which places
+        that look alike would be distinguished.
+    recovery : AugmentedRecovery
+        How probable it is that the robot is somewhere else.
+    proposal : MeasurementProposal
+        Where it may be, then and at the start.
+    hypotheses : HypothesisTracker
+        Tracking of alternative pose hypotheses.
+    matcher : GaussNewton
+        Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
+        all, as AMCL. Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a
+        dot.
+    beam_order_margin : float, [0, 1]
+        Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
+        times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
+    kld : KldSampling
+        How many particles survive.
+    when_to_update : MotionThreshold
+        Which scans update the particles: by what moved since the last one that did. 0.2 m and 0.2 rad.
+    when_to_resample : EffectiveSampleSizeBelow or AlwaysResample
+        When resampling is worth its loss of diversity.
+    resample_interval : int, >= 1
+        Resample at most every n-th update.
+    max_beams : int, >= 1
+        Maximum number of beams used per scan, evenly spaced.
+    range_min_m, range_max_m : float, m
+        Beams outside are not used: the first sees the robot itself, and beyond the second a lidar's beam is wider than
+        what it hits.
+    reach_m : float, m, > 0
+        Distances from the map's obstacles saturate here: ten standard deviations of a beam.
+    off_free_factor : float, (0, 1]
+        What an update multiplies the weight of a particle with that is not on a free cell. Not 0: maps have specks, and
+        a robot may drive where its map ends.
+    lost_below : float, (0, 1]
+        Inlier ratio with the map below which the robot is lost; random poses have 0.2. The lost probability starts to
+        grow below one and a half times this ratio.
+    lost_above : float, (0, 1)
+        Lost probability above which the robot is lost. With two places that look alike it is far above, whatever little
+        evidence a scan has.
+    confirm_distance_m : float, m, > 0
+        The lost probability of a new fix includes exp(-path / confirm_distance_m): driving on disambiguates places that
+        look alike.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        A parameter is out of range, no beam could be used, or distances would saturate within a beam's noise.
+    """
+
+    motion: Annotated[GMappingMotion | OdometryMotion | DiffusionMotion, Kind()] = Field(default_factory=GMappingMotion)
+    sensor: Annotated[LikelihoodField | BeamRangeFinder, Kind()] = Field(
+        default_factory=lambda: LikelihoodField(tempering=0.05)
+    )
+    recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
+    proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
+    hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
+    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(dense_spacing_m=0.0))
+    beam_order_margin: float = Field(default=0.05, ge=0, le=1)
+    kld: KldSampling = Field(default_factory=KldSampling)
+    when_to_update: MotionThreshold = Field(default_factory=lambda: MotionThreshold(0.2, 0.2))
+    when_to_resample: Annotated[EffectiveSampleSizeBelow | AlwaysResample, Kind()] = Field(
+        default_factory=EffectiveSampleSizeBelow
+    )
+    resample_interval: int = Field(default=1, ge=1)
+    max_beams: int = Field(default=120, ge=1)
+    range_min_m: float = Field(default=0.05, ge=0)
+    range_max_m: float = Field(default=30.0, gt=0)
+    reach_m: float = Field(default=1.0, gt=0)
+    off_free_factor: float = Field(default=0.01, gt=0, le=1)
+    lost_below: float = Field(default=0.3, gt=0, le=1)
+    lost_above: float = Field(default=0.2, gt=0, lt=1)
+    confirm_distance_m: float = Field(default=1.0, gt=0)
+
+    @model_validator(mode="after")
+    def _check_ranges(self) -> MonteCarloConfiguration:
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError("range_min_m must be less than range_max_m")
+        if self.reach_m < self.sensor.sigma_hit_m:
+            raise ValueError("reach_m must not be less than sensor.sigma_hit_m")
+        return self
 
 
 @final
@@ -102,14 +210,14 @@ class MonteCarloLocalization:
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams):
             return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
-        poses = self._motion(moved)(state.poses, rng)  # predict
+        poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
-        log_weights = state.log_weights + log_likelihood(poses)  # weigh
-        if share := self._injection_ratio(state, poses, beams):  # augment
+        log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
+        if share := self._injection_ratio(state, poses, beams):  # w_slow, w_fast; max(0, 1 - w_fast / w_slow) of all
             poses, log_weights = self._inject_particles(poses, log_weights, share, beams, log_likelihood, rng)
         state.advance(poses, normalize(log_weights), odometry)
         report = self._refine_pose(self._report_update(state, scan, moved, beams, share, rng), beams)
-        if self._should_resample(state, report):  # resample
+        if self._should_resample(state, report):  # draw with probability w_t, as many as KLD-sampling asks for
             parents = self.configuration.kld(poses, np.exp(state.log_weights), self.resampler, rng)
             state.resample(parents)
             report = replace(report, parents=parents, particles=len(parents))
@@ -123,7 +231,8 @@ class MonteCarloLocalization:
     ) -> Beams:
         """Usable beams, evenly thinned, as they were at the scan's stamp."""
         beams = scan.beams(self.configuration.range_min_m, self.configuration.range_max_m)
-        count, last = self.configuration.max_beams, state.last
+        count = self.configuration.max_beams
+        last = state.last
         if len(beams) > count:
             chosen = np.arange(count) * len(beams) // count
             beams = Beams(scan, beams.indices[chosen], beams.ends[chosen], beams.origin)
@@ -146,8 +255,8 @@ class MonteCarloLocalization:
     ) -> LocalizationSkip | None:
         if odometry is None:
             return LocalizationSkip.NO_ODOMETRY
-        distance_m, turn_rad = math.hypot(moved[0], moved[1]), abs(float(moved[2]))
-        if state.updates and not self.configuration.when_to_update(distance_m, turn_rad):
+        moved_enough = self.configuration.when_to_update(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
+        if state.updates and not moved_enough:
             return LocalizationSkip.MOVED_TOO_LITTLE
         return None if len(beams) else LocalizationSkip.NO_VALID_BEAM
 
@@ -209,7 +318,8 @@ class MonteCarloLocalization:
         rng: np.random.Generator,
     ) -> LocalizationReport:  # fmt: skip
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
-        weights, agree = np.exp(state.log_weights), self._inlier_ratio(beams)
+        weights = np.exp(state.log_weights)
+        agree = self._inlier_ratio(beams)
         estimate = estimate_pose(state.poses, weights)
         state.inlier_ratio = float(agree(estimate.pose[None])[0])
         state.update_estimate(estimate, moved)
@@ -227,7 +337,8 @@ class MonteCarloLocalization:
         reason: LocalizationSkip,
     ) -> LocalizationReport:  # fmt: skip
         """Report of a scan that did not update the particles: the pose of the last update, moved on by odometry."""
-        state.last, estimate = odometry or state.last, state.estimate
+        state.last = odometry or state.last
+        estimate = state.estimate
         pose = compose(estimate.pose, moved)
         noise = self._motion(moved).moments(estimate.pose[None])[1][0]
         covariance = propagate_covariance(estimate.covariance, pose[:2] - estimate.pose[:2], noise)
@@ -243,11 +354,12 @@ class MonteCarloLocalization:
 
         A lost robot may be at any of its pose hypotheses and, with the remaining probability, anywhere on the map.
         """
-        probability, hypotheses = self._lost_probability(state), state.hypotheses
+        probability = self._lost_probability(state)
+        odds = state.hypotheses.odds
         if probability <= self.configuration.lost_above:
             return covariance, probability, False
-        theirs = min(probability, hypotheses.odds / (1 + hypotheses.odds))
-        elsewhere = theirs * hypotheses.spread_about(state.estimate.pose)
+        theirs = min(probability, odds / (1 + odds))
+        elsewhere = theirs * state.hypotheses.spread_about(state.estimate.pose)
         elsewhere += (probability - theirs) * self.map.spread_about(pose)
         return (1 - probability) * covariance + elsewhere, probability, True
 

@@ -60,12 +60,7 @@ class AugmentedRecovery:
         """Average the share of agreeing beams in; the share of the belief that is elsewhere, in [0, 1)."""
         slow = averages.slow + self.alpha_slow * (inlier_ratio - averages.slow)
         fast = averages.fast + self.alpha_fast * (inlier_ratio - averages.fast)
-        averages = InlierRatioAverages(slow, fast)
-        return averages, self.injection_ratio(averages)
-
-    def injection_ratio(self, averages: InlierRatioAverages) -> float:
-        """Share of the belief that is elsewhere, in [0, 1)."""
-        return max(0.0, 1 - averages.fast / averages.slow) if averages.slow > 0 else 0.0
+        return InlierRatioAverages(slow, fast), max(0.0, 1 - fast / slow) if slow > 0 else 0.0
 
 
 @final

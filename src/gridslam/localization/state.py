@@ -15,8 +15,7 @@ from gridslam.arguments import freeze
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.localization.belief import PoseEstimate, is_in_cluster
-from gridslam.localization.pose_hypotheses import NO_HYPOTHESES, PoseHypotheses
+from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
 from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
@@ -155,7 +154,8 @@ class MonteCarloState:
                 raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
             return freeze(arrays[name], np.float64, shape, name)
 
-        poses, hypotheses = take("poses", None, 3), take("hypotheses.poses", None, 3)
+        poses = take("poses", None, 3)
+        hypotheses = take("hypotheses.poses", None, 3)
         driven_since_found_m, inlier_ratio, updates = (float(take(name)) for name in _NUMBERS)
         estimate = PoseEstimate(
             take("estimate.pose", 3), take("estimate.covariance", 3, 3), float(take("estimate.mass"))
@@ -176,8 +176,10 @@ class MonteCarloState:
     def advance(self, poses: FloatArray, log_weights: FloatArray, odometry: Odometry | None) -> None:
         """Take the particles (N, 3) of an update and their normalized log weights (N,)."""
         assert odometry is not None  # an update needs it
-        self.poses, self.log_weights = poses, log_weights
-        self.odometry, self.last = odometry.pose, odometry
+        self.poses = poses
+        self.log_weights = log_weights
+        self.odometry = odometry.pose
+        self.last = odometry
         self.updates += 1
 
     def update_estimate(self, estimate: PoseEstimate, moved: FloatArray) -> None:

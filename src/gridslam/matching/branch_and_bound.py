@@ -152,7 +152,8 @@ class BranchAndBound:
             raise ArgumentError("points", "finite x, y", "a point that is not finite")
         if not len(points):
             return None
-        cell, corner = pyramid.resolution_m, np.array(pyramid.corner)
+        cell = pyramid.resolution_m
+        corner = np.array(pyramid.corner)
         few = thin_points(points, self.max_points, cell)
         step_rad = cell / max(math.sqrt(float(np.square(few).sum(axis=1).mean())), cell)
         sides, information = self._ellipsoid(covariance, np.array([cell, cell, step_rad]))

@@ -56,11 +56,10 @@ class Correlative:
 
     def _offsets(self) -> FloatArray:
         """Offsets (M, 3) of the window, the nearest to the guess first, so that it wins a tie."""
-        steps = math.ceil(self.window_m / self.step_m)
-        along = self.step_m * np.arange(-steps, steps + 1)
-        steps = math.ceil(self.window_rad / self.step_rad)
-        turns = self.step_rad * np.arange(-steps, steps + 1)
-        offsets = np.stack(np.meshgrid(along, along, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+        halves = math.ceil(self.window_m / self.step_m), math.ceil(self.window_rad / self.step_rad)
+        across, turns = (np.arange(-half, half + 1) for half in halves)
+        lattice = np.stack(np.meshgrid(across, across, turns, indexing="ij"), axis=-1).reshape(-1, 3)
+        offsets = lattice * [self.step_m, self.step_m, self.step_rad]
         return offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
 
     def _best(

@@ -67,7 +67,8 @@ class GaussNewton:
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
-        cell, passes = maps.resolution_m, self.max_iterations if len(beams) >= self.min_beams else 0
+        cell = maps.resolution_m
+        passes = self.max_iterations if len(beams) >= self.min_beams else 0
         found = maps.match(
             rows, guesses, priors, beams.ends, passes, self.cauchy_m / cell, self.max_step_m / cell,
             self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
@@ -84,7 +85,9 @@ def degenerate_direction(information: FloatArray, score: float, least: float = M
     """Degenerate direction (2,) of a match with this information (3, 3) and score; None if there is none."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = information.tolist()
     turn = 1 / max(tt, 1e-12)
-    a, b, c = xx - xt * xt * turn, xy - xt * yt * turn, yy - yt * yt * turn
+    a = xx - xt * xt * turn
+    b = xy - xt * yt * turn
+    c = yy - yt * yt * turn
     if 0.5 * (a + c) - math.hypot(0.5 * (a - c), b) >= least * score:
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction

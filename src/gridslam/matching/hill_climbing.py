@@ -55,7 +55,8 @@ class HillClimbing:
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3); `priors` (K, 3, 3) are not used."""
-        poses, scores = guesses.copy(), self._score(maps, rows, guesses, beams)
+        poses = guesses.copy()
+        scores = self._score(maps, rows, guesses, beams)
         steps = np.full(len(rows), 1.0)
         while (active := np.flatnonzero(steps >= 0.5**self.halvings)).size:
             moves = _MOVES * np.array([self.step_m, self.step_m, self.step_rad])

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.se2 import transform_points
 from gridslam.models.parameters import STRICT
 from gridslam.types import Beams, BeamStatus, DistanceMaps, FloatArray, Rows, ScanLikelihood
 
@@ -21,14 +22,7 @@ _CUMULATIVE = np.array([0.5 * math.erfc(-z / math.sqrt(2)) for z in _SCORES])
 
 def _normal_cdf(scores: FloatArray) -> FloatArray:
     """Standard normal distribution function, by linear interpolation in a table: within 2e-7."""
-    probabilities: FloatArray = np.interp(scores, _SCORES, _CUMULATIVE)
-    return probabilities
-
-
-def _turned(vectors: FloatArray, angles: FloatArray) -> FloatArray:
-    """Vectors (K, 2), each turned by its angle (K,) in rad."""
-    (x, y), c, s = vectors.T, np.cos(angles), np.sin(angles)
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+    return np.asarray(np.interp(scores, _SCORES, _CUMULATIVE))
 
 
 @final
@@ -117,14 +111,15 @@ class BeamRangeFinder:
         ranges = np.where(scan.status == BeamStatus.NO_RETURN, self.range_max_m, scan.ranges)[used]
         projected = scan.geometry.directions[used]
         if beams.turn_rate_rps and scan.beam_times_s is not None:
-            projected = _turned(projected, beams.turn_rate_rps * scan.beam_times_s[used])
+            turns = np.zeros((len(used), 3))
+            turns[:, 2] = beams.turn_rate_rps * scan.beam_times_s[used]
+            projected = transform_points(turns, projected)
         level = np.maximum(np.hypot(projected[:, 0], projected[:, 1]), 1e-9)  # 1 unless the laser is tilted
         directions = projected / level[:, None]
         look = self.range_max_m + _REACH * self.sigma_hit_m  # an obstacle beyond is as good as none
 
         def log_likelihood(maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
             expected = maps.cast_rays(rows, poses, beams.origin, directions, look).astype(np.float64)
-            log_likelihood: FloatArray = np.log(self.likelihoods(ranges, expected / level)).sum(axis=1)
-            return self.tempering * log_likelihood
+            return np.asarray(self.tempering * np.log(self.likelihoods(ranges, expected / level)).sum(axis=1))
 
         return log_likelihood

@@ -1,4 +1,4 @@
-"""Measurement models of point landmarks: what the robot sees of one, with Jacobians, and where one is that it sees.
+"""Landmark observations, and measurement models of point landmarks: what the robot sees of one, and where one is then.
 
 A pose is (..., 3) [x m, y m, theta rad] and a landmark (..., 2) [x m, y m], both in the map frame; the leading
 dimensions of the two broadcast, so one call serves all particles and all landmarks.
@@ -6,19 +6,126 @@ dimensions of the two broadcast, so one call serves all particles and all landma
 
 from __future__ import annotations
 
-from typing import Protocol, final, runtime_checkable
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, TypeAlias, final, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.arguments import freeze
+from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import transform_points
-from gridslam.models.landmark_observations import LandmarkObservations
+from gridslam.models.motion import GaussianIncrement
 from gridslam.models.parameters import STRICT
-from gridslam.types import FloatArray
+from gridslam.types import FloatArray, IntArray, MotionModel, MotionSampler
 
-__all__ = ["DepthBearing", "LandmarkModel", "RangeBearing", "RelativePosition"]
+__all__ = [
+    "NO_OBSERVATIONS",
+    "DepthBearing",
+    "LandmarkModel",
+    "LandmarkObservations",
+    "LandmarkStep",
+    "ObservationKind",
+    "RangeBearing",
+    "RelativePosition",
+    "offset",
+]
+
+
+class ObservationKind(Enum):
+    """Type of the two numbers of an observation."""
+
+    RANGE_BEARING = "range (m) and bearing (rad)"
+    DEPTH_BEARING = "depth along the optical axis (m) and bearing (rad)"
+    POSITION = "x and y in the robot's frame (m)"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkObservations:
+    """Landmark observations at one time: z_t, and c_t if known.
+
+    Attributes
+    ----------
+    values : (K, 2) float64
+        Measurements, of the type given by `ObservationKind`, in the robot's frame.
+    landmarks : (K,) int64 or None
+        The signature of each, by which it is known again; None where nothing is known. No two are the same.
+    covariances : (K, 2, 2) float64 or None
+        Covariance of each measurement, if the log contains them; they take precedence over the measurement model's.
+    """
+
+    values: FloatArray
+    landmarks: IntArray | None = None
+    covariances: FloatArray | None = None
+
+    @classmethod
+    def of(
+        cls, values: ArrayLike, landmarks: ArrayLike | None = None, covariances: ArrayLike | None = None
+    ) -> LandmarkObservations:
+        """Validate and copy; raises ArgumentError for a wrong shape, a value that is not finite, a landmark twice."""
+        z = freeze(values, np.float64, (None, 2), "values")
+        count = len(z)
+        names = None if landmarks is None else freeze(landmarks, np.int64, (count,), "landmarks")
+        spread = None if covariances is None else freeze(covariances, np.float64, (count, 2, 2), "covariances")
+        if not np.isfinite(z).all() or (spread is not None and not np.isfinite(spread).all()):
+            raise ArgumentError("observations", "finite numbers", "a value that is not")
+        if names is not None and len(np.unique(names)) < count:
+            raise ArgumentError("landmarks", "each landmark once at a time", names.tolist())
+        return cls(z, names, spread)
+
+    def __len__(self) -> int:
+        """Return the number K of observations."""
+        return len(self.values)
+
+    def drop_correspondences(self) -> LandmarkObservations:
+        """Return the same observations without correspondences."""
+        return LandmarkObservations(self.values, None, self.covariances)
+
+
+NO_OBSERVATIONS = LandmarkObservations.of(np.empty((0, 2)), np.empty(0, np.int64))
+"""The observations of a step at which no landmark was observed."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkStep:
+    """One step of a log: u_t and z_t.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Of the observations, or of the end of the motion without observations.
+    increment : (3,) float64
+        The robot now, seen from where it was at the step before, by its odometry [x m, y m, theta rad].
+    covariance : (3, 3) float64 or None
+        Of the increment, in the frame of the last pose, if the log contains it; None leaves it to the motion model.
+    observations : LandmarkObservations
+        Landmarks seen now; perhaps none.
+    """
+
+    stamp_ns: int
+    increment: FloatArray
+    covariance: FloatArray | None
+    observations: LandmarkObservations
+
+    def motion(self, model: MotionModel) -> MotionSampler:
+        """p(x_t | u_t, x_{t-1}): with the increment's own covariance if the log contains one, else by the model."""
+        if self.covariance is None:
+            return model(self.increment)
+        variances, axes = np.linalg.eigh(self.covariance)
+        root = axes * np.sqrt(np.maximum(variances, 0.0))
+        return GaussianIncrement(
+            np.zeros(3), np.ones(3), self.increment, root, lambda noise: self.increment + noise @ root.T
+        )
+
+
+_Row: TypeAlias = Sequence[FloatArray | float]
 
 
 @runtime_checkable
@@ -58,13 +165,12 @@ class RangeBearing:
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[range m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
-        dx, dy = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
+        dx, dy = offset(poses, landmarks)
         distance = np.sqrt(dx * dx + dy * dy)
-        predicted, by_pose, by_landmark = _bearing(dx, dy, poses[..., 2])
-        predicted[..., 0] = distance
-        by_landmark[..., 0, 0], by_landmark[..., 0, 1] = dx / distance, dy / distance
-        by_pose[..., 0, :2] = -by_landmark[..., 0, :]
-        return predicted, by_pose, by_landmark
+        cos = dx / distance
+        sin = dy / distance
+        by_pose, by_landmark = _with_bearing(dx, dy, [-cos, -sin, 0.0], [cos, sin])
+        return np.stack([distance, _bearing(dx, dy, poses)], axis=-1), by_pose, by_landmark
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
         """Measured minus predicted, the bearing's in [-pi, pi)."""
@@ -73,8 +179,8 @@ class RangeBearing:
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
         """Return the point (..., 2) in this distance and direction from the pose."""
         direction = poses[..., 2] + measured[..., 1]
-        offset = measured[..., :1] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
-        return np.asarray(poses[..., :2] + offset)
+        ahead = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+        return np.asarray(poses[..., :2] + measured[..., :1] * ahead)
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) [m^2, m rad, rad^2] of K observations."""
@@ -87,9 +193,9 @@ class DepthBearing:
     """Depth and bearing to a landmark, as a camera measures them: the depth is taken along the optical axis.
 
     A camera that estimates the distance of a mark from its size measures its depth, d = r cos(bearing), also where it
-    is
-    called a range. It does in MRCLAM: there the ratio of what is called range to the true range falls from 1.02 ahead
-    to 0.90 at 31 degrees, as the cosine does, and what is called range errs by 0.12 to 0.17 m, as depth by 0.04 m.
+    is called a range. It does in MRCLAM: there the ratio of what is called range to the true range falls from 1.02
+    ahead to 0.90 at 31 degrees, as the cosine does, and what is called range errs by 0.12 to 0.17 m, as depth by
+    0.04 m.
 
     Parameters
     ----------
@@ -104,13 +210,11 @@ class DepthBearing:
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[depth m, bearing rad] and its Jacobians; a landmark must not lie where the robot is."""
-        dx, dy = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
-        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-        predicted, by_pose, by_landmark = _bearing(dx, dy, poses[..., 2])
-        predicted[..., 0] = c * dx + s * dy
-        by_landmark[..., 0, 0], by_landmark[..., 0, 1] = c, s
-        by_pose[..., 0, 0], by_pose[..., 0, 1], by_pose[..., 0, 2] = -c, -s, c * dy - s * dx
-        return predicted, by_pose, by_landmark
+        dx, dy = offset(poses, landmarks)
+        c = np.cos(poses[..., 2])
+        s = np.sin(poses[..., 2])
+        by_pose, by_landmark = _with_bearing(dx, dy, [-c, -s, c * dy - s * dx], [c, s])
+        return np.stack([c * dx + s * dy, _bearing(dx, dy, poses)], axis=-1), by_pose, by_landmark
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
         """Measured minus predicted, the bearing's in [-pi, pi)."""
@@ -144,16 +248,13 @@ class RelativePosition:
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """[x m, y m] in the robot's frame and its Jacobians."""
-        dx, dy = landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
-        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-        x, y = c * dx + s * dy, c * dy - s * dx
-        by_landmark = np.empty((*x.shape, 2, 2))
-        by_landmark[..., 0, 0] = by_landmark[..., 1, 1] = c
-        by_landmark[..., 0, 1], by_landmark[..., 1, 0] = s, -s
-        by_pose = np.empty((*x.shape, 2, 3))
-        by_pose[..., :2] = -by_landmark
-        by_pose[..., 0, 2], by_pose[..., 1, 2] = y, -x
-        return np.stack([x, y], axis=-1), by_pose, by_landmark
+        dx, dy = offset(poses, landmarks)
+        c = np.cos(poses[..., 2])
+        s = np.sin(poses[..., 2])
+        x = c * dx + s * dy
+        y = c * dy - s * dx
+        by_pose = _matrices(x.shape, [-c, -s, y], [s, -c, -x])
+        return np.stack([x, y], axis=-1), by_pose, _matrices(x.shape, [c, s], [-s, c])
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
         """Measured minus predicted."""
@@ -168,14 +269,31 @@ class RelativePosition:
         return _noise(observations, self.sigma_x_m, self.sigma_y_m)
 
 
-def _bearing(dx: FloatArray, dy: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measurement (..., 2) and its Jacobians, of which the second row, the bearing's, is filled in."""
+def offset(poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """x and y (...) of landmarks (..., 2) as seen from poses (..., 3), along the axes of the map."""
+    return landmarks[..., 0] - poses[..., 0], landmarks[..., 1] - poses[..., 1]
+
+
+def _bearing(dx: FloatArray, dy: FloatArray, poses: FloatArray) -> FloatArray:
+    """Bearing (...), in [-pi, pi), of a landmark at (dx, dy) from a pose."""
+    return wrap(np.arctan2(dy, dx) - poses[..., 2])
+
+
+def _with_bearing(dx: FloatArray, dy: FloatArray, by_pose: _Row, by_landmark: _Row) -> tuple[FloatArray, FloatArray]:
+    """Jacobians of two numbers of which the second is the bearing, from the rows of the first."""
     square = dx * dx + dy * dy
-    predicted, by_pose, by_landmark = (np.zeros((*square.shape, *shape)) for shape in ((2,), (2, 3), (2, 2)))
-    predicted[..., 1] = wrap(np.arctan2(dy, dx) - heading)
-    by_landmark[..., 1, 0], by_landmark[..., 1, 1] = -dy / square, dx / square
-    by_pose[..., 1, :2], by_pose[..., 1, 2] = -by_landmark[..., 1, :], -1.0
-    return predicted, by_pose, by_landmark
+    x = dx / square
+    y = dy / square
+    return _matrices(dx.shape, by_pose, [y, -x, -1.0]), _matrices(dx.shape, by_landmark, [-y, x])
+
+
+def _matrices(shape: tuple[int, ...], *rows: _Row) -> FloatArray:
+    """Matrices (*shape, I, J) of I rows of J entries each, which broadcast to `shape`."""
+    matrices = np.empty((*shape, len(rows), len(rows[0])))
+    for i, row in enumerate(rows):
+        for j, number in enumerate(row):
+            matrices[..., i, j] = number
+    return matrices
 
 
 def _with_bearing_wrapped(residual: FloatArray) -> FloatArray:

@@ -66,7 +66,8 @@ def sample_gaussian(count: int, pose: ArrayLike, covariance: ArrayLike, rng: np.
         If an argument is anything else.
     """
     require_generator(rng)
-    poses, matrix = repeat_pose(count, pose), freeze(covariance, np.float64, (3, 3), "covariance")
+    poses = repeat_pose(count, pose)
+    matrix = freeze(covariance, np.float64, (3, 3), "covariance")
     if not np.isfinite(matrix).all():
         raise ArgumentError("covariance", "a finite (3, 3) matrix", matrix.tolist())
     rounding = 1e-12 * np.abs(matrix).max()

@@ -112,7 +112,7 @@ class Systematic:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = _ends(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random() + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -126,7 +126,7 @@ class Stratified:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = _ends(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, (rng.random(size) + np.arange(size)) * (ends[-1] / max(size, 1)))
 
 
@@ -140,7 +140,7 @@ class Multinomial:
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
-        ends = _ends(_relative(weights, size, rng))
+        ends = np.cumsum(_relative(weights, size, rng))
         return _slots(ends, np.sort(rng.random(size)) * ends[-1])
 
 
@@ -186,7 +186,7 @@ class ResamplingWheel:
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Draw `size` ascending indices of `weights` (N,); see the contract of the module."""
         relative = _relative(weights, size, rng)
-        ends = _ends(relative)
+        ends = np.cumsum(relative)
         start = rng.random() * ends[-1]
         steps = rng.random(size) * (2.0 * len(relative) / max(size, 1))  # the greatest weight is 1
         return _slots(ends, np.sort(np.mod(start + np.cumsum(steps), ends[-1])))
@@ -206,12 +206,10 @@ def _relative(weights: FloatArray, size: int, rng: np.random.Generator) -> Float
     return np.asarray(given / greatest)
 
 
-def _ends(relative: FloatArray) -> FloatArray:
-    """Where each particle's slot [end of the one before, end) ends on the line."""
-    return np.cumsum(relative)
-
-
 def _slots(ends: FloatArray, points: FloatArray) -> IntArray:
-    """Slots in which ascending points lie; slots are half open, so an empty one (weight 0) holds no point."""
+    """Slots in which ascending points lie.
+
+    Slots [end of the one before, end) are half open, so an empty one (weight 0) holds no point.
+    """
     below_the_end = np.minimum(points, np.nextafter(ends[-1], 0.0))  # rounding may put the last point onto the end
     return np.asarray(ends.searchsorted(below_the_end, side="right"), dtype=np.int64)

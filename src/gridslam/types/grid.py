@@ -17,7 +17,8 @@ from gridslam.scan import FloatArray
 
 __all__ = ["GridRows", "OccupancyGrid", "encode_grey"]
 
-_UNKNOWN, _MOST_PX = 205, 1000
+_UNKNOWN = 205
+_MOST_PX = 1000
 
 
 @final
@@ -54,7 +55,8 @@ class OccupancyGrid:
 
     def __repr__(self) -> str:
         """Return one line."""
-        (height, width), cell_m = self.known.shape, self.resolution_m
+        height, width = self.known.shape
+        cell_m = self.resolution_m
         known = f"{self.known.mean():.0%} known" if self.known.any() else "no cell known"
         sides = f"{width * cell_m:.1f} m x {height * cell_m:.1f} m"
         return f"OccupancyGrid({width} x {height} cells of {cell_m:g} m, {sides}, {known})"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError
-from gridslam.geometry.angles import circular_mean, normalize_weights, wrap
+from gridslam.geometry.angles import normalize_weights, wrap
 
 TURN = 2 * math.pi
 
@@ -44,13 +44,6 @@ def test_wrap_does_not_hide_nan() -> None:
     assert np.isnan(wrap(np.array([math.nan]))).all()
 
 
-def test_circular_mean_across_the_cut() -> None:
-    assert abs(circular_mean([math.radians(179), math.radians(-179)])) == pytest.approx(math.pi, abs=1e-15)
-    # atan2 of the sums: (sin 0 + 3 sin 90, cos 0 + 3 cos 90) = (3, 1).
-    assert circular_mean([0.0, math.pi / 2], [1, 3]) == pytest.approx(math.atan2(3, 1), abs=1e-15)
-    np.testing.assert_allclose(circular_mean([[0.1, 0.3], [3.1, -3.1]]), [0.2, -math.pi], atol=1e-14)
-
-
 def test_shares_sum_to_one_at_the_ends_of_the_number_range() -> None:
     np.testing.assert_allclose(normalize_weights([1e308, 1e308, 0]), [0.5, 0.5, 0])
     np.testing.assert_allclose(normalize_weights([5e-324, 1.5e-323]), [0.25, 0.75])
@@ -60,10 +53,3 @@ def test_shares_sum_to_one_at_the_ends_of_the_number_range() -> None:
 def test_bad_weights_are_refused(weights: object) -> None:
     with pytest.raises(ArgumentError, match="weights"):
         normalize_weights(weights)
-
-
-def test_circular_mean_refuses_what_does_not_fit() -> None:
-    with pytest.raises(ArgumentError, match="angles"):
-        circular_mean([])
-    with pytest.raises(ArgumentError, match="weights"):
-        circular_mean([1.0, 2.0], [1.0])

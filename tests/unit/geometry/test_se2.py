@@ -36,10 +36,6 @@ def test_log_at_half_a_turn() -> None:
     np.testing.assert_allclose(se2.log([0, 2, math.pi]), [-math.pi, 0, -math.pi], atol=1e-15)
 
 
-def test_right_jacobian_is_the_identity_at_rest() -> None:
-    np.testing.assert_array_equal(se2.right_jacobian([0, 0, 0]), np.eye(3))
-
-
 def test_leading_dimensions_broadcast() -> None:
     a, b = np.zeros((4, 1, 3)), np.zeros((5, 3))
     assert se2.compose(a, b).shape == (4, 5, 3)
@@ -59,6 +55,16 @@ def test_arguments_are_left_alone() -> None:
     np.testing.assert_array_equal(a, before)
 
 
+def test_mean_heading_across_the_cut() -> None:
+    def mean_heading(thetas: list[float], weights: list[float]) -> float:
+        return float(se2.weighted_mean([[0, 0, theta] for theta in thetas], weights)[2])
+
+    assert abs(mean_heading([math.radians(179), math.radians(-179)], [1, 1])) == pytest.approx(math.pi, abs=1e-15)
+    # atan2 of the sums: (sin 0 + 3 sin 90, cos 0 + 3 cos 90) = (3, 1).
+    assert mean_heading([0.0, math.pi / 2], [1, 3]) == pytest.approx(math.atan2(3, 1), abs=1e-15)
+    assert mean_heading([3.1, -3.1], [1, 1]) == pytest.approx(-math.pi, abs=1e-14)
+
+
 def test_mean_and_covariance_across_the_cut() -> None:
     poses = np.array([[0.0, 0.0, math.pi - 0.1], [2.0, 4.0, -math.pi + 0.1]])
     np.testing.assert_allclose(se2.weighted_mean(poses, [1, 1])[:2], [1, 2])
@@ -69,7 +75,7 @@ def test_mean_and_covariance_across_the_cut() -> None:
     np.testing.assert_allclose(batch, [np.outer(residual, residual), np.zeros((3, 3))], atol=1e-14)
 
 
-@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint, se2.right_jacobian])
+@pytest.mark.parametrize("function", [se2.inverse, se2.exp, se2.log, se2.adjoint])
 @pytest.mark.parametrize("bad", [np.zeros(2), np.zeros((3, 4)), 1.0])
 def test_wrong_width_is_refused(function, bad: object) -> None:
     with pytest.raises(ArgumentError, match=r"shape \(..., 3\)"):

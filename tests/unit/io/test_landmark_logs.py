@@ -11,7 +11,7 @@ import pytest
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry.se2 import compose
 from gridslam.io.landmark_logs import LandmarkLog, MrclamLog, VictoriaParkLog, open_landmark_log
-from gridslam.models.landmark_observations import LandmarkObservations, ObservationKind
+from gridslam.models.landmark import LandmarkObservations, ObservationKind
 
 ODOMETRY = "# Time v omega\n10.0 1.0 0.0\n10.1 1.0 0.0\n10.2 0.0 2.0\n10.3 0.0 0.0\n10.9 0.0 0.0\n"
 MEASUREMENT = "# Time barcode range bearing\n10.05 14 1.5 0.25\n10.05 63 2.0 -0.5\n10.25 7 3.0 0.5\n10.25 99 3.0 0.5\n"
@@ -161,9 +161,12 @@ def test_steps_of_victoria_park(park):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("ODOMETRY 0 1 1 0 0 1 0 0 1 0\n", r"line 1: ODOMETRY: expected 11 numbers \(from to .*\), got 10"),
-        ("LANDMARK 0 1 1 0 1 0 1 2\n", "line 1: LANDMARK: expected 7 numbers"),
-        ("LANDMARK 0 x 1 0 1 0 1\n", "line 1: LANDMARK: expected numbers"),
+        (
+            "ODOMETRY 0 1 1 0 0 1 0 0 1 0\n",
+            "line 1: expected 'ODOMETRY from to x_m .* tt', got 'ODOMETRY 0 .*'",
+        ),
+        ("LANDMARK 0 1 1 0 1 0 1 2\n", "line 1: expected 'LANDMARK pose landmark x_m y_m xx xy yy', got"),
+        ("LANDMARK 0 x 1 0 1 0 1\n", "line 1: expected 'LANDMARK pose .*', got 'LANDMARK 0 x 1 0 1 0 1'"),
         ("LANDMARK 0 1 nan 0 1 0 1\n", "line 1: LANDMARK: expected finite numbers"),
         ("LANDMARK 0 1 1 0 1 2 1\n", "line 1: .* positive definite covariance"),
         ("LANDMARK 0 1 1 0 1 0 1\nEDGE 0 1\n", "line 2: expected ODOMETRY or LANDMARK, got 'EDGE'"),

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from gridslam.kernels import TILE, UNKNOWN
-from gridslam.live.protocol import STEP_NATS, decode, encode, levels, pack_tiles, unpack_tiles
+from gridslam.live.protocol import STEP_NATS, encode, levels, pack_tiles
+from support.page_client import decode, unpack_tiles
 
 KINDS = st.sampled_from([np.float32, np.int32, np.uint8])
 ARRAYS = KINDS.flatmap(lambda kind: arrays(kind, array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=5)))

@@ -78,6 +78,7 @@ def test_another_session_begins_with_an_empty_page_for_all_who_look(drive):
 def test_a_particle_that_was_chosen_before_a_new_session_is_no_more(drive):
     robot, client = Robot(), PageClient()
     live = LiveRun("robot", robot.control)
+    live.observer = LiveObserver(live.apply, Control(), MappingMonitor(30.0))
     viewer = live.add_viewer(lambda: None)
     live._status["particles"] = 4
     viewer.command({"do": "select", "particle": 2})

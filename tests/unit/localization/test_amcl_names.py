@@ -11,7 +11,7 @@ from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl, override_con
 from gridslam.errors import ConfigurationError
 from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import OdometryMotion
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
 

@@ -11,7 +11,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.localization import KnownMap
 from gridslam.localization.belief import estimate_pose, propagate_covariance
 from gridslam.localization.recovery import AugmentedRecovery, InlierRatioAverages, MeasurementProposal
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import LikelihoodField
 from support.localization_world import drive, flat_map
 
 TRUE = np.array([[0.01, 0.003, 0.0], [0.003, 0.02, 0.001], [0.0, 0.001, 0.004]])

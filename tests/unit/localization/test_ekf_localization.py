@@ -13,10 +13,8 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import wrap
 from gridslam.localization.ekf import EkfLocalization, KnownLandmarks
 from gridslam.models.association import AMBIGUOUS, NEW, KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import DepthBearing, RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
-from gridslam.models.motion import GaussianIncrement
-from gridslam.models.velocity import VelocityMotion
+from gridslam.models.landmark import NO_OBSERVATIONS, DepthBearing, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.models.motion import GaussianIncrement, VelocityMotion
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
 from gridslam.localization import KnownMap
-from gridslam.localization.distance_transform import distance_transform
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyEndPoint
-from gridslam.models.likelihood_field import LikelihoodField
+from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
 from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
 
 CELL = 0.1
@@ -39,15 +37,6 @@ def room() -> np.ndarray:
 def scan_of(ends: np.ndarray) -> LaserScan:
     geometry = ScanGeometry(np.arctan2(ends[:, 1], ends[:, 0]))
     return LaserScan.from_ranges(0, np.hypot(*ends.T), geometry, range_max_m=29.0)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 30), st.integers(1, 12))
-def test_distance_transform_is_that_of_brute_force(seed, height, width, reach):
-    occupied = np.random.default_rng(seed).random((height, width)) < 0.05
-    y, x = np.mgrid[:height, :width]
-    apart = [np.hypot(y - row, x - column) for row, column in np.argwhere(occupied)]
-    nearest = np.minimum(np.min(apart, axis=0), reach) if apart else np.full((height, width), reach)
-    np.testing.assert_allclose(distance_transform(occupied, reach), nearest, rtol=1e-6)
 
 
 def test_distances_are_those_to_the_nearest_occupied_centre():

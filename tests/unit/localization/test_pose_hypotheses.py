@@ -9,8 +9,7 @@ import pytest
 
 from gridslam.geometry.se2 import compose
 from gridslam.localization import KnownMap, MonteCarloLocalization
-from gridslam.localization.belief import PoseEstimate
-from gridslam.localization.pose_hypotheses import NO_HYPOTHESES, HypothesisTracker, PoseHypotheses
+from gridslam.localization.belief import NO_HYPOTHESES, HypothesisTracker, PoseEstimate, PoseHypotheses
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import box, join
 from gridslam.types import OccupancyGrid

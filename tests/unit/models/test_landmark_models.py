@@ -9,8 +9,15 @@ from hypothesis import strategies as st
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
-from gridslam.models.landmark import DepthBearing, LandmarkModel, RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations, LandmarkStep
+from gridslam.models.landmark import (
+    NO_OBSERVATIONS,
+    DepthBearing,
+    LandmarkModel,
+    LandmarkObservations,
+    LandmarkStep,
+    RangeBearing,
+    RelativePosition,
+)
 from gridslam.models.motion import DiffusionMotion, OdometryMotion
 from gridslam.types import MotionSampler
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from gridslam.geometry.se2 import compose
-from gridslam.models.motion import DiffusionMotion, GaussianIncrement
-from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.motion import EXACT_ODOMETRY, DiffusionMotion, GaussianIncrement, OdometryBias
 
 increments = st.tuples(st.floats(-2, 2), st.floats(-0.5, 0.5), st.floats(-1, 1)).map(np.array)
 places, errors = st.floats(-50, 50), st.floats(-0.1, 0.1)

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ArgumentError, ConsumedStateError
-from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
+from gridslam.models.association import AMBIGUOUS, KnownCorrespondence, LandmarkExistence, MaximumLikelihood
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.slam.landmarks.existence import LandmarkExistence
 from support.landmark_world import INCREMENT, MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

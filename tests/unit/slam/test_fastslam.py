@@ -11,16 +11,15 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.evaluation import align
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose, transform_points
-from gridslam.models.association import NEW, MaximumLikelihood
-from gridslam.models.landmark import RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
+from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion, GaussianIncrement
 from gridslam.particles.policies import AlwaysResample, NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.slam.landmarks.existence import LandmarkExistence
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
+from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, log_density, mahalanobis
 from support.landmark_world import INCREMENT, MOTION, dead_reckoning, drive, ring
@@ -33,7 +32,7 @@ ALL_AROUND = LandmarkExistence(
 FINDING = LandmarkFilters(SENSOR, MaximumLikelihood(), ALL_AROUND)
 EXACT = GaussianIncrement.from_std(INCREMENT, np.zeros(3))
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
-BOTH = pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
+ALL = pytest.mark.parametrize("kind", [FastSlam1, FastSlam2, FastSlam2WithLocalFrames])
 
 
 def run(slam, steps, particles, rng, motion=MOTION, known=True):
@@ -45,7 +44,7 @@ def run(slam, steps, particles, rng, motion=MOTION, known=True):
     return state, reports
 
 
-@BOTH
+@ALL
 def test_one_particle_without_noise_is_ekf_mapping(kind):
     """The path is certain: EKF SLAM's landmarks are then independent, and each is as the particle's filter says."""
     exact = DiffusionMotion(sigma_xy_m=0, sigma_theta_rad=0, floor_xy_m=0, floor_theta_rad=0)
@@ -132,7 +131,7 @@ def test_weights_of_fastslam2_are_the_likelihood_of_all_sightings_under_the_moti
     assert state.log_weights[0] - state.log_weights[1] == pytest.approx(logs[0] - logs[1], abs=0.1)
 
 
-@BOTH
+@ALL
 def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(kind):
     """A robot that cannot turn and sees positions: the posterior is EKF SLAM's, exactly."""
     sensor = RelativePosition(sigma_x_m=0.3, sigma_y_m=0.3)
@@ -154,7 +153,7 @@ def test_many_particles_find_what_the_kalman_filter_finds_where_all_is_linear(ki
     np.testing.assert_allclose(report.covariance, expected.pose_covariance, atol=0.2 * expected.pose_covariance.max())
 
 
-@BOTH
+@ALL
 def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
     steps, truth = drive(ring(12), 140, np.random.default_rng(9))
     for filters, known in ((FILTERS, True), (FINDING, False)):
@@ -173,7 +172,7 @@ def test_it_maps_a_ring_with_known_and_unknown_correspondences(kind):
         assert any(report.parents is not None for report in reports)
 
 
-@BOTH
+@ALL
 def test_each_particle_has_its_own_correspondences(kind):
     """Two landmarks and a sighting between them: particles on one side take it for one, the others for the other."""
     slam = kind(LandmarkFilters(RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1), MaximumLikelihood(), ALL_AROUND))
@@ -181,10 +180,10 @@ def test_each_particle_has_its_own_correspondences(kind):
     state, _ = slam.step(slam.init(300), STILL, LandmarkObservations.of([[3.0, 1.0], [3.0, -1.0]]), rng)
     state.poses[:, 1] = np.repeat([1.0, -1.0, 9.0], 100)
     seen, nothing = LandmarkObservations.of([[3.0, 0.0]] * 2), np.full((300, 2), NEW)
-    columns, *_ = slam.landmarks.correspond(state, seen, 0, state.poses, None, nothing, rng)
+    columns, *_ = slam.landmarks.correspond(state, seen, 0, SampledPoses(state.poses), nothing, rng)
     assert columns.tolist() == [0] * 100 + [1] * 100 + [NEW] * 100
     taken = np.stack([columns, nothing[:, 1]], axis=1)
-    again, *_ = slam.landmarks.correspond(state, seen, 1, state.poses, None, taken, rng)
+    again, *_ = slam.landmarks.correspond(state, seen, 1, SampledPoses(state.poses), taken, rng)
     assert set(again.tolist()) == {NEW}  # a landmark is seen once at a time: the other is one of its own
     state.poses[:, 1] = 0.0
     state, report = slam.step(state, motion, LandmarkObservations.of([[3.0, 0.0]]), rng)
@@ -205,7 +204,7 @@ def test_landmarks_that_are_not_seen_where_they_should_be_are_dropped_and_their_
     assert state.observations[:, 1].tolist() == [1] * 5
 
 
-@BOTH
+@ALL
 def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind):
     """Hidden for a while, its evidence falls below what confirmed it: it is doubted, and not yet forgotten."""
     slam, rng = kind(FINDING), np.random.default_rng(17)
@@ -223,7 +222,7 @@ def test_a_landmark_that_was_confirmed_is_held_for_real_until_it_is_dropped(kind
 
 def test_nothing_is_drawn_while_nothing_is_seen():
     """FastSLAM 2.0 carries the motion's Gaussian on, as two steps of EKF prediction do."""
-    slam, ekf, rng = FastSlam2(FILTERS), EkfSlam(SENSOR), np.random.default_rng(13)
+    slam, ekf, rng = FastSlam2WithLocalFrames(FILTERS), EkfSlam(SENSOR), np.random.default_rng(13)
     state, expected = slam.init(3), ekf.init()
     for _ in range(2):
         state, report = slam.step(state, MOTION(INCREMENT), NO_OBSERVATIONS, rng)
@@ -256,7 +255,7 @@ def test_resampling_keeps_what_is_drawn_and_copies_are_apart(seed, count):
     assert (state.positions[1:, 0, 0] >= 0).all()
 
 
-@BOTH
+@ALL
 def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
     steps, _ = drive(ring(8), 60, np.random.default_rng(14))
     slam = kind(FILTERS, when_to_resample=AlwaysResample())
@@ -276,7 +275,7 @@ def test_the_same_seed_gives_the_same_bytes_also_from_a_snapshot(kind):
         slam.step(LandmarkParticles.take(kept) and kept, EXACT, NO_OBSERVATIONS, rng)
 
 
-@BOTH
+@ALL
 def test_what_is_refused(kind):
     slam, rng = kind(FILTERS), np.random.default_rng(0)
     with pytest.raises(ArgumentError, match="known correspondences"):

@@ -7,16 +7,13 @@ import pytest
 
 from gridslam.geometry.se2 import between, compose
 from gridslam.models.association import MaximumLikelihood
-from gridslam.models.landmark import RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
-from gridslam.models.motion import DiffusionMotion, GaussianIncrement
-from gridslam.models.odometry_bias import OdometryBias
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
+from gridslam.models.motion import DiffusionMotion, GaussianIncrement, OdometryBias
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
-from gridslam.slam.landmarks.local_frame import LocalFrameBelief
-from gridslam.slam.landmarks.path import smooth_trajectory
+from gridslam.slam.landmarks.odometry_bias import BiasProposal, FastSlam2WithOdometryBias
+from gridslam.slam.landmarks.particles import smooth_trajectory
 from support.landmark_world import INCREMENT, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.01, sigma_bearing_rad=0.002)
@@ -30,7 +27,7 @@ NO_NOISE = DiffusionMotion(sigma_xy_m=0, sigma_theta_rad=0, floor_xy_m=0, floor_
 def test_one_particle_whose_odometry_has_no_noise_is_ekf_slam():
     """Nothing is drawn: pose and all landmarks lean on the odometry's errors alone, and a loop straightens them all."""
     steps, _ = drive(ring(12), 160, np.random.default_rng(0), SENSOR, NO_NOISE)
-    slam, ekf = FastSlam2(FILTERS, bias=BIAS), EkfSlam(SENSOR, bias=BIAS)
+    slam, ekf = FastSlam2WithOdometryBias(FILTERS, bias=BIAS), EkfSlam(SENSOR, bias=BIAS)
     rng, state, other = np.random.default_rng(1), slam.init(1), ekf.init()
     told = GaussianIncrement.from_std(INCREMENT - [0, 0, TOO_LITTLE], np.zeros(3))
     for step in steps:
@@ -63,7 +60,7 @@ def test_many_particles_find_what_ekf_slam_finds(memory_m):
     """
     sensor = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
     bias = OdometryBias(sigma_per_m=0.02, sigma_per_rad=0.0, memory_m=memory_m)
-    slam = FastSlam2(LandmarkFilters(sensor), when_to_resample=NeverResample(), bias=bias)
+    slam = FastSlam2WithOdometryBias(LandmarkFilters(sensor), when_to_resample=NeverResample(), bias=bias)
     ekf, rng, seen = EkfSlam(sensor, bias=bias), np.random.default_rng(2), np.random.default_rng(3)
     true, pose = {1: [2.0, 1.0], 2: [6.0, -1.0], 3: [9.0, 1.0]}, np.zeros(3)
     state, other = slam.init(20_000), ekf.init()
@@ -93,8 +90,10 @@ def test_what_is_drawn_tells_nothing_of_the_errors_and_the_rest_of_the_pose_foll
     rng, count = np.random.default_rng(4), 50_000
     root = rng.normal(size=(5, 5)) * [0.1, 0.2, 0.1, 0.3, 0.1]
     C, mean = root @ root.T, np.array([1.0, 2.0, 0.5, 0.01, -0.02])
-    state = FastSlam2(FILTERS, bias=BIAS).init(count)
-    known, (left, *others) = LocalFrameBelief.of(state, np.tile(mean, (count, 1)), np.tile(C, (count, 1, 1))).draw(rng)
+    state = FastSlam2WithOdometryBias(FILTERS, bias=BIAS).init(count)
+    proposal = BiasProposal(np.tile(mean, (count, 1)), np.tile(C, (count, 1, 1)), state)
+    proposal.sample(rng)
+    known, (left, *others) = proposal.mean, proposal.covariance
     by_bias = C[:3, 3:] @ np.linalg.inv(C[3:, 3:])
     own = C[:3, :3] - by_bias @ C[3:, :3]
     np.testing.assert_array_equal(known[:, 3:], np.tile(mean[3:], (count, 1)))
@@ -108,7 +107,10 @@ def test_what_is_drawn_tells_nothing_of_the_errors_and_the_rest_of_the_pose_foll
 
 def test_a_path_is_told_from_what_the_errors_turned_out_to_be():
     """What was driven before anything told of them, and what was never seen, is turned by what is learned at last."""
-    slam, rng = FastSlam2(LandmarkFilters(RelativePosition(sigma_x_m=0.01, sigma_y_m=0.01)), bias=BIAS), _seed()
+    slam, rng = (
+        FastSlam2WithOdometryBias(LandmarkFilters(RelativePosition(sigma_x_m=0.01, sigma_y_m=0.01)), bias=BIAS),
+        _seed(),
+    )
     told, state = NO_NOISE(np.array([1.0, 0.0, 0.0])), slam.init(3)
     state, _ = slam.step(state, told, LandmarkObservations.of([[2.0, 1.0]], [1]), rng)
     for _ in range(3):
@@ -132,7 +134,11 @@ def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go(
     """
     bias = OdometryBias(sigma_per_m=0.01, sigma_per_rad=0.01, memory_m=4.0)
     steps, _ = drive(ring(12), 80, np.random.default_rng(7), SENSOR, NO_NOISE)
-    slam, rng, told = FastSlam2(FILTERS, bias=bias), _seed(), GaussianIncrement.from_std(INCREMENT, np.zeros(3))
+    slam, rng, told = (
+        FastSlam2WithOdometryBias(FILTERS, bias=bias),
+        _seed(),
+        GaussianIncrement.from_std(INCREMENT, np.zeros(3)),
+    )
     state = slam.init(20)
     for t, step in enumerate(steps):
         state, _ = slam.step(state, told, step.observations if t % 5 == 0 else NO_OBSERVATIONS, rng)
@@ -146,12 +152,12 @@ def test_a_path_by_errors_that_change_is_one_that_odometry_without_noise_can_go(
 def test_correspondences_are_sought_as_far_as_the_errors_reach():
     """The bound by which landmarks are left out never leaves out what the whole Gaussian would take."""
     steps, _ = drive(ring(12), 40, np.random.default_rng(5), SENSOR)
-    slam, rng = FastSlam2(LandmarkFilters(SENSOR, MaximumLikelihood()), bias=BIAS), _seed()
+    slam, rng = FastSlam2WithOdometryBias(LandmarkFilters(SENSOR, MaximumLikelihood()), bias=BIAS), _seed()
     state = slam.init(10)
     for step in steps:
         told = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.01)(step.increment)
         state, _ = slam.step(state, told, step.observations.drop_correspondences(), rng)
-    belief = LocalFrameBelief.of(state, state.state_means.copy(), state.state_covariances.copy())
+    belief = BiasProposal(state.state_means.copy(), state.state_covariances.copy(), state)
     rows, columns = np.nonzero(state.exists)
     seen = np.trace(belief.covariance_seen_from(rows, columns)[:, :2, :2], axis1=1, axis2=2)
     assert (seen <= np.trace(belief.bound_covariance()[rows, :2, :2], axis1=1, axis2=2)).all()

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.models.association import NEW, MaximumLikelihood
-from gridslam.models.landmark import RelativePosition
-from gridslam.models.landmark_observations import LandmarkObservations
+from gridslam.models.association import NEW, LandmarkExistence, MaximumLikelihood
+from gridslam.models.landmark import LandmarkObservations, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
-from gridslam.slam.landmarks.existence import LandmarkExistence
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
-from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
+from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 
 ALL_AROUND = LandmarkExistence(
     detection=0.9, false_alarm=0.01, log_odds_confirmed=9.0, range_min_m=0.1, range_max_m=4.5, half_angle_rad=3.14
@@ -28,7 +27,7 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
     rng, count = np.random.default_rng(16), 4000
     state, _ = slam.step(slam.init(count), STILL, LandmarkObservations.of([[3.0, 0.6], [3.0, -0.6]]), rng)
     seen, nothing = LandmarkObservations.of([[3.0, 0.1]]), np.full((count, 1), NEW)
-    columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, state.poses, None, nothing, rng)
+    columns, log_p, _ = slam.landmarks.correspond(state, seen, 0, SampledPoses(state.poses), nothing, rng)
     near, far = np.exp(-0.5 * np.array([0.5, 0.7]) ** 2 / 0.08) / (2 * np.pi * 0.08)  # S = 0.04 + 0.04 m^2
     new = np.exp(-0.5 * 25) / (2 * np.pi * 0.04)
     # A share p of 4,000 has a standard deviation of sqrt(p (1 - p) / 4000) < 0.008; five of them.
@@ -39,7 +38,7 @@ def test_correspondences_are_drawn_by_their_likelihood_and_weighed_by_its_sum():
 def test_neighbours_are_found_the_surest_first():
     """Only the right one of two neighbours is known: it keeps its landmark, whichever of them is told of first."""
     sensor = RelativePosition(sigma_x_m=0.05, sigma_y_m=0.05)
-    for kind in (FastSlam1, FastSlam2):
+    for kind in (FastSlam1, FastSlam2, FastSlam2WithLocalFrames):
         for seen in ([[3.0, 0.0], [3.0, 0.18]], [[3.0, 0.18], [3.0, 0.0]]):
             slam, rng = kind(LandmarkFilters(sensor, MaximumLikelihood(), ALL_AROUND)), np.random.default_rng(17)
             state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[3.0, 0.0]]), rng)

@@ -8,12 +8,10 @@ import pytest
 from gridslam.errors import ArgumentError
 from gridslam.evaluation import align
 from gridslam.geometry.se2 import compose, transform_points
-from gridslam.models.landmark import RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import LandmarkObservations, LandmarkStep
+from gridslam.models.landmark import LandmarkObservations, LandmarkStep, RangeBearing, RelativePosition
 from gridslam.models.motion import DiffusionMotion
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.slam.landmarks.graph import LandmarkGraph
-from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
+from gridslam.slam.landmarks.graph_slam import LandmarkGraph, LandmarkGraphSlam
 from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from support.landmark_world import MOTION, drive, ring

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, inverse, transform_points
-from gridslam.models.landmark import RangeBearing, RelativePosition
-from gridslam.models.landmark_observations import NO_OBSERVATIONS, LandmarkObservations
+from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, RangeBearing, RelativePosition
 from gridslam.models.motion import GaussianIncrement
 from gridslam.particles.policies import NeverResample
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
 from gridslam.slam.landmarks.fastslam2 import FastSlam2
 from gridslam.slam.landmarks.filters import LandmarkFilters
-from gridslam.slam.landmarks.local_frame import LocalFrameBelief
-from gridslam.slam.landmarks.path import smooth_trajectory
+from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames, LocalFrameProposal
+from gridslam.slam.landmarks.particles import smooth_trajectory
 
 SENSOR = RelativePosition(sigma_x_m=0.1, sigma_y_m=0.1)
 STILL = GaussianIncrement.from_std(np.zeros(3), np.zeros(3))
@@ -35,7 +34,7 @@ def along(filters: list, steps: list) -> list:
 
 def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
     """The spell alone is uncertain, and all is linear: a particle has what EKF SLAM has, covariances too."""
-    slam, ekf = FastSlam2(LandmarkFilters(SENSOR)), EkfSlam(SENSOR)
+    slam, ekf = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), EkfSlam(SENSOR)
     steps = [
         (STILL, LandmarkObservations.of([[1.0, 1.0]], [1])),
         (BLIND, LandmarkObservations.of([[2.0, 0.5], [1.0, -1.0]], [3, 4])),
@@ -62,7 +61,7 @@ def test_a_raft_is_corrected_as_ekf_slam_corrects_the_landmarks_on_it():
 
 def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_is_linear():
     """There and back twice, with noise at every step: pose and landmarks, adrift or not, are EKF SLAM's."""
-    slam, ekf = FastSlam2(LandmarkFilters(SENSOR), when_to_resample=NeverResample()), EkfSlam(SENSOR)
+    slam, ekf = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR), when_to_resample=NeverResample()), EkfSlam(SENSOR)
     noise, rng = np.array([0.05, 0.05, 0.0]), np.random.default_rng(3)
     true, pose, steps = {1: [1.0, 1.0], 2: [0.0, -1.0], 3: [6.0, 0.5], 4: [5.0, -1.0]}, np.zeros(2), []
     for increment, names in ([STILL.increment, (1, 2)], [AWAY, (3, 4)], [AWAY * 0, (3,)], [BACK, (1,)], [AWAY, (4,)]):
@@ -84,23 +83,16 @@ def test_many_particles_with_a_raft_find_what_the_kalman_filter_finds_where_all_
 def test_a_raft_turns_with_all_that_is_on_it():
     """The landmarks on it stay as far from each other and from the robot aboard, however it is turned."""
     sensor = RangeBearing(sigma_range_m=0.05, sigma_bearing_rad=0.01)
-    slam, rng = FastSlam2(LandmarkFilters(sensor)), np.random.default_rng(1)
+    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(sensor)), np.random.default_rng(1)
     state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[6.0, 0.2], [7.0, -0.2]], [1, 2]), rng)
     blind = GaussianIncrement.from_std(np.array([2.0, 0.0, 0.4]), np.array([0.2, 0.2, 0.3]))
     state, _ = slam.step(state, blind, LandmarkObservations.of([[2.0, 0.9], [3.0, -0.9]], [3, 4]), rng)
     points, before = state.positions.copy(), between(state.local_frames, state.poses)
-    belief = LocalFrameBelief.of(state, state.poses.copy(), np.zeros((4, 3, 3)))
+    belief = LocalFrameProposal(state.poses.copy(), np.zeros((4, 3, 3)), state)
+    belief.append(state.local_frame_covariances)
     rows = np.arange(4)
     columns = np.full(4, state.column(1))
-    seen = slam.landmarks.innovation(
-        state,
-        rows,
-        columns,
-        belief.mean,
-        belief.covariance_seen_from(rows, columns),
-        LandmarkObservations.of([[4.2, -0.1]]),
-        0,
-    )
+    seen = slam.landmarks.innovation(state, rows, columns, belief, LandmarkObservations.of([[4.2, -0.1]]), 0)
     local_frames = state.local_frames.copy()
     belief.correct(seen)
     assert (np.abs(between(local_frames, state.local_frames)) > 1e-3).all()  # it moved and turned
@@ -116,7 +108,7 @@ def test_a_raft_turns_with_all_that_is_on_it():
 
 
 def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
-    slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(2)
+    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(2)
     state, _ = slam.step(slam.init(5), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
     for number, width in ((2, 0.5), (3, 0.2)):  # the second is known better than the first: it is drawn
         wide = GaussianIncrement.from_std(AWAY, np.array([width, width, 0.1 * width]))
@@ -131,9 +123,20 @@ def test_a_raft_gives_way_to_one_less_certain_and_its_particles_part():
     assert np.std(state.poses[:, 0]) > np.std(poses[:, 0])  # where the first raft lay was drawn at last
 
 
+def test_a_local_frame_stays_while_nothing_is_seen():
+    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(7)
+    state, _ = slam.step(slam.init(3), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)
+    state, _ = slam.step(state, BLIND, LandmarkObservations.of([[1.0, 0.0]], [2]), rng)
+    before = state.local_frame_covariances.copy()
+    assert before.any()
+    state, report = slam.step(state, BLIND, NO_OBSERVATIONS, rng)
+    np.testing.assert_array_equal(state.local_frame_covariances, before)
+    np.testing.assert_allclose(np.diag(report.covariance), [0.5, 0.18, 0.0], atol=1e-12)  # twice that of the motion
+
+
 def test_what_was_not_drawn_is_told_from_both_ends():
     """Two equal motions without a sighting between poses that are drawn: half of the second's error is the first's."""
-    slam, rng = FastSlam2(LandmarkFilters(SENSOR)), np.random.default_rng(4)
+    slam, rng = FastSlam2WithLocalFrames(LandmarkFilters(SENSOR)), np.random.default_rng(4)
     wide = GaussianIncrement.from_std(np.array([1.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.0]))
     motions = [STILL, wide, wide, wide]
     state, _ = slam.step(slam.init(1), STILL, LandmarkObservations.of([[5.0, 0.0]], [1]), rng)
@@ -157,7 +160,7 @@ def test_fastslam1_draws_every_pose():
     np.testing.assert_array_equal(smooth_trajectory(state, 2, [BLIND] * 3), state.ancestry.trajectory(2)[:, :3])
 
 
-@pytest.mark.parametrize("kind", [FastSlam1, FastSlam2])
+@pytest.mark.parametrize("kind", [FastSlam1, FastSlam2, FastSlam2WithLocalFrames])
 def test_without_uncertainty_there_is_no_raft(kind):
     slam, rng = kind(LandmarkFilters(SENSOR)), np.random.default_rng(6)
     state, _ = slam.step(slam.init(4), STILL, LandmarkObservations.of([[1.0, 0.0]], [1]), rng)

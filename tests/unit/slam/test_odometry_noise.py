@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridslam.geometry.compounding import compound_covariance
-from gridslam.geometry.se2 import between, compose
+from gridslam.geometry.se2 import between, compose, compound_covariance
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import DiffusionMotion, GaussianIncrement
 from gridslam.particles import NeverResample

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import final
 
@@ -17,7 +18,7 @@ from gridslam.io.measurement import FARTHEST_LASER_M
 from gridslam.io.text import TextSource
 from gridslam.types import FloatArray, ScanGeometry
 
-__all__ = ["LASER_PARAMETERS", "SICK_NO_RETURN_M", "CarmenLasers"]
+__all__ = ["LASER_PARAMETERS", "SICK_NO_RETURN_M", "USED_PARAMETERS", "CarmenLasers"]
 
 SICK_NO_RETURN_M = 81.83
 """Readings from here on are status codes of the SICK LMS (8183 to 8191 cm: overflow, dazzled, ...), never ranges."""
@@ -36,6 +37,8 @@ LASER_PARAMETERS = {
         "max": "robot_rear_laser_max", "fov": "laser_rear_laser_fov", "step": "laser_rear_laser_resolution",
     },
 }  # fmt: skip
+USED_PARAMETERS = frozenset(name for names in LASER_PARAMETERS.values() for name in names.values())
+"""Parameters that describe a laser."""
 
 
 @final
@@ -49,12 +52,8 @@ class CarmenLasers:
         self._parameters: dict[str, tuple[str, int]] = {}
         self._geometries: dict[tuple[str, int, BeamLayout | None], ScanGeometry] = {}
 
-    def uses(self, name: str) -> bool:
-        """Whether a parameter describes a laser."""
-        return any(name in names.values() for names in LASER_PARAMETERS.values())
-
     def set_parameter(self, name: str, value: str, line: int) -> None:
-        """Take a parameter of the log for the scans that follow it."""
+        """Take one of `USED_PARAMETERS` for the scans that follow it."""
         if self._parameters.get(name, (None, 0))[0] == value:
             return
         self._parameters[name] = (value, line)
@@ -117,16 +116,16 @@ class CarmenLasers:
 
     def _mounting(self, tag: str, sensor: str, rows: ScanRows) -> Mounting:
         """Where the laser sits: by the lines if they are consistent, else by the parameters, else at the centre."""
-        stated = [self._number(sensor, axis) for axis in ("x", "y", "theta")]
-        turned = np.pi if sensor == "rear" else 0.0
-        theta = turned if stated[2] is None else stated[2]
-        configured = np.array([stated[0] or 0.0, stated[1] or 0.0, theta])
-        known = any(value is not None for value in stated)
+        otherwise = {"x": 0.0, "y": 0.0, "theta": np.pi if sensor == "rear" else 0.0}
+        stated = {axis: self._number(sensor, axis) for axis in otherwise}
+        configured = np.array([otherwise[axis] if value is None else value for axis, value in stated.items()])
+        known = any(value is not None for value in stated.values())
         measured = self._offset_in_lines(tag, rows)
         if measured is not None:
             if sensor == "rear" and abs(measured[2]) < np.pi / 2:
-                measured[2] = theta  # such a line gives the laser's place, but the robot's heading
-            difference = np.append((measured - configured)[:2], wrap(float(measured[2]) - theta))
+                measured[2] = configured[2]  # such a line gives the laser's place, but the robot's heading
+            difference = measured - configured
+            difference[2] = wrap(difference[2])
             if not known or (np.abs(difference) > _SAME_PLACE).any():
                 return Mounting(measured, "line")
         return Mounting(configured, "parameters" if known else "assumed")
@@ -137,9 +136,8 @@ class CarmenLasers:
         The laser's pose in a line is either the robot's composed with the mounting, or a pose that some SLAM corrected.
         Only the former keeps its distance while the robot drives and turns. Equal poses are not informative.
         """
-        if rows.laser_poses is None or rows.robot_poses is None:
-            return None
-        if np.allclose(rows.laser_poses, rows.robot_poses, rtol=0, atol=1e-4):
+        laser = rows.laser_poses
+        if laser is None or rows.robot_poses is None or np.allclose(laser, rows.robot_poses, rtol=0, atol=1e-4):
             return None
         poses = np.array(list(self._poses(tag)))
         if len(poses) == 0:
@@ -157,18 +155,19 @@ class CarmenLasers:
     def _poses(self, tag: str) -> Iterator[FloatArray]:
         """Yield laser and robot poses (2, 3) of lines with `tag`, until the robot has driven and turned enough."""
         words_after = 8 if tag == "ROBOTLASER1" else 3
-        driven, turned, scans = 0.0, 0.0, 0
+        driven = np.zeros(2)  # m, rad
         last: FloatArray | None = None
-        for line in (line for lines in TextSource(self._path) for line in lines if line.startswith(tag + " ")):
+        lines = (line for lines in TextSource(self._path) for line in lines if line.startswith(tag + " "))
+        for line in islice(lines, _MOST_SCANS):
             words = line.rsplit(None, words_after + 6)[1:7]
             try:
-                laser, robot = parse_pose(words[:3]), parse_pose(words[3:])
+                robot = parse_pose(words[3:])
+                yield np.stack([parse_pose(words[:3]), robot])
             except LineError:
                 return  # the reader reports the fault of this line
-            yield np.stack([laser, robot])
             if last is not None:
-                motion = se2.between(last, robot)
-                driven, turned = driven + float(np.hypot(motion[0], motion[1])), turned + abs(float(motion[2]))
-            last, scans = robot, scans + 1
-            if (driven >= _ENOUGH_MOTION[0] and turned >= _ENOUGH_MOTION[1]) or scans >= _MOST_SCANS:
+                x, y, turned = se2.between(last, robot)
+                driven += np.hypot(x, y), abs(turned)
+            last = robot
+            if (driven >= _ENOUGH_MOTION).all():
                 return

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gridslam.errors import InputError
 from gridslam.geometry.angles import wrap
-from gridslam.io.carmen.lasers import CarmenLasers
+from gridslam.io.carmen.lasers import USED_PARAMETERS, CarmenLasers
 from gridslam.io.carmen.lines import SCAN_TAGS, LineError, ScanRows, parse_pose, parse_rows
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
@@ -72,10 +72,10 @@ class CarmenLog:
         statistics.total_bytes = source.total_bytes
         for lines in source:
             statistics.bytes_read = source.bytes_read
-            if source.unterminated:
-                yield from self._last_line(parser, lines[0], source.is_truncated)
-            else:
+            if not source.unterminated:
                 yield from parser.parse(lines)
+            elif not source.is_truncated:
+                yield from self._last_line(parser, lines[0])
         statistics.bytes_read = source.bytes_read
         if source.is_truncated:
             self._end_early("the compressed file is cut off")
@@ -84,10 +84,8 @@ class CarmenLog:
             problem = f"expected laser scans ({', '.join(SCAN_TAGS)}), got no scan (other tags: {others})"
             raise InputError(self.path, problem)
 
-    def _last_line(self, parser: _Parser, line: str, is_truncated: bool) -> Iterator[Measurement]:
+    def _last_line(self, parser: _Parser, line: str) -> Iterator[Measurement]:
         """Parse the last line, which no line end follows: it may be whole, or the file was cut off within it."""
-        if is_truncated:
-            return
         tag = line.partition(" ")[0]
         cut_tag = any(known.startswith(tag) and known != tag for known in (*SCAN_TAGS, "ODOM", "PARAM"))
         if cut_tag or (tag == "ODOM" and len(line.split()) < _ODOM_WORDS):
@@ -148,7 +146,7 @@ class _Parser:
         elif tag == "PARAM" and len(words) >= 3:
             name, value = words[1:3]
             self.statistics.parameters[name] = value
-            if self._lasers.uses(name):
+            if name in USED_PARAMETERS:
                 yield from self._flush()
                 self._lasers.set_parameter(name, value, number)
         elif tag in SCAN_TAGS:  # after or before other white space than one blank
@@ -174,25 +172,28 @@ class _Parser:
         for (tag, _), lines in self._waiting.items():
             try:
                 for first, rows in parse_rows(tag, [line.text for line in lines]):
-                    self._check_poses(tag, first, rows)
+                    self._check_poses(tag, rows, lines[first].number)
                     scans.extend(self._measurements(tag, rows, lines[first : first + len(rows.ranges)]))
             except LineError as error:
                 raise InputError(self._path, str(error), lines[error.row].number) from None
             self.statistics.scans[tag] += len(lines)
         self._waiting.clear()
         scans.sort(key=lambda scan: scan[0])
-        self._count([measurement for _, measurement in scans])
-        for _, measurement in scans:
-            yield measurement
+        measurements = [measurement for _, measurement in scans]
+        poses = [odometry.pose for odometry, _ in measurements if odometry is not None]
+        self.statistics.without_odometry += len(measurements) - len(poses)
+        self.statistics.count_path(np.array(poses).reshape(-1, 3))
+        for _, scan in measurements:
+            self.statistics.count_stamp(scan)
+        yield from measurements
 
-    def _check_poses(self, tag: str, first: int, rows: ScanRows) -> None:
+    def _check_poses(self, tag: str, rows: ScanRows, number: int) -> None:
         """Refuse a line with another number of poses than those before: some of its readings are missing."""
         has = rows.robot_poses is not None
         if self._has_poses.setdefault(tag, has) != has:
             want, got = ("none", "six") if has else ("six", "none")
-            error = LineError(f"expected {want} pose values after the readings as in lines before, got {got}")
-            error.row = first
-            raise error
+            problem = f"expected {want} pose values after the readings as in lines before, got {got}"
+            raise InputError(self._path, problem, number)
 
     def _measurements(self, tag: str, rows: ScanRows, lines: list[_ScanLine]) -> Iterator[tuple[int, Measurement]]:
         """Yield the scans of one form, each with the number of its line."""
@@ -235,13 +236,6 @@ class _Parser:
             return Odometry(parse_stamp_ns(words[7]), _normalised(parse_pose(words[1:4])[None])[0])
         except ValueError as error:
             raise InputError(self._path, str(error), number) from None
-
-    def _count(self, measurements: list[Measurement]) -> None:
-        poses = [measurement.odometry.pose for measurement in measurements if measurement.odometry is not None]
-        self.statistics.without_odometry += len(measurements) - len(poses)
-        self.statistics.count_path(np.array(poses).reshape(-1, 3))
-        for measurement in measurements:
-            self.statistics.count_stamp(measurement.scan)
 
 
 def _normalised(poses: FloatArray) -> FloatArray:

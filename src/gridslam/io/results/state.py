@@ -16,7 +16,7 @@ from gridslam.config.tables import replace_parameters, to_table
 from gridslam.errors import ArgumentError, ConfigurationError, InputError
 from gridslam.io.output import write_atomically
 from gridslam.io.results.record import read_arrays
-from gridslam.localization.monte_carlo_configuration import MonteCarloConfiguration
+from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.slam.grid_fastslam.state import GridFastSlamState

@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, NamedTuple, final
 
@@ -21,7 +21,7 @@ from gridslam.io.measurement import Measurement
 from gridslam.io.tables import format_stamp_ns
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["AcceptedScan", "LaserDescription", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
+__all__ = ["AcceptedScan", "MeasurementBuilder", "ScanRecorder", "find_refusal_reason"]
 
 _MAX_GEOMETRIES = 64  # cheap lidars rotate unevenly, so each scan has its own angles
 _TURN_RAD = 6.3
@@ -29,41 +29,28 @@ _NO_HIT = np.array([0.0, np.inf, np.nan])  # by status, of beams that hit nothin
 _MOUNTING_NOISE_M = 0.005  # and rad: noise of a mounting on /tf
 
 
-class LaserDescription(NamedTuple):
-    """Laser properties in a record, number by number.
+class AcceptedScan(NamedTuple):
+    """A measurement for the filter, and what a record has of its laser.
 
     Attributes
     ----------
-    sensor, frame : str
-        Topic and frame.
+    measurement : Measurement
+        The measurement.
     mounting : tuple of 6 float
         x, y, z in m, roll, pitch and yaw in rad, of the laser in the base frame.
     angle_min, angle_increment : float, rad
         Of the beams.
     time_increment_s : float or None
         Between beams, if known.
-    range_min_m, range_max_m : float, m
-        Limits of the sensor.
-    beams : int
-        Number of beams.
+    arrived_s : float, s
+        Arrival time of the message, of `time.perf_counter`.
     """
 
-    sensor: str
-    frame: str
+    measurement: Measurement
     mounting: tuple[float, ...]
     angle_min: float
     angle_increment: float
     time_increment_s: float | None
-    range_min_m: float
-    range_max_m: float
-    beams: int
-
-
-class AcceptedScan(NamedTuple):
-    """A measurement for the filter, its laser, and the arrival time of its message (s, `time.perf_counter`)."""
-
-    measurement: Measurement
-    laser: LaserDescription
     arrived_s: float
 
 
@@ -80,7 +67,8 @@ def find_refusal_reason(message: ScanMessage, min_beams: int, max_beams: int) ->
         return f"expected a stamp of more than 0 s, got {message.stamp_ns} ns"
     if message.range_min == math.inf:
         return "range_min is infinite, so no range is valid"
-    start, step = message.angle_min, message.angle_increment
+    start = message.angle_min
+    step = message.angle_increment
     span = abs(step) * (beams - 1)
     if not (abs(start) <= 2 * _TURN_RAD and 0 < span <= _TURN_RAD + abs(step) < math.inf):
         return f"expected beams within one turn, got {beams} from {start:g} rad in steps of {step:g} rad"
@@ -95,7 +83,6 @@ class MeasurementBuilder:
     """
 
     def __init__(self) -> None:
-        self._geometries: OrderedDict[tuple[float, ...], ScanGeometry] = OrderedDict()
         self._matrix: FloatArray = np.full((4, 4), np.nan)
         self._mounting: tuple[float, ...] = ()
 
@@ -108,20 +95,20 @@ class MeasurementBuilder:
         arrived_s: float,
     ) -> AcceptedScan:
         """Build the measurement of a message that `find_refusal_reason` accepts."""
-        mounting, beams = self._stabilize_mounting(base_from_laser), len(message.ranges)
-        start, step, time_increment = (
-            float(v) for v in (message.angle_min, message.angle_increment, message.time_increment)
-        )
+        mounting = self._stabilize_mounting(base_from_laser)
+        start = float(message.angle_min)
+        step = float(message.angle_increment)
+        time_increment = float(message.time_increment)
         scan = LaserScan.from_ros(
             message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
             range_max=message.range_max, time_increment=time_increment, sensor=sensor, frame=message.frame,
-            geometry=self._share_geometry(mounting, start, step, beams),
+            geometry=_make_geometry(mounting, start, step, len(message.ranges)),
         )  # fmt: skip
-        laser = LaserDescription(
-            sensor, message.frame, mounting, start, step, None if scan.beam_times_s is None else time_increment,
-            scan.range_min_m, scan.range_max_m, beams,
-        )  # fmt: skip
-        return AcceptedScan(Measurement(odometry, replace(scan, ranges=_normalize_ranges(scan))), laser, arrived_s)
+        ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
+        ranges.flags.writeable = False
+        measurement = Measurement(odometry, replace(scan, ranges=ranges))
+        known_increment = None if scan.beam_times_s is None else time_increment
+        return AcceptedScan(measurement, mounting, start, step, known_increment, arrived_s)
 
     def _stabilize_mounting(self, matrix: FloatArray) -> tuple[float, ...]:
         if not np.abs(matrix - self._matrix).max() <= _MOUNTING_NOISE_M:
@@ -130,23 +117,13 @@ class MeasurementBuilder:
             self._mounting = tuple(value + 0.0 for value in values)  # no -0.0
         return self._mounting
 
-    def _share_geometry(self, mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
-        key = *mounting, start, step, beams
-        known = self._geometries.get(key)
-        if known is None:
-            matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = rotation_of_angles(*mounting[3:]), mounting[:3]
-            known = self._geometries[key] = ScanGeometry(start + step * np.arange(beams), matrix)
-            if len(self._geometries) > _MAX_GEOMETRIES:
-                self._geometries.popitem(last=False)
-        return known
 
-
-def _normalize_ranges(scan: LaserScan) -> FloatArray:
-    """Return ranges (B,) in which only hits keep their value."""
-    ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
-    ranges.flags.writeable = False
-    return ranges
+@lru_cache(_MAX_GEOMETRIES)
+def _make_geometry(mounting: tuple[float, ...], start: float, step: float, beams: int) -> ScanGeometry:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of_angles(*mounting[3:])
+    matrix[:3, 3] = mounting[:3]
+    return ScanGeometry(start + step * np.arange(beams), matrix)
 
 
 @final
@@ -168,7 +145,6 @@ class ScanRecorder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._cells_of_laser: dict[LaserDescription, tuple[str, str]] = {}
         try:
             self._file: IO[bytes] = self.path.open("wb", buffering=0)
         except OSError as error:
@@ -179,13 +155,15 @@ class ScanRecorder:
         """Write a row, exactly as passed to the filter; nothing after the record has ended."""
         if not self.is_whole:
             return
-        (odometry, scan), laser = accepted.measurement, accepted.laser
-        if laser not in self._cells_of_laser:
-            self._cells_of_laser = {laser: _format_laser(laser)}  # only the last one: lasers rarely alternate
-        names, description = self._cells_of_laser[laser]
-        pose = "," * 3 if odometry is None else ",".join(map(repr, odometry.pose.tolist())) + ","
-        ranges = " ".join(map(repr, scan.ranges.tolist()))
-        self._write(f"{format_stamp_ns(scan.stamp_ns)},{names},{pose},{description},{ranges}")
+        odometry, scan = accepted.measurement
+        pose = ("", "", "") if odometry is None else map(repr, odometry.pose.tolist())
+        laser = map(repr, (*accepted.mounting, accepted.angle_min, accepted.angle_increment))
+        time_increment = "" if accepted.time_increment_s is None else repr(accepted.time_increment_s)
+        cells = (
+            format_stamp_ns(scan.stamp_ns), _quote(scan.sensor), _quote(scan.frame), *pose, "", *laser, time_increment,
+            repr(scan.range_min_m), repr(scan.range_max_m), " ".join(map(repr, scan.ranges.tolist())),
+        )  # fmt: skip
+        self._write(",".join(cells))
 
     @property
     def is_whole(self) -> bool:
@@ -197,7 +175,8 @@ class ScanRecorder:
         self._file.close()
 
     def _write(self, line: str) -> None:
-        rest, begin = memoryview(line.encode() + b"\n"), self._file.tell()
+        rest = memoryview(line.encode() + b"\n")
+        begin = self._file.tell()
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
@@ -206,14 +185,6 @@ class ScanRecorder:
                 self._file.truncate(begin)
             self._file.close()
             raise OutputError(f"{self.path}: {error.strerror or error}; the record ends before this scan") from None
-
-
-def _format_laser(laser: LaserDescription) -> tuple[str, str]:
-    """Return the cells of the names, and those from the mounting to the range limits."""
-    time_increment = "" if laser.time_increment_s is None else repr(laser.time_increment_s)
-    numbers = map(repr, (*laser.mounting, laser.angle_min, laser.angle_increment))
-    limits = f"{laser.range_min_m!r},{laser.range_max_m!r}"
-    return f"{_quote(laser.sensor)},{_quote(laser.frame)}", f"{','.join(numbers)},{time_increment},{limits}"
 
 
 def _quote(name: str) -> str:

@@ -191,16 +191,13 @@ class MeasurementQueue:
 
     def _next_measurement(self) -> tuple[AcceptedScan | SessionEnd | None, float | None]:
         """Return the first scan if its transforms are known, else the time to wait, s."""
-        scans, counts = self._scans, self.counts
-        while scans:
-            waiting = scans[0]
+        while self._scans:
+            waiting = self._scans[0]
             late_s = self._clock() - waiting.arrived_s - self._settings.transform_wait_s
             try:
                 accepted = self._make_measurement(waiting, last=late_s >= 0)
             except MissingTransform as missing:
-                if late_s < 0 and (
-                    missing.coverage in _MAY_ARRIVE or waiting.after_jump
-                ):  # its transforms may jump later
+                if late_s < 0 and (missing.coverage in _MAY_ARRIVE or waiting.after_jump):  # they may jump later
                     return None, -late_s
                 self._discard()
                 self._refuse("missing transform", str(missing))
@@ -210,19 +207,20 @@ class MeasurementQueue:
                 self._refuse("scan refused", f"{waiting.sensor}: {error}")
                 continue
             if waiting.after_jump and not self._continues(accepted.measurement.odometry):
-                scans[0] = waiting._replace(after_jump=False)
+                self._scans[0] = waiting._replace(after_jump=False)
                 self._odometry = None
                 self._latest_ns.clear()
                 return SessionEnd.JUMP, None
-            scans.popleft()
-            counts.accepted += 1
+            self._scans.popleft()
+            self.counts.accepted += 1
             self._check_measurement(accepted)
             return accepted, None
         return None, None
 
     def _make_measurement(self, waiting: _Waiting, *, last: bool) -> AcceptedScan:
         """Build the measurement of a scan; raises MissingTransform if a transform is not known (yet)."""
-        message, sensor, settings = waiting.message, waiting.sensor, self._settings
+        message = waiting.message
+        settings = self._settings
         odometry: Odometry | None = None
         if settings.odometry != "none":
             try:
@@ -240,8 +238,8 @@ class MeasurementQueue:
             if message.frame not in self._mountings:
                 raise
             mounting = self._mountings[message.frame]
-        builder = self._builders.setdefault(sensor, MeasurementBuilder())
-        return builder.build(message, sensor, mounting, odometry, waiting.arrived_s)
+        builder = self._builders.setdefault(waiting.sensor, MeasurementBuilder())
+        return builder.build(message, waiting.sensor, mounting, odometry, waiting.arrived_s)
 
     def _check_measurement(self, accepted: AcceptedScan) -> None:
         odometry, scan = accepted.measurement
@@ -275,8 +273,8 @@ class MeasurementQueue:
 
     def _drop_old(self, now_s: float) -> None:
         """Drop the oldest scans beyond the limits of the queue."""
-        scans, settings = self._scans, self._settings
-        while len(scans) > settings.queue_scans or now_s - scans[0].arrived_s > settings.queue_s:
+        scans = self._scans
+        while len(scans) > self._settings.queue_scans or now_s - scans[0].arrived_s > self._settings.queue_s:
             self._discard()
             self.counts.dropped += 1
 

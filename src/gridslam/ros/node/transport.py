@@ -8,6 +8,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias, final
 
@@ -150,14 +151,26 @@ class RosNode:
         core = self.core
         core.start()
         self._advertise_services()
+        scans = self._transport.resolve("scan")
+
+        def on_transforms(data: bytes, wire: Wire, publisher: str, static: bool = False) -> None:
+            core.on_transforms(decode_transforms(data, wire), static=static, publisher=publisher)
+
+        def on_scan(data: bytes, wire: Wire, publisher: str) -> None:
+            core.on_scan(decode_scan(data, wire), scans)
+
+        def on_pose(data: bytes, wire: Wire, publisher: str) -> None:
+            set_pose_from_message(core, data, wire)
+
         if core.localizes:
-            self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", self._on_pose, depth=1)
-        self._subscribe("/tf_static", "tf2_msgs/TFMessage", self._on_static_transforms, latched=True, depth=100)
-        self._subscribe("/tf", "tf2_msgs/TFMessage", self._on_transforms, depth=100)
-        self._subscribe("scan", "sensor_msgs/LaserScan", self._on_scan, reliable=False)
+            self._subscribe("initialpose", "geometry_msgs/PoseWithCovarianceStamped", on_pose, depth=1)
+        on_static_transforms = partial(on_transforms, static=True)
+        self._subscribe("/tf_static", "tf2_msgs/TFMessage", on_static_transforms, latched=True, depth=100)
+        self._subscribe("/tf", "tf2_msgs/TFMessage", on_transforms, depth=100)
+        self._subscribe("scan", "sensor_msgs/LaserScan", on_scan, reliable=False)
         settings = core.settings
         odometry = "" if settings.odometry == "none" else f" and for {settings.base_frame} in {settings.odom_frame}"
-        self._log(Level.OK, f"waiting for scans on {self._transport.resolve('scan')}{odometry}")
+        self._log(Level.OK, f"waiting for scans on {scans}{odometry}")
 
     def close(self) -> None:
         """Stop the core, write its map if a folder was given and there is a map, and shut the transport down."""
@@ -217,31 +230,17 @@ class RosNode:
         folder = self._out or Path("gridslam-map")
         transport.advertise("~/save", "std_srvs/Trigger", lambda request: save_results(core, folder), slow=True)
 
-    def _subscribe(self, topic: str, kind: str, handle: Handler, **qos: Any) -> None:  # noqa: ANN401
+    def _subscribe(self, topic: str, kind: str, handle: Callable[[bytes, Wire, str], None], **qos: Any) -> None:  # noqa: ANN401
         """Subscribe, and warn of bytes that are not a valid message."""
         name = self._transport.resolve(topic)
 
         def on_message(data: bytes, publisher: str) -> None:
             try:
-                handle(data, publisher)
+                handle(data, self._transport.wire_of(data), publisher)
             except MessageError as error:
                 self.core.refuse_message("message", f"{name}: {error}")
 
         self._transport.subscribe(topic, kind, on_message, **qos)
-
-    def _on_scan(self, data: bytes, publisher: str) -> None:
-        self.core.on_scan(decode_scan(data, self._transport.wire_of(data)), self._transport.resolve("scan"))
-
-    def _on_transforms(self, data: bytes, publisher: str) -> None:
-        transforms = decode_transforms(data, self._transport.wire_of(data))
-        self.core.on_transforms(transforms, publisher=publisher)
-
-    def _on_static_transforms(self, data: bytes, publisher: str) -> None:
-        transforms = decode_transforms(data, self._transport.wire_of(data))
-        self.core.on_transforms(transforms, static=True, publisher=publisher)
-
-    def _on_pose(self, data: bytes, publisher: str) -> None:
-        set_pose_from_message(self.core, data, self._transport.wire_of(data))
 
 
 def save_results(core: NodeCore, folder: Path) -> tuple[bool, str]:

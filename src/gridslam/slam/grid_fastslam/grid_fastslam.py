@@ -207,13 +207,14 @@ class GridFastSlam:
         self, state: GridFastSlamState, odometry: Odometry | None, beams: Beams
     ) -> tuple[TrackedScan, OdometryNoise | None]:
         """Track a scan with the odometry, unless its reported noise makes it useless; also return that noise."""
-        tracker, stamp_ns = self.tracker, beams.scan.stamp_ns
-        if odometry is not None and isinstance(tracker, Tracker):
+        stamp_ns = beams.scan.stamp_ns
+        matched = isinstance(self.tracker, Tracker)
+        if odometry is not None and isinstance(self.tracker, Tracker):
             seconds = 1e-9 * abs(stamp_ns - state.tracker.stamp_ns)
-            odometry = None if is_worse_than_velocity(odometry, seconds, tracker.velocity) else odometry
-        noise = OdometryNoise.from_reading(state, odometry, matched=isinstance(tracker, Tracker))
+            odometry = None if is_worse_than_velocity(odometry, seconds, self.tracker.velocity) else odometry
+        noise = OdometryNoise.from_reading(state, odometry, matched=matched)
         state.odometry_covariance = None if noise is None else noise.covariance
-        return tracker.step(state.tracker, odometry, stamp_ns, beams, state.odometry_covariance), noise
+        return self.tracker.step(state.tracker, odometry, stamp_ns, beams, state.odometry_covariance), noise
 
     def _predict(self, state: GridFastSlamState, tracked: TrackedScan, noise: OdometryNoise | None) -> MotionSampler:
         """Condition the motion on the control: the tracked motion since the last key scan, up to this scan."""

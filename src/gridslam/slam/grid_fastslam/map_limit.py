@@ -43,12 +43,15 @@ class MapLimit:
 
     def __call__(self, state: GridFastSlamState) -> IntArray | None:
         """Index of the particle that each continues, (N,); None if maps are within the limit, or not counted now."""
-        count, maps = len(state.poses), state.maps
+        count = len(state.poses)
+        maps = state.maps
         limit = self.tiles_per_particle * count
         if state.ancestry.steps % _EVERY or maps.tiles_used <= limit:
             return None
-        best, order = maps.tiles_of(np.array([state.best])), np.argsort(-state.log_weights, kind="stable")
-        apart, kept = max(limit - best, limit // 3), count
+        best = maps.tiles_of(np.array([state.best]))
+        order = np.argsort(-state.log_weights, kind="stable")
+        apart = max(limit - best, limit // 3)
+        kept = count
         while kept > 1 and maps.tiles_of(order[:kept]) - best > (apart if kept == count else _KEPT_RATIO * apart):
             kept = kept * 4 // 5
         return None if kept == count else _apportion(state.log_weights, order[:kept])

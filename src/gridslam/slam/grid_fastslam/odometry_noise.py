@@ -13,8 +13,7 @@ from typing import final
 
 import numpy as np
 
-from gridslam.geometry.compounding import compound_covariance
-from gridslam.geometry.se2 import between, compose, compose_jacobians
+from gridslam.geometry.se2 import between, compose, compose_jacobians, compound_covariance
 from gridslam.models.motion import GaussianIncrement
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, ConstantVelocity
@@ -74,7 +73,8 @@ class OdometryNoise:
         before = np.zeros((3, 3)) if begins else state.odometry_covariance
         if before is None:
             return None
-        moved, increment = between(base, tracker.pose), between(tracker.odometry, odometry.pose)
+        moved = between(base, tracker.pose)
+        increment = between(tracker.odometry, odometry.pose)
         moves = bool(increment.any())  # one reading may serve several scans
         covariance = compound_covariance(moved, before, increment, odometry.covariance) if moves else before
         since = between(tracker.matched_odometry, odometry.pose)

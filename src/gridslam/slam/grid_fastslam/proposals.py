@@ -101,7 +101,8 @@ class MotionModelProposal:
         rng: np.random.Generator,
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
-        rows, drawn = _rows(maps), motion(poses, rng)
+        rows = _rows(maps)
+        drawn = motion(poses, rng)
         match = EVALUATE_ONLY(maps, rows, drawn, np.zeros((len(rows), 3, 3)), beams)
         return ProposedPoses(drawn, weigh(maps, rows, drawn), match)
 
@@ -141,7 +142,8 @@ class ScanMatchedProposal:
         rng: np.random.Generator,
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
-        rows, drawn = _rows(maps), motion(poses, rng)
+        rows = _rows(maps)
+        drawn = motion(poses, rng)
         matcher = self.matcher if self._moved(motion, poses) else EVALUATE_ONLY
         match = matcher(maps, rows, drawn, self.beam_sigma_m**2 * _information(motion, poses), beams)
         return ProposedPoses(match.poses, weigh(maps, rows, match.poses), match)
@@ -185,7 +187,8 @@ class ImprovedProposal:
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
         rows = _rows(maps)
-        means, prior = motion.moments(poses)[0], _information(motion, poses)
+        means = motion.moments(poses)[0]
+        prior = _information(motion, poses)
         match = self.matcher(maps, rows, means, self.beam_sigma_m**2 * prior, beams)
         information = match.information / self.beam_sigma_m**2 + prior
         factor = np.linalg.cholesky(information)

@@ -71,7 +71,9 @@ class ReportBuilder:
     ) -> StepReport:
         """Report of a scan that did not step the particles: the best one's key pose, moved on by the tracker."""
         dx, dy, turn = key_from_base.tolist()
-        covariance, best, moved = state.covariance.copy(), state.best, math.hypot(dx, dy) + abs(turn)
+        covariance = state.covariance.copy()
+        best = state.best
+        moved = math.hypot(dx, dy) + abs(turn)
         covariance[0, 0] += moved * self.drift_sigma_m**2
         covariance[1, 1] += moved * self.drift_sigma_m**2
         covariance[2, 2] += moved * self.drift_sigma_rad**2
@@ -95,7 +97,8 @@ class ReportBuilder:
     def estimate(self, state: GridFastSlamState, match: Match, beams: BeamEnds) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them."""
         best = state.best
-        information, score = match.information[best], float(match.score[best])
+        information = match.information[best]
+        score = float(match.score[best])
         covariance = self.spread(state) + np.linalg.inv(information / self.sigma_m**2 + _MIN_INFORMATION)
         # the second key scan is not judged: a first scan that saw nothing leaves an empty map
         lost = score < self.lost_below * len(beams) and state.ancestry.steps > 2

@@ -7,24 +7,24 @@ landmarks had in common stays, as correlation between the landmarks.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from gridslam.errors import ConsumedStateError
 from gridslam.geometry.angles import wrap
-from gridslam.models.association import NEW, Association, KnownCorrespondence
-from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.landmark_observations import LandmarkObservations
-from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
-from gridslam.slam.landmarks.ekf_slam_state import EkfSlamState
-from gridslam.slam.landmarks.existence import LandmarkExistence
+from gridslam.models.association import NEW, Association, KnownCorrespondence, LandmarkExistence
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
+from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
+from gridslam.particles.initial import repeat_pose
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import mahalanobis
 from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["EkfSlam"]
+__all__ = ["EkfSlam", "EkfSlamState"]
 
 
 @final
@@ -76,7 +76,8 @@ class EkfSlam:
         ArgumentError
             The association needs correspondences that the observations do not contain.
         """
-        state, noise = state.take(), self.sensor.noise(observations)
+        state = state.take()
+        noise = self.sensor.noise(observations)
         self._predict(state, motion)
         places = self._correspondences(state, observations, noise)
         known = np.flatnonzero(places >= 0)
@@ -93,11 +94,14 @@ class EkfSlam:
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the confirmed landmarks."""
-        return state.landmark_map(self.existence.log_odds_confirmed)
+        kept = state.evidence >= self.existence.log_odds_confirmed
+        covariances = state.position_covariances[kept]
+        return LandmarkMap(state.names[kept], state.positions[kept], covariances, state.observations[kept])
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
         """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""
-        own, P = slice(state.first), state.covariance
+        own = slice(state.first)
+        P = state.covariance
         (moved,), (F,), (Q,) = self.bias.predict(motion, state.mean[None, own])
         state.mean[own] = moved
         P[own] = F @ P[own]
@@ -109,7 +113,8 @@ class EkfSlam:
         predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions)
         H = np.concatenate([H_x, H_m], axis=-1)
         P = np.empty((len(state.names), 5, 5))  # of the pose and each landmark
-        P[:, :3, :3], P[:, 3:, 3:] = state.pose_covariance, state.position_covariances
+        P[:, :3, :3] = state.pose_covariance
+        P[:, 3:, 3:] = state.position_covariances
         P[:, :3, 3:] = state.covariance[:3, state.first :].reshape(3, -1, 2).swapaxes(0, 1)
         P[:, 3:, :3] = P[:, :3, 3:].swapaxes(1, 2)
         residuals = self.sensor.residual(observations.values[:, None], predicted)
@@ -121,7 +126,8 @@ class EkfSlam:
         if not len(places):
             return
         residuals, HP, S = self._innovation(state, places, measured, noise)
-        W = np.linalg.solve(L := np.linalg.cholesky(S), HP)
+        L = np.linalg.cholesky(S)
+        W = np.linalg.solve(L, HP)
         state.mean += np.linalg.solve(L, residuals) @ W
         state.mean[2] = wrap(float(state.mean[2]))
         state.covariance -= W.T @ W
@@ -140,7 +146,8 @@ class EkfSlam:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Residuals (2 K,), H P (2 K, n) and S = H P H' + Q (2 K, 2 K), of the few columns where H is not 0."""
         predicted, H_x, H_m = self.sensor.linearize(state.pose, state.positions[places])
-        P, count = state.covariance, len(places)
+        count = len(places)
+        P = state.covariance
         columns = state.first + 2 * places[:, None] + np.arange(2)
         HP = H_x @ P[:3] + H_m @ P[columns]
         S = np.einsum("iac,jbc->iajb", HP[:, :, :3], H_x) + np.einsum("iajc,jbc->iajb", HP[:, :, columns], H_m)
@@ -162,7 +169,8 @@ class EkfSlam:
         if self.association.uses_signatures and observations.landmarks is not None:
             name = int(observations.landmarks[k])
         else:
-            name, state.next_name = state.next_name, state.next_name + 1
+            name = state.next_name
+            state.next_name += 1
         state.append(name, position, with_others, own)
         return len(state.names) - 1
 
@@ -177,3 +185,114 @@ class EkfSlam:
             state.evidence = self.existence(state.evidence, seen, state.pose, state.positions)
             if (state.evidence < 0).any():
                 state.keep(state.evidence >= 0)
+
+
+@final
+@dataclass(slots=True, eq=False)
+class EkfSlamState:
+    """Everything that the filter knows between two steps; it has one owner, who changes it.
+
+    Attributes
+    ----------
+    mean, covariance : (3 + B + 2 M,), (3 + B + 2 M, 3 + B + 2 M) float64
+        Of [x, y, theta, b_1, ..., m_1x, m_1y, m_2x, ...], in m and rad, map frame.
+    names : (M,) int64
+        Signatures of the landmarks, or numbers in the order of first sight.
+    evidence : (M,) float64, nats
+        Log odds that each exists; infinite where its signature is known.
+    observations : (M,) int64
+        How often each was seen.
+    next_name : int
+        Number of the next landmark without a signature.
+    biases : int
+        The number B of the odometry's errors that are learned.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    names: IntArray
+    evidence: FloatArray
+    observations: IntArray
+    next_name: int = 0
+    biases: int = 0
+    consumed: bool = False
+
+    @classmethod
+    def at(cls, pose: ArrayLike, bias: FloatArray) -> EkfSlamState:
+        """Begin at a pose (3,) that is exact, with errors of the odometry of covariance (B, B).
+
+        Raises ArgumentError where the pose is none.
+        """
+        mean = np.concatenate([repeat_pose(1, pose)[0], np.zeros(len(bias))])
+        covariance = np.zeros((len(mean), len(mean)))
+        covariance[3:, 3:] = bias
+        nothing = np.empty(0, np.int64)
+        return cls(mean, covariance, nothing, np.empty(0), nothing, biases=len(bias))
+
+    @property
+    def first(self) -> int:
+        """Row of the first landmark: 3 + B."""
+        return 3 + self.biases
+
+    @property
+    def pose(self) -> FloatArray:
+        """Mean pose (3,)."""
+        return self.mean[:3]
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the pose."""
+        return self.covariance[:3, :3]
+
+    @property
+    def positions(self) -> FloatArray:
+        """Mean positions (M, 2) of the landmarks."""
+        return self.mean[self.first :].reshape(-1, 2)
+
+    @property
+    def position_covariances(self) -> FloatArray:
+        """Covariance (M, 2, 2) of each landmark."""
+        count = np.arange(len(self.names))
+        of_landmarks = self.covariance[self.first :, self.first :].reshape(len(count), 2, len(count), 2)
+        return np.asarray(of_landmarks[count, :, count])
+
+    def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
+        """Add a landmark at the end.
+
+        Parameters
+        ----------
+        name : int
+        position : (2,) float64
+        with_others : (2, n) float64
+            Its covariance with all that is in the state.
+        own : (2, 2) float64
+            Its own covariance.
+        """
+        self.mean = np.concatenate([self.mean, position])
+        self.covariance = np.block([[self.covariance, with_others.T], [with_others, own]])
+        self.names = np.append(self.names, name)
+        self.evidence = np.append(self.evidence, 0.0)
+        self.observations = np.append(self.observations, 0)
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Forget all landmarks but those `kept` (M,)."""
+        rows = np.flatnonzero(np.concatenate([np.ones(self.first, np.bool_), np.repeat(kept, 2)]))
+        self.mean = self.mean[rows]
+        self.covariance = self.covariance[np.ix_(rows, rows)]
+        for name in ("names", "evidence", "observations"):
+            setattr(self, name, getattr(self, name)[kept])
+
+    def take(self) -> EkfSlamState:
+        """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
+        self._check()
+        self.consumed = True
+        return replace(self, consumed=False)
+
+    def snapshot(self) -> EkfSlamState:
+        """Return an independent copy for later."""
+        self._check()
+        return deepcopy(self)
+
+    def _check(self) -> None:
+        if self.consumed:
+            raise ConsumedStateError

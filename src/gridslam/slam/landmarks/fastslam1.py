@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from gridslam.arguments import require_generator, require_instance
 from gridslam.models.association import NEW
-from gridslam.models.landmark_observations import LandmarkObservations
+from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.filters import LandmarkFilters
+from gridslam.slam.landmarks.filters import LandmarkFilters, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.types import MotionSampler, Resampler
@@ -79,16 +79,17 @@ class FastSlam1:
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
         state = state.take()
-        poses = motion(state.poses, rng)  # x_t ~ p(x_t | x_t-1, u_t)
-        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(observations)), NEW)
-        for k in self.landmarks.order(state, observations, poses).tolist():
-            columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, poses, None, columns, rng)
-            log_weights += log_p  # w = p(z | x_t, m)
-            self.landmarks.correct(state, seen)
+        sampled = SampledPoses(motion(state.poses, rng))  # sample pose: x_t ~ p(x_t | x_t-1, u_t)
+        log_weights = np.zeros(len(state))
+        columns = np.full((len(state), len(observations)), NEW)
+        for k in self.landmarks.order(state, observations, sampled.poses).tolist():
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, sampled, columns, rng)
+            log_weights += log_p  # w = N(z; h, Q), with Q = H_m Sigma_j H_m' + Q_t, or p_0 for a new landmark
+            self.landmarks.correct(state, seen)  # observed landmark: K = Sigma_j H_m' Q^-1
         for k in range(len(observations)):
-            self.landmarks.add(state, columns[:, k], poses, observations, k)
-        state.advance(poses, state.state_covariances, log_weights)
-        self.landmarks.count(state, columns)
+            self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
+        state.advance(sampled.poses, state.state_covariances, log_weights)
+        self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):
             drawn = self.resampler(np.exp(state.log_weights), len(state), rng)

@@ -3,69 +3,114 @@
 Where the motion is noisier than the sensor, most poses sampled from the motion model fit no observation, and their
 particles are lost by resampling. Here the Gaussian of the motion is first corrected by the observations, as in an EKF,
 for each particle with its own map.
+
+Two variants sample less of the path: `FastSlam2WithLocalFrames` and `FastSlam2WithOdometryBias`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gridslam.arguments import require_generator, require_instance
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import lever_arm_jacobian
 from gridslam.models.association import NEW
-from gridslam.models.landmark_observations import LandmarkObservations
-from gridslam.models.odometry_bias import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.landmark import LandmarkObservations
 from gridslam.particles.policies import EffectiveSampleSizeBelow, ResamplingPolicy
 from gridslam.particles.resampling import Systematic
-from gridslam.slam.landmarks.bias import predict
-from gridslam.slam.landmarks.filters import LandmarkFilters
-from gridslam.slam.landmarks.local_frame import LocalFrameBelief
+from gridslam.slam.landmarks.filters import Innovation, LandmarkFilters, SampledPoses
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.types import MotionSampler, Resampler
+from gridslam.slam.landmarks.small_gaussians import draw_poses, inverse_2x2, matvec, transform_covariances, transpose
+from gridslam.types import FloatArray, IntArray, MotionSampler, Resampler
 
-__all__ = ["FastSlam2"]
+__all__ = ["FastSlam2", "PoseProposal"]
 
 
-@final
+@dataclass(eq=False)
+class PoseProposal:
+    """p(x_t | x_t-1, u_t, z_t, c_t): the Gaussian from which the pose of each particle is sampled.
+
+    Attributes
+    ----------
+    mean : (N, 3) float64
+        mu_x, map frame: the predicted poses, corrected by the observations so far.
+    covariance : (N, 3, 3) float64
+        Sigma_x: that of the motion, R_t, reduced by the observations so far.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+
+    @property
+    def poses(self) -> FloatArray:
+        """Mean poses (N, 3)."""
+        return self.mean[:, :3]
+
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray:
+        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns)."""
+        return self.covariance[rows]
+
+    def bound_covariance(self) -> FloatArray:
+        """Upper bound (N, 3, 3) of the pose covariance relative to any landmark."""
+        return self.covariance
+
+    def correct(self, seen: Innovation) -> FloatArray:
+        """Condition on an observation, where it has a landmark; returns by how much the means were shifted.
+
+        Sigma_x = [H_x' Q^-1 H_x + R^-1]^-1 = R - K H_x R and mu_x = x + Sigma_x H_x' Q^-1 (z - h) = x + K (z - h), with
+        the Kalman gain K = R H_x' L^-1, which needs no inverse of R: that may be singular.
+        """
+        R = self.covariance[seen.rows]
+        R_Hx = R @ transpose(self._jacobian(seen))
+        K = R_Hx @ inverse_2x2(seen.covariances)
+        shift = matvec(K, seen.residuals)
+        self.covariance[seen.rows] = R - K @ transpose(R_Hx)
+        self.mean[seen.rows] += shift[:, : self.mean.shape[1]]
+        self.mean[:, 2] = wrap(self.mean[:, 2])
+        return shift
+
+    def sample(self, rng: np.random.Generator) -> SampledPoses:
+        """x_t ~ N(mu_x, Sigma_x); mean and covariance are then what the state keeps of them."""
+        self.mean = draw_poses(self.mean, self.covariance, rng)
+        self.covariance = np.zeros_like(self.covariance)
+        return SampledPoses(self.mean)
+
+    def _jacobian(self, seen: Innovation) -> FloatArray:
+        """H_x (R, 2, 3): derivatives of the observation by what the covariance is of."""
+        return seen.by_pose
+
+
 @dataclass(frozen=True)
 class FastSlam2:
     """The filter; what it knows is in the state that goes in and comes out of `step`.
 
     The pose is sampled from p(x_t | x_t-1, u_t, z_t, c_t), a Gaussian by linearizing the measurement model about the
-    mean so far, one observation after the other. Without observations no pose is sampled, and the Gaussian is
-    propagated. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled pose nor the landmarks that it then
-    corrects have a part: what the proposal takes into account is not weighed again.
-
-    Where only new landmarks are observed, the pose is not sampled either: the new landmarks are kept in a local frame
-    whose pose is Gaussian (see `gridslam.slam.landmarks.local_frame`). So particles are not depleted by what is not
-    observable yet.
+    mean so far, one observation after the other. The weight is p(z_t | x_t-1, u_t, c_t), in which neither the sampled
+    pose nor the landmarks that it then corrects have a part: what the proposal takes into account is not weighed again.
 
     Attributes
     ----------
     landmarks, resampler, when_to_resample
         As for `FastSlam1`.
-    bias : OdometryBias
-        Systematic errors of the odometry, of which each particle keeps a Gaussian: they are never sampled, nor is the
-        part of the pose and of the landmarks that depends linearly on them. So a loop closure corrects the whole
-        trajectory before it. As the errors change, all is expressed by their current values (see
-        `landmark_bias.predict`).
 
-    Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The
-    correspondence is the one of greatest p(z_t | x_t-1, u_t, c_t), as in the paper, where the table draws a pose for
-    each landmark and compares their likelihoods; and the tables resample at every step and draw every pose.
+    Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The table
+    has one observation in each step, draws a pose for each landmark it might be of and takes the one of greatest
+    likelihood; here there are several, or none, and correspondences that are not known are judged by
+    p(z_t | x_t-1, u_t, c_t), as in the paper. Without observations no pose is sampled yet, and the Gaussian of the
+    motion is carried on. The table resamples at every step.
     """
 
     landmarks: LandmarkFilters = field(default_factory=LandmarkFilters)
     resampler: Resampler = Systematic()
     when_to_resample: ResamplingPolicy = EffectiveSampleSizeBelow()
-    bias: OdometryBias = EXACT_ODOMETRY
 
     def init(self, particles: int = 20, pose: ArrayLike = (0.0, 0.0, 0.0)) -> LandmarkParticles:
         """Begin with all particles at one pose (3,), without landmarks."""
-        return LandmarkParticles.at(particles, pose, self.bias.covariance())
+        return LandmarkParticles.at(particles, pose)
 
     def step(
         self,
@@ -78,30 +123,26 @@ class FastSlam2:
         require_instance("state", state, LandmarkParticles)
         require_generator(rng)
         state = state.take()
-        mean, spread = predict(state, self.bias, motion, rng)  # of p(x_t, b_t | x_t-1, u_t)
+        mean, R = self._predict(state, motion, rng)  # predict pose: g(x_t-1, u_t), R_t
         if not len(observations):
-            state.predict_without_drawing(mean, spread)
+            state.advance(mean, R)
             return state, state.report(np.empty((len(state), 0), np.int64))
-        log_weights, columns = np.zeros(len(state)), np.full((len(state), len(observations)), NEW)
-        belief = LocalFrameBelief.of(state, mean, spread)
-        for k in self.landmarks.order(state, observations, belief.poses).tolist():
-            columns[:, k], log_p, seen = self.landmarks.correspond(
-                state, observations, k, belief.poses, belief, columns, rng
-            )
-            log_weights += log_p  # w = p(z | x_t-1, u_t)
-            belief.correct(seen)
-        unknown = np.flatnonzero((columns == NEW).all(axis=1))
-        belief.open_local_frame(
-            unknown[self.landmarks.is_less_certain(belief.poses[unknown], spread[unknown], observations)], rng
-        )
-        state.advance(*belief.draw(rng), log_weights, belief.replaced)  # x_t ~ p(x_t | x_t-1, u_t, z_t)
-        for k in range(len(observations)):
-            rows = np.flatnonzero(columns[:, k] >= 0)
-            apart = belief.cross_frame_covariance(rows, columns[rows, k])
-            seen = self.landmarks.innovation(state, rows, columns[rows, k], state.poses, apart, observations, k)
+        proposal = self._propose(state, mean, R)
+        log_weights = np.zeros(len(state))
+        columns = np.full((len(state), len(observations)), NEW)
+        for k in self.landmarks.order(state, observations, proposal.poses).tolist():
+            # predict measurement: h, H_x, H_m, Q_j = H_m Sigma_j H_m' + Q_t, L = H_x R_t H_x' + Q_j; correspondence
+            columns[:, k], log_p, seen = self.landmarks.correspond(state, observations, k, proposal, columns, rng)
+            log_weights += log_p  # w = N(z; h, L), or p_0 for a new landmark
+            proposal.correct(seen)  # covariance and mean of proposal: Sigma_x, mu_x
+        sampled = self._sample(proposal, observations, columns, rng)  # sample pose: x_t ~ N(mu_x, Sigma_x)
+        state.advance(proposal.mean, proposal.covariance, log_weights)
+        for k in range(len(observations)):  # update Kalman filters
+            rows = np.flatnonzero(columns[:, k] >= 0)  # observed landmark: K = Sigma_j H_m' Q_j^-1
+            seen = self.landmarks.innovation(state, rows, columns[rows, k], sampled, observations, k)
             self.landmarks.correct(state, seen)
-            self.landmarks.add(state, columns[:, k], state.poses, observations, k)
-        self.landmarks.count(state, columns)
+            self.landmarks.add(state, columns[:, k], sampled.poses, observations, k)  # new landmark: h^-1(z_t, x_t)
+        self.landmarks.count(state, columns)  # the counters i_j, of landmarks that should have been seen, too
         report = state.report(columns)
         if self.when_to_resample(report.n_eff, len(state)):
             drawn = self.resampler(np.exp(state.log_weights), len(state), rng)
@@ -111,3 +152,20 @@ class FastSlam2:
     def landmark_map(self, state: LandmarkParticles) -> LandmarkMap:
         """Return the confirmed landmarks of the best particle."""
         return state.landmark_map()
+
+    def _predict(
+        self, state: LandmarkParticles, motion: MotionSampler, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """p(x_t | x_t-1, u_t), of a pose x_t-1 that was sampled, or whose Gaussian was carried on."""
+        mean, R = motion.moments(state.poses)
+        if state.state_covariances.any():
+            R = R + transform_covariances(lever_arm_jacobian(state.poses, mean), state.state_covariances)
+        return mean, R
+
+    def _propose(self, state: LandmarkParticles, mean: FloatArray, covariance: FloatArray) -> PoseProposal:
+        return PoseProposal(mean, covariance)
+
+    def _sample(
+        self, proposal: PoseProposal, observations: LandmarkObservations, columns: IntArray, rng: np.random.Generator
+    ) -> SampledPoses:
+        return proposal.sample(rng)

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.models.association import AMBIGUOUS, NEW, Association, KnownCorrespondence, MaximumLikelihood, signatures
-from gridslam.models.landmark import LandmarkModel, RangeBearing
-from gridslam.models.landmark_observations import LandmarkObservations
-from gridslam.slam.landmarks.existence import LandmarkExistence
-from gridslam.slam.landmarks.local_frame import LocalFrameBelief
+from gridslam.models.association import (
+    AMBIGUOUS,
+    NEW,
+    Association,
+    KnownCorrespondence,
+    LandmarkExistence,
+    MaximumLikelihood,
+    signatures,
+)
+from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeBearing
 from gridslam.slam.landmarks.particles import LandmarkParticles
 from gridslam.slam.landmarks.small_gaussians import (
     inverse_2x2,
@@ -25,7 +30,35 @@ from gridslam.slam.landmarks.small_gaussians import (
 )
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["Innovation", "LandmarkFilters"]
+__all__ = ["Innovation", "LandmarkFilters", "PoseBelief", "SampledPoses"]
+
+
+class PoseBelief(Protocol):
+    """The poses from which landmarks are observed: sampled ones, or a Gaussian in each particle."""
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (N, 3), or their means."""
+
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
+        """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns); None where they are sampled."""
+
+    def bound_covariance(self) -> FloatArray | None:
+        """Upper bound (N, 3, 3) of the pose covariance relative to any landmark; None where they are sampled."""
+
+
+@dataclass(frozen=True, eq=False)
+class SampledPoses:
+    """Poses (N, 3) that are sampled: each particle takes its own for exact."""
+
+    poses: FloatArray
+
+    def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
+        """Return None: there is no covariance."""
+        return None
+
+    def bound_covariance(self) -> None:
+        """Return None: there is no covariance."""
 
 
 @final
@@ -52,8 +85,6 @@ class Innovation:
 
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
-        if chosen.all():
-            return self
         return Innovation(
             self.rows[chosen], self.columns[chosen], self.residuals[chosen], self.covariances[chosen],
             self.by_pose[chosen], self.by_landmark[chosen],
@@ -95,17 +126,15 @@ class LandmarkFilters:
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
 
     def correspond(
-        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: LocalFrameBelief | None, taken: IntArray, rng: np.random.Generator,
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief,
+        taken: IntArray, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Associate observation k with a landmark in each particle.
 
         Parameters
         ----------
-        poses : (N, 3) float64
-            Poses of the observation.
-        belief : LocalFrameBelief or None
-            Belief of these poses; None if they are given.
+        belief : PoseBelief
+            The poses of the observation.
         taken : (N, K) int64
             Columns of the observations before, below 0 where there is none: a landmark is observed once per step.
         rng : numpy.random.Generator
@@ -121,37 +150,29 @@ class LandmarkFilters:
             What the particles predict that know a landmark.
         """
         if isinstance(self.association, MaximumLikelihood):
-            return self._draw_correspondences(state, observations, k, poses, belief, taken, self.association, rng)
+            return self._draw_correspondences(state, observations, k, belief, taken, self.association, rng)
         column = state.column(int(signatures(observations)[k]))
         rows = np.arange(len(state) if column != NEW else 0)
-        seen = self._predict(state, rows, np.full(len(rows), column), poses, belief, observations, k)
+        seen = self.innovation(state, rows, np.full(len(rows), column), belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         believed = squared <= self.association.gate
         columns = np.full(len(state), NEW)
-        likelihood = np.full(len(state), self._count_outliers(observations, k))
+        likelihood = np.full(len(state), self._log_threshold(observations, k))
         columns[rows] = np.where(believed, column, AMBIGUOUS)
         likelihood[rows] = log_density(np.minimum(squared, self.association.gate), log_dets)
         return columns, likelihood, seen.select(believed)
 
     def innovation(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        spread: FloatArray | None, observations: LandmarkObservations, k: int,
+        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, belief: PoseBelief,
+        observations: LandmarkObservations, k: int,
     ) -> Innovation:  # fmt: skip
-        """Predict observation k of R landmarks (rows, columns) from poses (N, 3), for these of covariance (R, 3, 3)."""
-        predicted, H_x, H_m = self.sensor.linearize(poses[rows], state.positions[rows, columns])
+        """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
+        predicted, H_x, H_m = self.sensor.linearize(belief.poses[rows], state.positions[rows, columns])
         L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
-        if spread is not None:
-            L += transform_covariances(H_x, spread)
+        R = belief.covariance_seen_from(rows, columns)
+        if R is not None:
+            L += transform_covariances(H_x, R)
         return Innovation(rows, columns, self.sensor.residual(observations.values[k], predicted), L, H_x, H_m)
-
-    def is_less_certain(
-        self, poses: FloatArray, spread: FloatArray, observations: LandmarkObservations
-    ) -> NDArray[np.bool_]:
-        """Whether poses (R, 3 or more) of covariances `spread` are less certain (R,) than the observations."""
-        _, H_x, _ = self.sensor.linearize(poses, self.sensor.locate(poses, observations.values[0]))
-        of_pose = transform_covariances(H_x, np.ascontiguousarray(spread[:, :3, :3]))
-        ratio = np.linalg.inv(self.sensor.noise(observations)[0]) @ of_pose
-        return np.asarray(np.trace(ratio, axis1=1, axis2=2) > 2.0)  # of two numbers
 
     def correct(self, state: LandmarkParticles, seen: Innovation) -> None:
         """Correct the observed landmarks, given the poses.
@@ -188,7 +209,8 @@ class LandmarkFilters:
         state.covariances[of] = transform_covariances(
             root, np.broadcast_to(self.sensor.noise(observations)[k], root.shape)
         )
-        state.evidence[of], state.observations[of] = 0.0, 0
+        state.evidence[of] = 0.0
+        state.observations[of] = 0
         state.landmark_in_local_frame[of] = state.in_local_frame[rows]
 
     def count(self, state: LandmarkParticles, columns: IntArray) -> None:
@@ -200,7 +222,8 @@ class LandmarkFilters:
         of = rows, columns[rows, k]
         state.observations[of] += 1
         if self.association.uses_signatures:
-            state.evidence[of], state.confirmed[of] = math.inf, True
+            state.evidence[of] = math.inf
+            state.confirmed[of] = True
         elif columns.shape[1]:  # a sensor that sees nothing may not have looked
             seen = np.zeros(state.evidence.shape, np.bool_)
             seen[of] = True
@@ -208,34 +231,27 @@ class LandmarkFilters:
             state.evidence = np.where(evidence < 0, -math.inf, evidence)
             state.confirmed = (state.confirmed | (evidence >= self.existence.log_odds_confirmed)) & (evidence >= 0)
 
-    def _predict(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, poses: FloatArray,
-        belief: LocalFrameBelief | None, observations: LandmarkObservations, k: int,
-    ) -> Innovation:  # fmt: skip
-        spread = None if belief is None else belief.covariance_seen_from(rows, columns)
-        return self.innovation(state, rows, columns, poses, spread, observations, k)
-
-    def _count_outliers(self, observations: LandmarkObservations, k: int) -> float:
-        """Log density at the threshold beyond which an observation is of no known landmark."""
-        return float(
-            log_density(self.association.outlier_distance, np.log(np.linalg.det(self.sensor.noise(observations)[k])))
-        )
+    def _log_threshold(self, observations: LandmarkObservations, k: int) -> float:
+        """log p_0, the density at the threshold beyond which an observation is of no known landmark."""
+        log_det = np.log(np.linalg.det(self.sensor.noise(observations)[k]))
+        return float(log_density(self.association.outlier_distance, log_det))
 
     def _draw_correspondences(
-        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: LocalFrameBelief | None, taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief,
+        taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
     ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
         """Sample c ~ p(c | z), so that particles hold different correspondences; the weight is the sum of p(z | c)."""
-        rows, columns = np.nonzero(self._may_match(state, observations, k, poses, belief, within.new_gate))
-        seen = self._predict(state, rows, columns, poses, belief, observations, k)
+        rows, columns = np.nonzero(self._may_match(state, observations, k, belief, within.new_gate))
+        seen = self.innovation(state, rows, columns, belief, observations, k)
         squared, log_dets = mahalanobis(seen.residuals, seen.covariances)
         free = (taken[rows] != columns[:, None]).all(axis=1)
         near = np.zeros(len(state), np.bool_)
         near[rows[free & (squared <= within.new_gate)]] = True
         log_p = np.full((len(state), 1 + len(state.names)), -math.inf)
-        log_p[:, 0] = self._count_outliers(observations, k)
+        log_p[:, 0] = self._log_threshold(observations, k)
         log_p[rows[free], 1 + columns[free]] = log_density(squared[free], log_dets[free])
-        likelihood, possible = np.logaddexp.reduce(log_p, axis=1), log_p > -math.inf
+        likelihood = np.logaddexp.reduce(log_p, axis=1)
+        possible = log_p > -math.inf
         log_p[possible] += rng.gumbel(size=int(possible.sum()))  # the greatest is then a draw
         drawn = log_p.argmax(axis=1) - 1  # NEW is -1
         drawn[(drawn == NEW) & near] = AMBIGUOUS
@@ -244,15 +260,14 @@ class LandmarkFilters:
         return drawn, likelihood, seen.select(chosen & (squared <= within.match_gate))
 
     def _may_match(
-        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, poses: FloatArray,
-        belief: LocalFrameBelief | None, distance: float,
-    ) -> NDArray[np.bool_]:  # fmt: skip
+        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief, distance: float
+    ) -> NDArray[np.bool_]:
         """Which landmarks (N, M) may be within a squared Mahalanobis distance, by bounds that cost little."""
-        at = self.sensor.locate(poses, observations.values[k])
-        _, H_x, H_m = self.sensor.linearize(poses, at)
+        at = self.sensor.locate(belief.poses, observations.values[k])
+        _, H_x, H_m = self.sensor.linearize(belief.poses, at)
         L = self.sensor.noise(observations)[k]
-        if belief is not None:
-            L = L + transform_covariances(H_x, belief.bound_covariance())
+        if (bound := belief.bound_covariance()) is not None:
+            L = L + transform_covariances(H_x, bound)
         reach = np.trace(transform_covariances(inverse_2x2(H_m), np.broadcast_to(L, H_m.shape)), axis1=1, axis2=2)
         reach = reach[:, None] + state.covariances[..., 0, 0] + state.covariances[..., 1, 1]
         x, y = (state.positions[..., i] - at[:, None, i] for i in (0, 1))

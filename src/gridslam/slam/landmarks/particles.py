@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -9,17 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridslam.errors import ConsumedStateError
-from gridslam.geometry.se2 import weighted_covariance
+from gridslam.geometry.angles import wrap
+from gridslam.geometry.se2 import between, compose, lever_arm_jacobian, weighted_covariance
 from gridslam.models.association import NEW
+from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
 from gridslam.particles.ancestry import Ancestry
 from gridslam.particles.initial import repeat_pose
 from gridslam.particles.resampling import effective_sample_size, normalize
-from gridslam.slam.landmarks.local_frame import lever_arm_jacobian
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.landmarks.small_gaussians import transform_covariances
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import FloatArray, IntArray, MotionSampler
 
-__all__ = ["LandmarkParticles"]
+__all__ = ["LandmarkParticles", "smooth_trajectory"]
+
 
 _NO_BIAS = np.empty((0, 0))
 _MORE = 8  # columns that are added where none is free
@@ -64,10 +67,12 @@ class LandmarkParticles:
         `gridslam.slam.landmarks.local_frame`.
     in_local_frame, local_frame_step : (N,) bool, (N,) int64
         Whether the robot is in it, and the step at which it was opened, 0 if there is none.
+    replaced_local_frames : (N, 5) float64 or None
+        Within a step that opens local frames: those before, as the ancestry keeps them.
     landmark_in_local_frame : (N, M) bool
         Landmarks kept in the local frame.
     ancestry : Ancestry
-        Ancestry of all particles, step by step, including the first pose: `landmark_path.smooth_trajectory` computes
+        Ancestry of all particles, step by step, including the first pose: `smooth_trajectory` computes
         trajectories from it.
     """
 
@@ -90,6 +95,7 @@ class LandmarkParticles:
     local_frame_step: IntArray
     landmark_in_local_frame: NDArray[np.bool_]
     ancestry: Ancestry
+    replaced_local_frames: FloatArray | None = None
     consumed: bool = False
 
     @classmethod
@@ -98,19 +104,31 @@ class LandmarkParticles:
 
         Raises ArgumentError where there is no particle, or no such pose.
         """
-        poses, errors = repeat_pose(particles, pose), len(bias)
-        known, spread = np.zeros((particles, 3 + errors)), np.zeros((particles, 3 + errors, 3 + errors))
-        known[:, :3], spread[:, 3:, 3:] = poses, bias
+        poses = repeat_pose(particles, pose)
+        errors = len(bias)
+        spread = np.zeros((particles, 3 + errors, 3 + errors))
+        spread[:, 3:, 3:] = bias
         return cls(
-            known, spread, np.zeros((particles, 3, errors)), np.zeros((particles, errors, 1 + errors)),
-            np.full(particles, -np.log(particles)), np.zeros(particles), np.empty(0, np.int64),
-            np.empty((particles, 0, 2)), np.empty((particles, 0, 2, 2)), np.empty((particles, 0, 2, errors)),
-            np.empty((particles, 0)),
-            np.zeros((particles, 0), np.bool_), np.empty((particles, 0), np.int64),
-            np.zeros((particles, 3)), np.zeros((particles, 3, 3)), np.zeros(particles, np.bool_),
-            np.zeros(particles, np.int64), np.zeros((particles, 0), np.bool_),
-            Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + (5 + errors) * errors)))),
-        )  # fmt: skip
+            state_means=np.pad(poses, ((0, 0), (0, errors))),
+            state_covariances=spread,
+            pose_by_bias=np.zeros((particles, 3, errors)),
+            bias_before=np.zeros((particles, errors, 1 + errors)),
+            log_weights=np.full(particles, -np.log(particles)),
+            log_ancestry=np.zeros(particles),
+            names=np.empty(0, np.int64),
+            positions=np.empty((particles, 0, 2)),
+            covariances=np.empty((particles, 0, 2, 2)),
+            positions_by_bias=np.empty((particles, 0, 2, errors)),
+            evidence=np.empty((particles, 0)),
+            confirmed=np.empty((particles, 0), np.bool_),
+            observations=np.empty((particles, 0), np.int64),
+            local_frames=np.zeros((particles, 3)),
+            local_frame_covariances=np.zeros((particles, 3, 3)),
+            in_local_frame=np.zeros(particles, np.bool_),
+            local_frame_step=np.zeros(particles, np.int64),
+            landmark_in_local_frame=np.empty((particles, 0), np.bool_),
+            ancestry=Ancestry.start(np.pad(poses, ((0, 0), (0, 6 + (5 + errors) * errors)))),
+        )
 
     def __len__(self) -> int:
         """Return the number N of particles."""
@@ -139,10 +157,12 @@ class LandmarkParticles:
         """
         spread = self._landmark_covariances()
         if (self.names < 0).all():
-            best, kept = self.best, np.flatnonzero(self.confirmed[self.best])
+            best = self.best
+            kept = np.flatnonzero(self.confirmed[best])
             return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
         kept = np.flatnonzero(self.names >= 0)
-        weights, positions = np.exp(self.log_weights), self.positions[:, kept]
+        weights = np.exp(self.log_weights)
+        positions = self.positions[:, kept]
         means = np.einsum("n,nmi->mi", weights, positions)
         apart = positions - means
         covariances = np.einsum("n,nmij->mij", weights, spread[:, kept])
@@ -165,37 +185,38 @@ class LandmarkParticles:
         self.names[column] = name
         return np.full(len(particles), column)
 
-    def advance(
-        self, known: FloatArray, spread: FloatArray, log_weights: FloatArray, local_frames: FloatArray | None = None
-    ) -> None:
-        """Give every particle the pose that was drawn, errors (N, 3 + B), their covariance, and its weight (N,).
+    def advance(self, known: FloatArray, spread: FloatArray, log_weights: FloatArray | None = None) -> None:
+        """Give every particle its pose and errors (N, 3 + B), their covariance, and its weight (N,), if it was drawn.
 
-        `local_frames` (N, 5) is stored in the ancestry instead of `current_local_frames()` where local frames are
-        replaced.
+        Without observations, hence without weights, poses are not drawn.
         """
-        self._extend_ancestry(known, spread, True, local_frames)
-        self.log_weights = normalize(self.log_weights + log_weights)
-        accumulated = self.log_ancestry + log_weights
-        self.log_ancestry = accumulated - accumulated.max()
-
-    def predict_without_drawing(self, known: FloatArray, spread: FloatArray) -> None:
-        """Predict poses and errors (N, 3 + B) with covariance (N, 3 + B, 3 + B), without observations."""
-        self._extend_ancestry(known, spread, False, None)
-
-    def current_local_frames(self) -> FloatArray:
-        """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
-        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
-
-    def _extend_ancestry(
-        self, known: FloatArray, spread: FloatArray, drawn: bool, local_frames: FloatArray | None
-    ) -> None:
-        self.state_means, self.state_covariances = known, spread
-        frames = self.current_local_frames() if local_frames is None else local_frames
-        past = [self.poses, frames, np.full(len(self), drawn)]
+        self.state_means = known
+        self.state_covariances = spread
+        frames = self.replaced_local_frames
+        past = [self.poses, self._describe_local_frames() if frames is None else frames]
+        past.append(np.full(len(self), log_weights is not None))
+        self.replaced_local_frames = None
         if self.pose_by_bias.size:
             self.pose_by_bias = spread[:, :3, 3:] @ np.linalg.inv(spread[:, 3:, 3:])
             past += [known[:, 3:], *(part.reshape(len(self), -1) for part in (self.pose_by_bias, self.bias_before))]
         self.ancestry.extend(np.column_stack(past))
+        if log_weights is not None:
+            self.log_weights = normalize(self.log_weights + log_weights)
+            accumulated = self.log_ancestry + log_weights
+            self.log_ancestry = accumulated - accumulated.max()
+
+    def open_local_frames(self, rows: IntArray, poses: FloatArray) -> None:
+        """Open local frames at poses (R, 3) in particles `rows` (R,), with no landmark in them yet."""
+        self.in_local_frame[rows] = False
+        self.replaced_local_frames = self._describe_local_frames()
+        self.local_frames[rows] = poses
+        self.in_local_frame[rows] = True
+        self.landmark_in_local_frame[rows] = False
+        self.local_frame_step[rows] = self.ancestry.steps  # the step that is being taken
+
+    def _describe_local_frames(self) -> FloatArray:
+        """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
+        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -220,9 +241,10 @@ class LandmarkParticles:
         weights = np.exp(self.log_weights)
         covariance = weighted_covariance(self.poses, weights)
         covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
-        told = [self._name(place) for place in places[best].tolist()]
-        n_eff = effective_sample_size(self.log_weights)
-        return LandmarkReport(self.poses[best].copy(), covariance, np.array(told, np.int64), n_eff)
+        columns = places[best]
+        names = self.names[columns]  # below 0 where columns have no signatures
+        told = np.where((columns >= 0) & (names >= 0), names, columns)
+        return LandmarkReport(self.poses[best].copy(), covariance, told, effective_sample_size(self.log_weights))
 
     def take(self) -> LandmarkParticles:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
@@ -251,10 +273,6 @@ class LandmarkParticles:
         turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
         return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
 
-    def _name(self, column: int) -> int:
-        """Name of the landmark in a column; what is no column stays what it is."""
-        return int(self.names[column]) if column >= 0 and self.names[column] >= 0 else column
-
     def _grow(self) -> None:
         """Add free columns."""
         count = len(self)
@@ -275,15 +293,88 @@ _OF_LANDMARKS = {
     "observations": 0, "landmark_in_local_frame": False,
 }  # fmt: skip
 _OF_POSES = (
-    "state_means",
-    "state_covariances",
-    "pose_by_bias",
-    "bias_before",
-    "log_ancestry",
-    "local_frames",
-    "local_frame_covariances",
-    "in_local_frame",
-    "local_frame_step",
-)
+    "state_means", "state_covariances", "pose_by_bias", "bias_before", "log_ancestry", "local_frames",
+    "local_frame_covariances", "in_local_frame", "local_frame_step",
+)  # fmt: skip
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"
+
+
+def smooth_trajectory(
+    state: LandmarkParticles, particle: int, motions: Sequence[MotionSampler], bias: OdometryBias = EXACT_ODOMETRY
+) -> FloatArray:
+    """Trajectory (1 + T, 3) of a particle, map frame: sampled poses, and smoothed poses between them.
+
+    Poses sampled in a local frame are transformed by its final pose, and all sampled poses are corrected by the final
+    estimate of the odometry errors. Poses that were not sampled, since nothing was observed, are the means of
+    p(x_t | u, the poses sampled before and after), by one pass of a Kalman smoother. For FastSLAM 1.0, which samples
+    every pose, the trajectory is the ancestry.
+
+    Parameters
+    ----------
+    state : LandmarkParticles
+    particle : int
+        In [0, N).
+    motions : sequence of MotionSampler
+        The T motions that were taken since the first pose.
+    bias : OdometryBias
+        The errors of the odometry that the filter learned.
+
+    Source: H. Rauch, F. Tung, C. Striebel, Maximum likelihood estimates of linear dynamic systems, 1965.
+    """
+    rows = state.ancestry.trajectory(particle)
+    poses = rows[:, :3]
+    local_frames = rows[:, 3:6]
+    local_frame_step = rows[:, 6]
+    in_local_frame = rows[:, 7] > 0
+    drawn = rows[:, 8] > 0
+    errors = _smooth_bias(poses, rows[:, 9:], len(bias))
+    for frame in np.unique(local_frame_step[local_frame_step > 0]).astype(int).tolist():
+        mine = local_frame_step == frame
+        end = local_frames[mine][-1]
+        inside = mine & in_local_frame
+        poses[inside] = compose(end, between(local_frames[inside], poses[inside]))
+        poses[frame] = end  # it came to be where the robot was
+    drawn[0] = True
+    keys = np.flatnonzero(drawn)
+    for begin, end in zip(keys[:-1].tolist(), keys[1:].tolist(), strict=True):
+        if end > begin + 1:
+            poses[begin + 1 : end] = _interpolate(poses[begin], poses[end], motions[begin:end], bias, errors[begin:end])
+    for t in range(int(keys[-1]), len(poses) - 1):  # only the motion constrains these
+        poses[t + 1] = bias.predict(motions[t], np.append(poses[t], errors[t])[None])[0][0, :3]
+    return poses
+
+
+def _smooth_bias(poses: FloatArray, rows: FloatArray, count: int) -> FloatArray:
+    """Turn poses (T, 3) by what the odometry's errors (T, B), which it returns, turned out to be at each of them."""
+    believed, by_errors, before = np.split(rows, [count, 4 * count], axis=1)
+    errors = believed.copy()
+    for t in range(len(rows) - 1, 0, -1):
+        errors[t - 1] = before[t].reshape(count, 1 + count) @ np.append(1.0, errors[t])
+    poses += (by_errors.reshape(len(rows), 3, count) @ (errors - believed)[:, :, None])[:, :, 0]
+    poses[:, 2] = wrap(poses[:, 2])
+    return errors
+
+
+def _interpolate(
+    begin: FloatArray, end: FloatArray, motions: Sequence[MotionSampler], bias: OdometryBias, errors: FloatArray
+) -> FloatArray:
+    """Expected poses (K - 1, 3) between two that K motions by an odometry of errors (K, B) are apart."""
+    means = [begin]
+    covariances = [np.zeros((3, 3))]
+    moves = list[FloatArray]()
+    for motion, known in zip(motions, errors, strict=True):
+        (mean,), (F,), (Q,) = bias.predict(motion, np.append(means[-1], known)[None])
+        G = F[:3, :3]
+        moves.append(G)
+        means.append(mean[:3])
+        covariances.append(G @ covariances[-1] @ G.T + Q[:3, :3])
+    smoothed = np.array(means)
+    smoothed[-1] = end
+    for t in range(len(motions) - 1, 0, -1):
+        gain = covariances[t] @ moves[t].T @ np.linalg.pinv(covariances[t + 1], hermitian=True)
+        change = smoothed[t + 1] - means[t + 1]
+        change[2] = wrap(change[2])
+        smoothed[t] += gain @ change
+    smoothed[:, 2] = wrap(smoothed[:, 2])
+    return smoothed[1:-1]

@@ -39,16 +39,14 @@ def matvec(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 def inverse_2x2(matrices: FloatArray) -> FloatArray:
     """Inverses (..., 2, 2) of matrices (..., 2, 2)."""
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
-    inverse = np.empty(matrices.shape)
-    inverse[..., 0, 0], inverse[..., 0, 1], inverse[..., 1, 0], inverse[..., 1, 1] = d, -b, -c, a
-    inverse /= (a * d - b * c)[..., None, None]
-    return inverse
+    adjugate = np.stack([d, -b, -c, a], axis=-1).reshape(matrices.shape)
+    return np.asarray(adjugate / (a * d - b * c)[..., None, None])
 
 
 def mahalanobis(residuals: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Squared Mahalanobis distances (...) of residuals (..., 2), and log determinants (...) of the covariances."""
-    a, b, d = covariances[..., 0, 0], covariances[..., 0, 1], covariances[..., 1, 1]
-    x, y = residuals[..., 0], residuals[..., 1]
+    a, b, _, d = (covariances[..., i, j] for i in (0, 1) for j in (0, 1))
+    x, y = (residuals[..., i] for i in (0, 1))
     determinant = a * d - b * b
     return np.asarray((d * x * x - 2 * b * x * y + a * y * y) / determinant), np.log(determinant)
 
@@ -70,14 +68,11 @@ def draw(means: FloatArray, covariances: FloatArray, rng: np.random.Generator) -
 
     Cholesky's factor comes column by column, and each takes away what it explains; variances may be 0.
     """
-    drawn, left = means.T.copy(), covariances.transpose(1, 2, 0).copy()  # loops run along particles
+    drawn = means.T.copy()
+    left = covariances.transpose(1, 2, 0).copy()  # loops run along particles
     for i, number in enumerate(rng.standard_normal(means.shape).T):
-        column = _quotient(left[i], np.sqrt(np.maximum(left[i, i], 0.0)))
+        sigma = np.sqrt(np.maximum(left[i, i], 0.0))
+        column = np.divide(left[i], sigma, out=np.zeros_like(left[i]), where=sigma > 0)  # no variance, no covariance
         drawn += number * column
         left -= column[:, None] * column
     return np.ascontiguousarray(drawn.T)
-
-
-def _quotient(numbers: FloatArray, by: FloatArray) -> FloatArray:
-    """numbers / by, and 0 where `by` is: a coordinate without variance has no covariance."""
-    return np.divide(numbers, by, out=np.zeros_like(numbers), where=by > 0)

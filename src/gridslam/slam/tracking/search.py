@@ -97,10 +97,6 @@ class OdometrySearch:
         """Whether scans are far apart, in time or by the way driven between them."""
         return state.period_s > self.sparse_period_s or state.mean_step > self.sparse_step
 
-    def _is_usual(self, state: TrackerState, predicted: Prediction) -> bool:
-        """Whether the robot drove about as far as it does between two scans, so that the errors learned hold."""
-        return self.is_sparse(state) and predicted.moved_m + predicted.turned_rad < 2 * max(state.mean_step, 0.5)
-
     def control(self, state: TrackerState, found: PoseEstimate) -> tuple[FloatArray, FloatArray | None]:
         """Where the particles look for a scan (3,) by the odometry, and the variances (2,) of that beside their noise.
 
@@ -122,7 +118,9 @@ class OdometrySearch:
         pyramid = Pyramid.of(state.maps, state.matched_map)
         best = PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
         error_m, error_rad = np.sqrt(state.odometry_errors.variances).tolist()
-        known = state.odometry_errors.segments >= MIN_SEGMENTS and self._is_usual(state, predicted)
+        # the errors learned hold where the robot drove about as far as it does between two scans
+        is_usual = predicted.moved_m + predicted.turned_rad < 2 * max(state.mean_step, 0.5)
+        known = state.odometry_errors.segments >= MIN_SEGMENTS and self.is_sparse(state) and is_usual
         sigma_m = max(error_m, _MIN_SIGMA_M if known else predicted.sigma_m)
         sigma_rad = max(error_rad, predicted.sigma_rad)
 

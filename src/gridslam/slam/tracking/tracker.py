@@ -247,37 +247,38 @@ class Tracker:
         known = self.calibration is not None and self.calibration.is_known(state.odometry_errors)
         matcher = calibrated(self.matcher) if known else self.matcher
         match = matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
-        best, score = match.poses[0], float(match.score[0])
-        pose = best
+        pose = match.poses[0]
+        score = float(match.score[0])
         if score < self.min_inlier_ratio * len(beams):
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
+        stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
         away = math.hypot(pose[0] - predicted.pose[0], pose[1] - predicted.pose[1])
         if away > max(self.slip_m, 4 * predicted.sigma_m):
-            stayed = np.array([predicted.pose[0], predicted.pose[1], pose[2]])
             before = EVALUATE_ONLY(state.maps, state.row, stayed[None], NO_PRIOR, beams).score[0]
             pose = pose if score - float(before) > self.slip_inlier_gain * len(beams) else stayed
-        determined = pose is best and self._is_determined(match)
+        determined = pose is not stayed and self._is_determined(match)
         return PoseEstimate(
             pose, predicted, matched=True, lost=False, inlier_ratio=score / len(beams), determined=determined
         )
 
     def _match_from_velocity(self, state: TrackerState, predicted: Prediction, beams: BeamEnds) -> PoseEstimate:
         """Match from a prediction by the velocity; where few beams agree, search all around it."""
-        maps, row, count = state.maps, state.row, len(beams)
-        match = self.matcher(maps, row, predicted.pose[None], predicted.prior, beams)
+        count = len(beams)
+        match = self.matcher(state.maps, state.row, predicted.pose[None], predicted.prior, beams)
         if match.score[0] < self.search_inlier_ratio * count:
             search = self.velocity.search(state, predicted.seconds)
-            place = search.search(Pyramid.of(maps, state.matched_map), predicted.pose, None, beams.ends)
+            place = search.search(Pyramid.of(state.maps, state.matched_map), predicted.pose, None, beams.ends)
             if place is not None:
-                other = self.matcher(maps, row, place.pose[None], NO_PRIOR, beams)
+                other = self.matcher(state.maps, state.row, place.pose[None], NO_PRIOR, beams)
                 convinces = other.score[0] - match.score[0] > self.slip_inlier_gain * count
                 match = other if convinces and other.score[0] >= self.search_inlier_ratio * count else match
         if match.score[0] < self.min_inlier_ratio * count:
             return PoseEstimate(predicted.pose, predicted, matched=True, lost=True)
-        pose, score = match.poses[0], float(match.score[0])
-        stands = is_within(state.pose, pose, self.standstill_m, self.standstill_rad)
-        determined = self._is_determined(match)
-        return PoseEstimate(state.pose if stands else pose, predicted, True, False, score / count, determined)
+        pose = match.poses[0]
+        if is_within(state.pose, pose, self.standstill_m, self.standstill_rad):
+            pose = state.pose
+        ratio = float(match.score[0]) / count
+        return PoseEstimate(pose, predicted, True, False, ratio, self._is_determined(match))
 
     def _advance(self, state: TrackerState, found: PoseEstimate) -> None:
         """Move on; where nothing is known of the motion, the robot is thought to come to rest."""
