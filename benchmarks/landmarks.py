@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gridslam.api.landmark_result import LandmarkResult
-from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, map_landmarks
-from gridslam.evaluation.landmarks import pair_by_name
+from gridslam.api.landmarks import METHODS, PARTICLES, LandmarkMethod, LandmarkResult, map_landmarks
+from gridslam.evaluation.maps import pair_by_name
 from gridslam.evaluation.trajectory import align
 from gridslam.geometry.se2 import transform_points
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood

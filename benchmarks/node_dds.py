@@ -9,15 +9,13 @@ import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.ros.node.messages import GridMessage, Level, ScanMessage, StampedTransform
-from gridslam.ros.ros2.cdr import encode_message
+from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.ros2.dds import DdsParticipant
-from gridslam.ros.ros2.outputs import Ros2Outputs
 from load import LATENCY, MOUNTING, START_S, Load, drive, resident_mb
 from measure import GRIDSLAM
 
@@ -26,6 +24,7 @@ __all__ = ["grid_ms", "load_on_dds"]
 _DOMAIN = 93
 _LOOPBACK = "127.0.0.1"
 _PATIENCE_S = 60.0
+_ENCODER = MessageEncoder(is_ros1=False)
 
 
 def load_on_dds(seconds: float, rate_hz: float, beams: int, particles: int) -> Load:
@@ -80,14 +79,14 @@ def _drive(
 
 
 def _transforms(link: StampedTransform) -> bytes:
-    header = divmod(link.stamp_ns, 10**9), link.parent
-    return encode_message("tf2_msgs/TFMessage", ([(header, link.child, (link.pose[:3], link.pose[3:]))],))
+    header = _ENCODER.header("/tf", link.stamp_ns, link.parent)
+    return _ENCODER.encode("tf2_msgs/TFMessage", [(header, link.child, (link.pose[:3], link.pose[3:]))])
 
 
 def _scan(scan: ScanMessage) -> bytes:
     values = scan.angle_min, 0.0, scan.angle_increment, 0.0, 0.0, scan.range_min, scan.range_max
-    header = divmod(scan.stamp_ns, 10**9), scan.frame
-    return encode_message("sensor_msgs/LaserScan", (header, *values, scan.ranges.tolist(), []))
+    header = _ENCODER.header("scan", scan.stamp_ns, scan.frame)
+    return _ENCODER.encode("sensor_msgs/LaserScan", header, *values, scan.ranges, [])
 
 
 def _stamped(data: bytes, stamp_ns: int, at: int) -> bytes:
@@ -102,7 +101,7 @@ def _stamp_ns(data: bytes) -> int:
 
 def _values(data: bytes) -> dict[str, str]:
     """Keys and values of the diagnostics."""
-    message: Any = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticArray")
+    message = _ENCODER.decode("diagnostic_msgs/DiagnosticArray", data)
     return {pair.key: pair.value for pair in message.status[0].values}
 
 
@@ -131,7 +130,9 @@ def grid_ms(times: int = 20) -> list[tuple[str, float]]:
     def published(topic: str, data: bytes) -> None:
         robot.publish(f"rt/{topic}", data)
 
-    outputs = Ros2Outputs(published, time.time_ns, lambda level, text: print(Level(level), text), "node")
+    outputs = EncodedOutputs(
+        robot.encoder, published, time.time_ns, lambda level, text: print(Level(level), text), "node"
+    )
     grid = GridMessage(1, "map", 0.05, (0.0, 0.0), cells)
 
     def least() -> float:

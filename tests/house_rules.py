@@ -21,7 +21,7 @@ ONLY_IN = {
     "pydantic": set(RANKS),
     "pydantic_core": {"models", "config"},
     "numpy": set(RANKS),
-    "scipy": {"slam", "localization"},
+    "scipy": {"slam", "localization", "evaluation"},
     "qdldl": {"slam"},
     "rosbags": {"io"},
     "lz4": {"io"},

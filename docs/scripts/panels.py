@@ -12,9 +12,20 @@ from PIL import Image, ImageDraw
 
 from gridslam import OccupancyGrid
 from gridslam.types import FloatArray
-from gridslam.viz.layout import font
-from gridslam.viz.palette import FAINT, FREE, OCCUPIED, RULE, TIME_ENDS, UNKNOWN, Colour, time_colours
-from gridslam.viz.strokes import disc, stroke
+from gridslam.viz.canvas import (
+    FAINT,
+    FREE,
+    OCCUPIED,
+    RULE,
+    TIME_ENDS,
+    UNKNOWN,
+    Colour,
+    disc,
+    dots,
+    font,
+    stroke,
+    time_colours,
+)
 
 IMAGES = Path(__file__).parents[1] / "images"
 VIOLET, ORANGE = TIME_ENDS
@@ -52,7 +63,7 @@ class Panel:
     def line(self, points: FloatArray, colour: Colour, width: float = 2.0) -> None:
         """Draw a path (N, 2)."""
         at = self.pixels(points)
-        stroke(self.page, np.concatenate([at[:-1], at[1:]], axis=1), [colour] * (len(at) - 1), width)
+        stroke(self.page, np.concatenate([at[:-1], at[1:]], axis=1), colour, width)
 
     def timed(self, points: FloatArray, width: float = 2.0) -> None:
         """Draw a path (N, 2) in the colours of time."""
@@ -62,8 +73,7 @@ class Panel:
 
     def dots(self, points: FloatArray, colours: list[Colour] | Colour, width: float = 4.0) -> None:
         """Draw points (N, 2)."""
-        at = self.pixels(points)
-        stroke(self.page, np.tile(at, 2), colours if isinstance(colours, list) else [colours] * len(at), width)
+        dots(self.page, self.pixels(points), colours, width)
 
     def ring(self, mean: FloatArray, covariance: FloatArray, colour: Colour, sigmas: float = 2.0) -> None:
         """Draw an ellipse about (2,) of a covariance (2, 2)."""
@@ -76,8 +86,7 @@ class Panel:
         """Mark a pose (3,) by a disc and its heading."""
         tip = pose[:2] + length * np.array([math.cos(pose[2]), math.sin(pose[2])])
         self.line(np.stack([pose[:2], tip]), colour, 3.0)
-        ((x, y),) = self.pixels(pose[None, :2]).tolist()
-        disc(self.page, (x, y), 6, FREE, colour)
+        disc(self.page, self.pixels(pose[None, :2]), 6, FREE, colour)
 
 
 class Chart(Panel):

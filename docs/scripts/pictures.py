@@ -19,7 +19,8 @@ from pictures_of_parts import measurement_models, motion_models, resampling, sca
 from PIL import Image
 
 from gridslam import GraphSlam, GridFastSlam, GridFastSlamState, OccupancyGrid, PoseGraph, run
-from gridslam.api import map_log
+from gridslam.api.mapping import map_log
+from gridslam.config import Configuration
 from gridslam.evaluation import relation_errors
 from gridslam.geometry.se2 import between, compose
 from gridslam.io.trajectories import read_relations
@@ -28,7 +29,7 @@ from gridslam.mapping import OccupancyGridMapping
 from gridslam.sim import LidarConfig
 from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
-from gridslam.viz.palette import CLOSURE, TRUTH
+from gridslam.viz.canvas import CLOSURE, TRUTH
 
 DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
@@ -112,7 +113,7 @@ def loop_closure() -> None:
         return
     panels, relations = [], read_relations(DATA / "aces.relations")
     for closes, head in ((False, "the filter alone"), (True, "with loop closure")):
-        result = map_log(DATA / "aces.clf.bz2", 1, 1, loop_closure=closes)
+        result = map_log(DATA / "aces.clf.bz2", configuration=Configuration(particles=1, loop_closure=closes), seed=1)
         error = relation_errors(result.trajectory, relations)
         panel = Panel(f"{head}: {error.trans_mean_m:.3f} m", [-34, -58, 36, 12])
         panel.grid(result.map)

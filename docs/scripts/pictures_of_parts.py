@@ -24,7 +24,7 @@ from gridslam.models import (
 )
 from gridslam.particles import Multinomial, ResamplingWheel, Residual, Stratified, Systematic
 from gridslam.types import StepReport
-from gridslam.viz.palette import CLOSURE, FAINT, FREE, OCCUPIED, RULE, TRUTH, time_colours
+from gridslam.viz.canvas import CLOSURE, FAINT, FREE, OCCUPIED, RULE, TRUTH, time_colours
 
 
 def motion_models() -> None:

@@ -5,16 +5,16 @@ Each line has the form ``from MODULE import NAME as NAME``.
 
 from gridslam.api.conversion import Conversion as Conversion
 from gridslam.api.conversion import convert_log as convert_log
+from gridslam.api.grid import GridResult as GridResult
 from gridslam.api.grid import map_with_poses as map_with_poses
-from gridslam.api.grid_result import GridResult as GridResult
+from gridslam.api.landmark_localization import LandmarkLocalizationResult as LandmarkLocalizationResult
 from gridslam.api.landmark_localization import localize_by_landmarks as localize_by_landmarks
-from gridslam.api.landmark_localization_result import LandmarkLocalizationResult as LandmarkLocalizationResult
-from gridslam.api.landmark_result import LandmarkResult as LandmarkResult
+from gridslam.api.landmarks import LandmarkResult as LandmarkResult
 from gridslam.api.landmarks import map_landmarks as map_landmarks
+from gridslam.api.localization import LocalizationResult as LocalizationResult
 from gridslam.api.localization import localize as localize
-from gridslam.api.localization_result import LocalizationResult as LocalizationResult
+from gridslam.api.mapping import MapResult as MapResult
 from gridslam.api.mapping import map_log as map_log
-from gridslam.api.result import MapResult as MapResult
 from gridslam.config import Configuration as Configuration
 from gridslam.config import build as build
 from gridslam.config import preset as preset

@@ -85,18 +85,19 @@ def require_generator(rng: object) -> None:
 
 def require_seed(seed: object) -> None:
     """Refuse what is no integer >= 0."""
-    require_instance("seed", seed, int, np.integer)
-    assert isinstance(seed, int | np.integer)
-    if seed < 0:
-        raise ArgumentError("seed", "a number >= 0", seed)
+    _require_least("seed", seed, 0, "a number >= 0")
 
 
 def require_threads(threads: object) -> None:
     """Refuse what is no integer >= 1."""
-    require_instance("threads", threads, int, np.integer)
-    assert isinstance(threads, int | np.integer)
-    if threads < 1:
-        raise ArgumentError("threads", "at least one", threads)
+    _require_least("threads", threads, 1, "at least one")
+
+
+def _require_least(name: str, value: object, least: int, expected: str) -> None:
+    require_instance(name, value, int, np.integer)
+    assert isinstance(value, int | np.integer)
+    if value < least:
+        raise ArgumentError(name, expected, value)
 
 
 def describe(value: object) -> str:

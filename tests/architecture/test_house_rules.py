@@ -42,7 +42,7 @@ def test_exceptions_are_still_needed():
         ("grid/a.py", "from gridslam.slam import tracker"),
         ("grid/a.py", "def f():\n    import gridslam.particles.resampling"),
         ("grid/a.py", "from gridslam import models"),
-        ("slam/a.py", "from gridslam.evaluation import map"),
+        ("slam/a.py", "from gridslam.evaluation import maps"),
         ("io/a.py", "from gridslam.utils import anything"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import subprocess
 import sys
@@ -78,7 +79,7 @@ def test_the_best_particle_alone_may_be_kept_and_the_answer_is_the_same(log):
     assert best.trajectory.poses.tobytes() == every.trajectory.poses.tobytes()
     assert best.map.log_odds.tobytes() == every.map.log_odds.tobytes()
     source, shown = gridslam.CarmenLog(log), gridslam.Configuration(particles=3)
-    assert len(map_with_progress(source, shown, 0, 1, False, Stopwatch()).state.poses) == 1
+    assert len(map_with_progress(source, shown, Stopwatch(), shown=False).state.poses) == 1
 
 
 def test_ones_own_loop_gives_the_same(log):
@@ -149,6 +150,30 @@ def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, tmp_pat
             call(7)
         with pytest.raises(gridslam.InputError, match="no such file"):
             call("nothing.clf")
+
+
+SHARED = (
+    "log", "pose", "covariance", "unknown", "sensor", "motion", "preset", "particles", "resolution_m", "laser",
+    "configuration", "seed", "threads", "options", "repair", "observers", "gate", "on_progress", "stopwatch",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        gridslam.map_log, gridslam.map_with_poses, gridslam.localize, gridslam.map_landmarks,
+        gridslam.localize_by_landmarks, gridslam.convert_log, gridslam.diagnose,
+    ],
+)  # fmt: skip
+def test_calls_take_the_same_arguments_in_the_same_order(call):
+    parameters = inspect.signature(call).parameters
+    shared = [name for name in parameters if name in SHARED]
+    assert shared == [name for name in SHARED if name in shared]
+    assert shared[0] == "log"
+    assert "on_progress" in shared
+    positional = [name for name, parameter in parameters.items() if parameter.kind is not parameter.KEYWORD_ONLY]
+    assert positional == list(parameters)[: len(positional)]
+    assert len(positional) <= 2
 
 
 @pytest.mark.parametrize("read", [gridslam.map_landmarks, gridslam.localize_by_landmarks])

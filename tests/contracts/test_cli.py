@@ -17,7 +17,7 @@ from PIL import Image
 
 from gridslam import __version__
 from gridslam.cli import map as map_module
-from gridslam.cli import progress as progress_module
+from gridslam.cli import output as output_module
 from gridslam.cli.main import main
 from gridslam.config import build, dumps, preset
 from gridslam.geometry.se2 import between
@@ -167,7 +167,12 @@ def test_without_loop_closure_it_is_the_filter_alone(loop_log, tmp_path, call, c
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupt_during_final_refinement_leaves_nothing(call, log, tmp_path, monkeypatch, number):
-    monkeypatch.setattr(progress_module.Progress, "show_refinement", lambda _: os.kill(os.getpid(), number))
+    def interrupt_refinement(progress):
+        if progress._latest is None:
+            os.kill(os.getpid(), number)
+        progress._latest = None
+
+    monkeypatch.setattr(output_module.Progress, "on_progress", interrupt_refinement)
     status, out, err = call("map", log, "-o", tmp_path / "out", *FEW)
     assert (status, out, err.strip()) == (130, "", "gridslam: interrupted")
     assert not list(tmp_path.iterdir())
@@ -184,10 +189,10 @@ def test_the_summary_tells_of_loop_closure(loop_log, tmp_path, call):
 
 def test_progress_goes_on_during_final_refinement(capsys, monkeypatch):
     seconds = iter([0.0, 1.0, 6.0, 7.0, 10.9, 11.5])
-    monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
-    with progress_module.progress(LogStatistics) as show:
+    monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: next(seconds)))
+    with output_module.mapping_progress(LogStatistics) as show:
         for _ in range(5):
-            show.show_refinement()
+            show.on_progress()
     assert capsys.readouterr().err == ("100%  0 scans; final refinement, 5 s\n100%  0 scans; final refinement, 10 s\n")
 
 
@@ -209,7 +214,7 @@ def test_json_is_one_object_and_all_there_is(log, tmp_path, call):
 
 def test_progress_is_a_plain_line_every_few_seconds_and_none_with_json(log, tmp_path, call, monkeypatch):
     seconds = itertools.count()
-    monkeypatch.setattr(progress_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
+    monkeypatch.setattr(output_module, "time", SimpleNamespace(perf_counter=lambda: float(next(seconds))))
     _, _, err = call("map", log, "-o", tmp_path / "out", *FEW)
     lines = err.splitlines()
     assert len(lines) == 24  # every five of 120 seconds, one for each scan
@@ -316,9 +321,9 @@ def test_cut_off_log_is_refused_or_mapped_on_request(call, tmp_path, simulated, 
     [
         (["--preset", "gmaping"], "preset: expected default, fast, accurate, gmapping, got 'gmaping'; did you mean"),
         (["--set", "insrt_m=1"], "insrt_m: no such parameter; did you mean insert_m"),
-        (["--set", "insert_m=-1"], "tracker.insert_m: expected a number > 0, got -1"),
+        (["--set", "insert_m=-1"], "tracker.insert_m: expected a number greater than 0, got -1"),
         (["--set", "insert_m"], "expected name=value, got 'insert_m'"),
-        (["--particles", "0"], "particles: expected a whole number >= 1 and <= 100000, got 0"),
+        (["--particles", "0"], "particles: expected a number greater than or equal to 1, got 0"),
         (["--particles", "many"], "'--particles': 'many' is not a valid integer"),
         (["--threads", "0"], "'--threads': 0 is not in the range"),
         (["--seed", "-1"], "'--seed': -1 is not in the range"),

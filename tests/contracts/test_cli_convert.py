@@ -185,7 +185,7 @@ def test_in_python(log, tmp_path):
     with pytest.raises(ArgumentError, match="options"):
         convert_log(CarmenLog(log), tmp_path / "b.csv", options=LogOptions())
     with pytest.raises(ArgumentError, match="to: expected carmen, csv"):
-        convert_log(log, tmp_path / "b.csv", "rosbag")
+        convert_log(log, tmp_path / "b.csv", to="rosbag")
 
 
 @pytest.mark.parametrize("name", ["log.csv", "log.clf"])

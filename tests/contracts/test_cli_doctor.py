@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
-from gridslam.cli.doctor import check_log
+from gridslam.cli.logs import check_log
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.measurement import Measurement

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from gridslam import __version__
-from gridslam.api import map_log
 from gridslam.api.grid import map_with_poses
+from gridslam.api.mapping import map_log
 from gridslam.cli.main import main
 from gridslam.config import Configuration, override
 from gridslam.errors import ArgumentError, ConfigurationError
@@ -129,7 +129,7 @@ def test_scans_outside_and_in_gaps_are_counted_and_told(call, log, truth, tmp_pa
 def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
     """SLAM's map is made of its key scans; with one particle and clamps that nothing reaches it is their sum."""
     config = override(
-        Configuration(particles=1, loop_closure=False), "key_scan_m=0.1", "key_scan_rad=0.1",
+        Configuration(particles=1, loop_closure=None), "key_scan_m=0.1", "key_scan_rad=0.1",
         "mapper.inverse_sensor.log_odds_min=-150", "mapper.inverse_sensor.log_odds_max=150",
     )  # fmt: skip
     slam = map_log(log, configuration=config)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gridslam.api.localization import localize
-from gridslam.api.localization_result import BELIEF_HEADER
+from gridslam.api.localization import BELIEF_HEADER, localize
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import write_carmen

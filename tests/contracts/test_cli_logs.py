@@ -15,6 +15,7 @@ from gridslam.io.log import LogOptions
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
 
+FILTER_ALONE = gridslam.Configuration(particles=1, loop_closure=None)
 QUICK = "--particles", "1", "--no-loop-closure", "--json"
 
 
@@ -104,7 +105,7 @@ def test_options_that_cannot_be_are_refused_by_all_commands(log, tmp_path, call,
 
 def test_in_python(log, bag):
     options = LogOptions(duration_s=2)
-    by_path = gridslam.map_log(bag, particles=1, options=options, loop_closure=False)
+    by_path = gridslam.map_log(bag, configuration=FILTER_ALONE, options=options)
     assert by_path.log.scan_count == 10
     with pytest.raises(ArgumentError, match="options"):
         gridslam.map_log(CarmenLog(log), options=options)

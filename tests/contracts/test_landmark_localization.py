@@ -12,13 +12,14 @@ from PIL import Image
 from gridslam import __version__
 from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import map_landmarks
-from gridslam.cli.landmark_localization import localize_to_folder
+from gridslam.cli.landmarks import landmarks_to_folder
 from gridslam.cli.main import main
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_trajectory_csv, read_tum
 from gridslam.localization.ekf import KnownLandmarks
 
+LOCALIZE = {"method": "ekf-localization"}
 FILES = {"trajectory.tum", "trajectory.csv", "landmarks.png", "run.json"}
 
 
@@ -32,7 +33,7 @@ def mapped_park(park, tmp_path_factory):
 
 def test_files_and_figures(mapped_park, tmp_path, capsys):
     log, landmarks, truth = mapped_park
-    localize_to_folder(log, tmp_path / "out", landmarks, None, False, True)
+    landmarks_to_folder(log, tmp_path / "out", **LOCALIZE, landmarks=landmarks, as_json=True)
     document = json.loads(capsys.readouterr().out)
     assert {file.name for file in (tmp_path / "out").iterdir()} == FILES
     assert document == json.loads((tmp_path / "out" / "run.json").read_text())
@@ -52,7 +53,7 @@ def test_files_and_figures(mapped_park, tmp_path, capsys):
 
 
 def test_in_words(mapped_park, tmp_path, capsys):
-    localize_to_folder(mapped_park[0], tmp_path / "out", mapped_park[1], None, True, False)
+    landmarks_to_folder(mapped_park[0], tmp_path / "out", **LOCALIZE, landmarks=mapped_park[1], unknown=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("ring.txt: 141 steps, ")
     assert lines[1].startswith("localized by 10 landmarks in ")
@@ -65,7 +66,7 @@ def test_what_the_log_tells_of_correspondences_can_be_left_unread(mapped_park):
 
 
 def test_against_the_truth_beside_the_log(data_dir, tmp_path, capsys):
-    localize_to_folder(data_dir / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz", tmp_path, None, None, False, False)
+    landmarks_to_folder(data_dir / "landmarks" / "mrclam6_Robot1_Odometry.dat.gz", tmp_path, **LOCALIZE)
     assert "degrees against the truth\n" in capsys.readouterr().out
     errors = json.loads((tmp_path / "run.json").read_text())["errors"]
     assert errors["aligned"] is False
@@ -105,5 +106,5 @@ def test_what_is_refused(mapped_park, tmp_path):
     with pytest.raises(ArgumentError, match="pose: expected finite x, y, theta"):
         localize_by_landmarks(log, landmarks, pose=(0, 0, np.nan))
     with pytest.raises(click.ClickException, match="--initial-pose"):
-        localize_to_folder(log, tmp_path / "out", landmarks, (0.0, 0.0, np.inf), False, False)
+        landmarks_to_folder(log, tmp_path / "out", **LOCALIZE, landmarks=landmarks, initial_pose=(0.0, 0.0, np.inf))
     assert not (tmp_path / "out").exists()

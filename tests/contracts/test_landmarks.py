@@ -24,7 +24,7 @@ FILES = {"trajectory.tum", "trajectory.csv", "landmarks.csv", "landmarks.png", "
 @pytest.mark.parametrize("method", METHODS)
 def test_files_and_figures(park, tmp_path, capsys, method):
     path, truth = park
-    landmarks_to_folder(path, tmp_path / "out", method, None, 0, False, True)
+    landmarks_to_folder(path, tmp_path / "out", method, as_json=True)
     document = json.loads(capsys.readouterr().out)
     online = set() if method == "graph" else {"trajectory_online.tum"}
     assert {file.name for file in (tmp_path / "out").iterdir()} == FILES | online
@@ -49,7 +49,7 @@ def test_files_and_figures(park, tmp_path, capsys, method):
 
 
 def test_in_words(park, tmp_path, capsys):
-    landmarks_to_folder(park[0], tmp_path / "out", "ekf", None, 0, False, False)
+    landmarks_to_folder(park[0], tmp_path / "out", "ekf")
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("ring.txt: 141 steps, ")
     assert lines[1].startswith("10 landmarks by ekf in ")
@@ -83,11 +83,11 @@ def test_what_is_refused(park, tmp_path):
         with pytest.raises(ArgumentError, match=said):
             map_landmarks(path, **options)
     with pytest.raises(click.ClickException, match="--unknown"):
-        landmarks_to_folder(path, tmp_path / "out", "graph", None, 0, True, False)
+        landmarks_to_folder(path, tmp_path / "out", "graph", unknown=True)
     bad = tmp_path / "bad.txt"
     bad.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1\n")
     with pytest.raises(InputError, match=r"bad.txt, line 1: ODOMETRY: expected 11 numbers"):
-        landmarks_to_folder(bad, tmp_path / "out", "ekf", None, 0, False, False)
+        landmarks_to_folder(bad, tmp_path / "out", "ekf")
     assert not (tmp_path / "out").exists()
 
 

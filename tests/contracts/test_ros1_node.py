@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import convert_log, map_log
+from gridslam.api.conversion import convert_log
+from gridslam.api.mapping import map_log
 from gridslam.config import Configuration
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.log import LogOptions, open_log
@@ -186,7 +187,7 @@ def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
     replayed.save(tmp_path / "replayed")
     begun = replayed.trajectory.stamps_ns[0] - next(iter(open_log(bag))).scan.stamp_ns  # the first scans may be missed
     part = LogOptions(start_s=max(begun * 1e-9 - 0.01, 0.0), duration_s=20.0 - begun * 1e-9)
-    offline = map_log(bag, 8, options=part, repair="none")
+    offline = map_log(bag, particles=8, options=part, repair="none")
     difference = pose(seen["map:base_link"]) - offline.online_trajectory.poses[-1]
     assert np.abs(difference).max() < 0.15, (seen, offline.online_trajectory.poses[-1])
     for name in ("map.pgm", "trajectory.tum", "trajectory_online.tum", "graph.g2o"):

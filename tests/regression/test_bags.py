@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
+from gridslam.api.mapping import map_log
 from gridslam.errors import InputError
 from gridslam.evaluation.trajectory import absolute_errors
 from gridslam.io.bags.bag import BagLog

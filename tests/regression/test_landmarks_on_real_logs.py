@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.api.landmark_result import LandmarkResult
-from gridslam.api.landmarks import map_landmarks
+from gridslam.api.landmarks import LandmarkResult, map_landmarks
 from gridslam.evaluation import align
-from gridslam.evaluation.landmarks import pair_by_name
+from gridslam.evaluation.maps import pair_by_name
 from gridslam.geometry.se2 import transform_points
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gridslam.api import convert_log
+from gridslam.api.conversion import convert_log
 from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate

@@ -14,7 +14,8 @@ from types import FrameType
 
 import numpy as np
 
-from gridslam.api import convert_log, map_log
+from gridslam.api.conversion import convert_log
+from gridslam.api.mapping import map_log
 from gridslam.cli.main import main
 from gridslam.config import override, preset
 from gridslam.doctor import CheckedLog, diagnose

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gridslam.io.measurement import Measurement
-from gridslam.ros.ros2.cdr import parse_fields
+from gridslam.ros.ros2.dds import service_encoder
 from support.ros_node import mounting, odometry_message, scan_message
 
 LOOPBACK = (
@@ -42,6 +42,9 @@ def free_domain() -> int:
     raise OSError("all domains are in use")
 
 
+FIELDS = service_encoder().fields
+
+
 class Peer:
     """Talks by cyclonedds with messages as Python objects: nothing of the package encodes or decodes here."""
 
@@ -57,13 +60,13 @@ class Peer:
 
         if name not in self.kinds:
             fields = {}
-            for element, length, field in parse_fields(name):
-                one = {"string": str, "bool": bool}.get(element)
+            for field, element, length in FIELDS(name):
+                one = {"string": str, "bool": bool, "byte": types.uint8}.get(element)
                 one = one or (self.kind(element) if "/" in element else getattr(types, element))
                 if length is not None:
                     one = types.array[one, length] if length else types.sequence[one]
                 fields[field] = one
-            package, short = name.split("/")
+            package, *_, short = name.split("/")
             space = "srv" if short.endswith(("_Request", "_Response")) else "msg"
             self.kinds[name] = make_idl_struct(f"{short}_", f"{package}.{space}.dds_.{short}_", fields)
         return self.kinds[name]
@@ -71,7 +74,7 @@ class Peer:
     def make(self, name: str, *values: Any) -> Any:
         """A message of nested tuples."""
         made = []
-        for (element, length, _), value in zip(parse_fields(name), values, strict=True):
+        for (_, element, length), value in zip(FIELDS(name), values, strict=True):
             nested = "/" in element
             if nested and length is not None:
                 made.append([self.make(element, *one) for one in value])

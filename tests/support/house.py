@@ -33,11 +33,11 @@ RANKS = {
     "transforms": 8,
     "doctor": 10,
     "sim": 10,
-    "viz": 10,
-    "api": 11,
-    "live": 11,
-    "ros": 12,
-    "cli": 13,
+    "viz": 11,
+    "api": 12,
+    "live": 12,
+    "ros": 13,
+    "cli": 14,
 }
 """Rank of each folder and of each single module of the package: it imports lower ranks and itself, nothing else."""
 

@@ -44,7 +44,8 @@ def errors_of(
     """Map a log as a user does, look at what was written, and score the trajectory that was."""
     folder, options = out / f"{band.log}-{seed}-{loop_closure}", gridslam.LogOptions(no_odometry=not odometry)
     log = data / band.log
-    run = gridslam.map_log(log, particles=30, seed=seed, loop_closure=loop_closure, options=options).save(folder)
+    configuration = gridslam.Configuration(particles=30, loop_closure=loop_closure)
+    run = gridslam.map_log(log, configuration=configuration, seed=seed, options=options).save(folder)
     assert run["scans"]["read"] == band.scans
     assert bool(run["loop_closure"]) == loop_closure
     trajectory = read_tum(folder / "trajectory.tum")

@@ -133,6 +133,11 @@ def test_change_of_kind_starts_from_that_kinds_defaults_whatever_the_order():
     assert override(config, "motion.kind=OdometryMotion") == config
 
 
+def test_the_last_assignment_counts_by_whatever_name():
+    config = override(Configuration(), "insert_m=0.1", "tracker.insert_m=0.2", "insert_m=0.3")
+    assert config.tracker.insert_m == 0.3
+
+
 def test_parameters_that_belong_together_are_checked_when_all_are_set():
     config = override(
         Configuration(), "mapper.inverse_sensor.true_occupied=0.6", "mapper.inverse_sensor.false_free=0.4"

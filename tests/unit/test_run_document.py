@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
-from gridslam.api.document import run_document
+from gridslam.api.mapping import map_log
+from gridslam.config import Configuration, preset
 from gridslam.io.csv import write_csv_log
 from gridslam.io.measurement import Measurement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
@@ -25,13 +25,16 @@ def drive():
     return simulate(make_world("demo", rng), RobotConfig(), EXACT, SPINNING, rng).measurements[:400]
 
 
-def told(path, measurements, **how):
+def told(path, measurements, configuration):
     write_csv_log(path / "log.csv", measurements)
-    return run_document(map_log(path / "log.csv", loop_closure=False, repair="none", **how))["tracker"]
+    without_closures = replace(configuration, loop_closure=None)
+    return map_log(path / "log.csv", configuration=without_closures, repair="none").document()["tracker"]
 
 
 def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
-    tracker = told(tmp_path, list(with_fault(drive, "odometry_scale", np.random.default_rng(0), 0.1)), particles=2)
+    tracker = told(
+        tmp_path, list(with_fault(drive, "odometry_scale", np.random.default_rng(0), 0.1)), Configuration(particles=2)
+    )
     errors = tracker["odometry"]
     assert errors["trusted"]
     assert errors["segments"] > 15
@@ -43,10 +46,10 @@ def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
 
 def test_nothing_is_told_of_odometry_that_is_not_there_and_times_of_beams_may_be_backward(tmp_path, drive):
     backward = [Measurement(None, replace(scan, beam_times_s=-scan.beam_times_s)) for _, scan in drive]
-    tracker = told(tmp_path, backward, particles=2)
+    tracker = told(tmp_path, backward, Configuration(particles=2))
     assert tracker["odometry"] is None
     assert tracker["beam_order"] == {"laser": "backward"}
 
 
 def test_a_tracker_that_takes_the_odometry_as_it_is_learns_nothing(tmp_path, drive):
-    assert told(tmp_path, drive[:20], preset="gmapping") is None
+    assert told(tmp_path, drive[:20], preset("gmapping")) is None

@@ -92,8 +92,8 @@ def infer_format(out: str | Path, to: str | None = None) -> OutFormat:
 def convert_log(
     log: LogSource,
     out: str | Path,
-    to: str | None = None,
     *,
+    to: str | None = None,
     options: LogOptions | None = None,
     on_progress: Callable[[], None] = lambda: None,
 ) -> Conversion:
@@ -123,7 +123,9 @@ def convert_log(
     OutputError
         The new log cannot be written.
     """
-    form, source, target = infer_format(out, to), open_if_path(log, options), Path(out)
+    form = infer_format(out, to)
+    source = open_if_path(log, options)
+    target = Path(out)
     if target.exists() and target.samefile(source.path):
         raise ArgumentError("out", "a name other than the input log", str(out))
     lost: Counter[str] = Counter()
@@ -183,8 +185,7 @@ def _with_odometry(measurements: Iterable[Measurement], lost: Counter[str]) -> I
 
 
 def _write_odometry(target: Path, source: Path, measurements: Iterable[Measurement]) -> None:
-    told = [measurement.odometry for measurement in measurements]
-    known = [odometry for odometry in told if odometry is not None]
+    known = [measurement.odometry for measurement in measurements if measurement.odometry is not None]
     if not known:
         raise InputError(source, "cannot be written as tum: it has no odometry")
     stamps_ns = np.array([odometry.stamp_ns for odometry in known], dtype=np.int64)

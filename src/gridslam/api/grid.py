@@ -1,33 +1,150 @@
-"""From a log and a trajectory to a map: mapping with known poses."""
+"""From a log and a trajectory to a map: mapping with known poses, its result and its output files."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, final
 
 import numpy as np
 
-from gridslam.api.grid_result import GridResult
+from gridslam import __version__
+from gridslam.api.result import Result, describe_input, find_repair
 from gridslam.arguments import require_instance, require_threads
 from gridslam.config import Configuration, apply_laser, override
-from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
+from gridslam.config.tables import to_table
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.maps import write_map
+from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.io.trajectories import read_tum
 from gridslam.mapping.beam_counts import BeamCounts, bayes_map, counting_map
 from gridslam.mapping.known_poses import KnownPoses, NoPoseReason
 from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, LaserScan, Trajectory
+from gridslam.types import FloatArray, OccupancyGrid, Trajectory
 
-__all__ = ["GridModel", "map_with_poses"]
+if TYPE_CHECKING:
+    from gridslam.viz.notebook import Picture
+
+__all__ = ["GridModel", "GridResult", "map_with_poses"]
 
 _MOST_CELLS = 2e9
 """Ten gigabytes; 2 km x 2 km in cells of 5 cm."""
 
 GridModel: TypeAlias = Literal["bayes", "counting"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class GridResult(Result):
+    """The map of a log by a known trajectory, and how it came about.
+
+    Attributes
+    ----------
+    map : OccupancyGrid
+    trajectory : Trajectory
+        Where the mapped scans were taken, in the log's order.
+    unplaced : Counter of NoPoseReason
+        Scans that are not in the map, by reason.
+    model : str
+        "bayes" or "counting".
+    half_life_scans : float or None
+    max_gap_s : float
+    deskew : bool
+    configuration : Configuration
+        Of which the mapper and the limits of the ranges were used.
+    log : LogStatistics
+        What was met in the log.
+    source : Path
+        The log.
+    digest : str
+        Its SHA-256.
+    given : Trajectory
+        The trajectory as it was given, and the file it came from, if any, in `given_path`.
+    repair : Repair
+        What was taken out of the log.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    schema: ClassVar = "gridslam.grid/1"
+    picture_name: ClassVar = "map.png"
+    covariances: ClassVar = None
+
+    map: OccupancyGrid
+    trajectory: Trajectory
+    unplaced: Counter[NoPoseReason]
+    model: str
+    half_life_scans: float | None
+    max_gap_s: float
+    deskew: bool
+    configuration: Configuration
+    log: LogStatistics
+    source: Path
+    digest: str
+    given: Trajectory
+    given_path: Path | None
+    repair: Repair
+    stopwatch: Stopwatch
+
+    def caption(self) -> list[str]:
+        """Lines that describe the map."""
+        height, width = (side * self.map.resolution_m for side in self.map.known.shape)
+        fading = "" if self.half_life_scans is None else f", half-life {self.half_life_scans:g} scans"
+        name = {"bayes": "binary Bayes filter", "counting": "counting model"}[self.model]
+        return [
+            f"{len(self.trajectory)} scans with known poses: {name}{fading}",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.map.resolution_m:g} cm",
+            f"{self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
+        ]
+
+    def picture(self) -> Picture:
+        """Draw the map with the trajectory."""
+        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
+
+        return draw_map(self.map, self.trajectory, title=self.source.name, caption=self.caption())
+
+    def _write_files(self, out: OutputFolder) -> None:
+        write_map(out.file("map.yaml"), self.map)
+
+    def _describe(self) -> dict[str, Any]:
+        log = self.log
+        grid = self.map
+        config = self.configuration
+        height, width = (side * grid.resolution_m for side in grid.known.shape)
+        return {
+            "model": self.model,
+            "half_life_scans": self.half_life_scans,
+            "deskew": self.deskew,
+            "input": describe_input(self.source, self.digest, log, self.repair)
+            | {"truncated": log.truncated, "sensors": list(log.mountings), "remarks": dict(log.remarks)},
+            "trajectory": {
+                "path": None if self.given_path is None else os.fspath(self.given_path),
+                "sha256": None if self.given_path is None else compute_digest(self.given_path),
+                "poses": len(self.given),
+                "first_stamp_ns": int(self.given.stamps_ns.min()),
+                "last_stamp_ns": int(self.given.stamps_ns.max()),
+                "max_gap_s": self.max_gap_s,
+            },
+            "scans": {
+                "read": log.scan_count,
+                "used": len(self.trajectory),
+                "skipped": {reason.value: self.unplaced[reason] for reason in NoPoseReason},
+            },
+            "map": {"width_m": width, "height_m": height, "known_cells": int(grid.known.sum())},
+            "configuration": {
+                "range_min_m": config.range_min_m,
+                "range_max_m": config.range_max_m,
+                "resolution_m": config.mapper.resolution_m,
+                "inverse_sensor": to_table(config.mapper.inverse_sensor),
+            },
+        }
 
 
 def map_with_poses(
@@ -36,14 +153,14 @@ def map_with_poses(
     *,
     model: GridModel = "bayes",
     half_life_scans: float | None = None,
+    max_gap_s: float = 1.0,
+    deskew: bool = True,
     resolution_m: float | None = None,
     laser: str | None = None,
     configuration: Configuration | None = None,
-    max_gap_s: float = 1.0,
-    deskew: bool = True,
+    threads: int = 1,
     options: LogOptions | None = None,
     repair: Literal["needed", "all", "none"] = "needed",
-    threads: int = 1,
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> GridResult:
@@ -64,23 +181,23 @@ def map_with_poses(
     half_life_scans : float, optional
         Number of scans observing a cell after which the weight of a scan is halved, so that moving objects fade; no
         decay if not given (see `BeamCounts`).
+    max_gap_s : float, s, > 0
+        Between poses of the trajectory farther apart in time nothing is interpolated.
+    deskew : bool
+        Undo the motion during a scan, where its beams have times; False for logs whose times mean nothing, of which
+        `map_log` finds out by matching.
     resolution_m : float, m, (0, 1], optional
         Side of a cell; 5 cm, or what suits the laser, if not given.
     laser : str, optional
         What the laser is, a name of `gridslam.config.LASERS`: limits and cells that suit it.
     configuration : Configuration, optional
         Of which the mapper and the limits of the ranges are used.
-    max_gap_s : float, s, > 0
-        Between poses of the trajectory farther apart in time nothing is interpolated.
-    deskew : bool
-        Undo the motion during a scan, where its beams have times; False for logs whose times mean nothing, of which
-        `map_log` finds out by matching.
+    threads : int, >= 1
+        Threads of the kernels; their number never changes a result.
     options : LogOptions, optional
         What to read of the log at a path.
     repair : "needed", "all" or "none"
         As for `map_log`; only what is wrong with the laser's mounting matters here.
-    threads : int, >= 1
-        Threads of the kernels; their number never changes a result.
     on_progress : callable
         Called after each scan.
     stopwatch : Stopwatch, optional
@@ -95,48 +212,44 @@ def map_with_poses(
     ConfigurationError
         There is no such laser.
     """
-    _check(model, trajectory, configuration, threads)
-    config = _configuration(configuration, laser, resolution_m)
+    if model not in ("bayes", "counting"):
+        raise ArgumentError("model", "bayes or counting", model)
+    require_instance("trajectory", trajectory, str, Path, Trajectory)
+    require_instance("configuration", configuration, Configuration, optional=True)
+    require_threads(threads)
+    config = _choose_configuration(configuration, laser, resolution_m)
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
     path = None if isinstance(trajectory, Trajectory) else Path(trajectory)
-    given = _given(trajectory, config)
+    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+    _check_size(given, path, config)
     poses = KnownPoses(given, max_gap_s)
     counts = BeamCounts(config.mapper.resolution_m, half_life_scans, threads)
     watch.lap("start")
     used, unplaced = _count(source, poses, counts, config, deskew, on_progress)
     watch.lap("count")
     if not len(used):
-        raise InputError(path or source.path, _nothing(source, poses, unplaced))
+        raise InputError(path or source.path, _explain_no_map(source, poses, unplaced))
     result = GridResult(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
         trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-        deskew=deskew, configuration=config, log=source.statistics, repair=_repair_of(source), given=given,
+        deskew=deskew, configuration=config, log=source.statistics, repair=find_repair(source), given=given,
         source=source.path, digest=compute_digest(source.path), given_path=path, stopwatch=watch,
     )  # fmt: skip
     watch.lap("map")
     return result
 
 
-def _check(model: str, trajectory: object, configuration: object, threads: int) -> None:
-    if model not in ("bayes", "counting"):
-        raise ArgumentError("model", "bayes or counting", model)
-    require_instance("trajectory", trajectory, str, Path, Trajectory)
-    require_instance("configuration", configuration, Configuration, optional=True)
-    require_threads(threads)
-
-
-def _given(trajectory: str | Path | Trajectory, config: Configuration) -> Trajectory:
-    """Read a trajectory; refuse one whose map no memory holds: a pose in it is wrong, or cells are too small."""
-    given = trajectory if isinstance(trajectory, Trajectory) else read_tum(trajectory)
+def _check_size(given: Trajectory, path: Path | None, config: Configuration) -> None:
+    """Refuse a trajectory whose map no memory holds: a pose in it is wrong, or cells are too small."""
+    cell_m = config.mapper.resolution_m
     sides_m = (np.ptp(given.poses[:, :2], axis=0) if len(given) else np.zeros(2)) + 2 * config.range_max_m
-    if np.prod(sides_m / config.mapper.resolution_m) > _MOST_CELLS:
-        expected, cell_m = f"poses whose map has at most {_MOST_CELLS:.0e} cells", config.mapper.resolution_m
+    if np.prod(sides_m / cell_m) > _MOST_CELLS:
+        expected = f"poses whose map has at most {_MOST_CELLS:.0e} cells"
         got = f"{sides_m[0]:.0f} m x {sides_m[1]:.0f} m in cells of {cell_m:g} m"
-        if isinstance(trajectory, Trajectory):
+        if path is None:
             raise ArgumentError("trajectory", expected, got)
-        raise InputError(trajectory, f"expected {expected}, got {got}")
-    return given
+        raise InputError(path, f"expected {expected}, got {got}")
 
 
 def _count(
@@ -144,8 +257,9 @@ def _count(
     on_progress: Callable[[], None],
 ) -> tuple[Trajectory, Counter[NoPoseReason]]:  # fmt: skip
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
-    stamps, taken, unplaced = list[int](), list[FloatArray](), Counter[NoPoseReason]()
-    scan: LaserScan
+    stamps = list[int]()
+    taken = list[FloatArray]()
+    unplaced = Counter[NoPoseReason]()
     for _, scan in source:
         pose = poses.at(scan.stamp_ns)
         if isinstance(pose, NoPoseReason):
@@ -159,11 +273,7 @@ def _count(
     return Trajectory(np.array(stamps, np.int64), np.array(taken).reshape(-1, 3)), unplaced
 
 
-def _repair_of(log: Log) -> Repair:
-    return (log.repair if isinstance(log, RepairedLog) else None) or Repair()
-
-
-def _configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
+def _choose_configuration(base: Configuration | None, laser: str | None, resolution_m: float | None) -> Configuration:
     config = base or Configuration()
     config = config if laser is None else apply_laser(config, laser)
     if resolution_m is None:
@@ -173,15 +283,15 @@ def _configuration(base: Configuration | None, laser: str | None, resolution_m: 
     return override(config, f"resolution_m={resolution_m}")
 
 
-def _nothing(source: Log, poses: KnownPoses, unplaced: Counter[NoPoseReason]) -> str:
+def _explain_no_map(source: Log, poses: KnownPoses, unplaced: Counter[NoPoseReason]) -> str:
     """Why there is no map."""
-    log, (first, last) = source.statistics, poses.span_ns
+    log = source.statistics
     if log.first_stamp_ns is None or log.last_stamp_ns is None or not sum(unplaced.values()):
         return "expected a log with scans, got one without"
-    ours, theirs = ((a * 1e-9, b * 1e-9) for a, b in ((first, last), (log.first_stamp_ns, log.last_stamp_ns)))
     if unplaced[NoPoseReason.GAP]:
         return f"expected poses about the scans' stamps, got none near enough to any of {unplaced.total()} scans"
+    first, last = poses.span_ns
     return (
-        f"expected a trajectory of this log, but it lasts from {ours[0]:.3f} to {ours[1]:.3f} s and the log's scans "
-        f"from {theirs[0]:.3f} to {theirs[1]:.3f} s"
+        f"expected a trajectory of this log, but it lasts from {first * 1e-9:.3f} to {last * 1e-9:.3f} s and the log's "
+        f"scans from {log.first_stamp_ns * 1e-9:.3f} to {log.last_stamp_ns * 1e-9:.3f} s"
     )

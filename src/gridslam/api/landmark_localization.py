@@ -1,27 +1,35 @@
-"""From a log of landmarks and a map of them to a trajectory: EKF localization."""
+"""From a log of landmarks and a map of them to a trajectory: EKF localization, and the result with its output files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridslam.api.landmark_localization_result import LandmarkLocalizationResult
-from gridslam.api.landmark_models import MOTION, SENSORS
+from gridslam.api.landmarks import MOTION, SENSORS, ResultByLandmarks, align_trajectory
+from gridslam.api.result import write_trajectory
 from gridslam.errors import ArgumentError, InputError
-from gridslam.evaluation.trajectory import interpolate
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, interpolate
+from gridslam.geometry.se2 import compose, inverse
 from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
 from gridslam.io.landmarks import read_landmarks
+from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.localization.ekf import EkfLocalization, EkfLocalizationReport, KnownLandmarks
 from gridslam.models.association import KnownCorrespondence, MaximumLikelihood
 from gridslam.models.landmark import LandmarkModel, LandmarkStep
 from gridslam.pipeline import Stopwatch
-from gridslam.types import FloatArray, MotionModel
+from gridslam.types import FloatArray, MotionModel, Trajectory
 
-__all__ = ["localize_by_landmarks"]
+if TYPE_CHECKING:
+    from gridslam.viz.notebook import Picture
+
+__all__ = ["LandmarkLocalizationResult", "localize_by_landmarks"]
 
 _COMPLETE_MAP_GATES = MaximumLikelihood(match_gate=100.0, new_gate=100.0)
 """In a complete map an observation far off indicates a wrong pose rather than a new landmark.
@@ -31,6 +39,96 @@ On MRCLAM a gate of 3 standard deviations loses robot 3 where it sees nothing fo
 
 _NEAR = np.diag([0.1**2, 0.1**2, 0.1**2])
 """Default covariance of the initial pose: 10 cm and 6 degrees, as for a robot placed on a mark."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LandmarkLocalizationResult(ResultByLandmarks):
+    """Online trajectory of the robot in a known landmark map.
+
+    Attributes
+    ----------
+    reports : sequence of EkfLocalizationReport
+        One for each step.
+    landmarks : KnownLandmarks
+        The map.
+    landmarks_path : Path or None
+        Where it was read, unless it is the truth or was given as such.
+    in_true_frame : bool
+        Whether the map is that of the true landmarks: then errors are computed without alignment.
+    """
+
+    schema: ClassVar = "gridslam.landmark_localization/2"
+
+    reports: Sequence[EkfLocalizationReport]
+    landmarks: KnownLandmarks
+    landmarks_path: Path | None
+    in_true_frame: bool
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each step, in the frame of the landmarks."""
+        return Trajectory(self.stamps_ns, np.array([report.pose for report in self.reports]))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariance (T, 3, 3) of each."""
+        return np.array([report.covariance for report in self.reports])
+
+    @property
+    def outliers(self) -> int:
+        """Number of outlier observations."""
+        return sum(int((report.landmarks < 0).sum()) for report in self.reports)
+
+    def errors(self) -> PoseErrors | None:
+        """Errors against the truth, after alignment unless the map is in its frame; None where it is not known."""
+        compared = self.compare()
+        if compared is None:
+            return None
+        return absolute_errors(*compared, aligned=not self.in_true_frame, tolerance_ns=0)
+
+    def caption(self) -> list[str]:
+        """Lines that describe the result."""
+        lines = [
+            f"EKF localization, {self._correspondences()} correspondences",
+            f"{len(self.stamps_ns)} steps, {self.log.statistics.observations} observations, "
+            f"{len(self.landmarks.names)} known landmarks",
+        ]
+        errors = self.errors()
+        if errors is not None:
+            lines.append(f"RMSE: position {errors.trans_rmse_m:.3f} m, heading {errors.rot_rmse_deg:.1f} degrees")
+        return [*lines, self._last_line()]
+
+    def picture(self) -> Picture:
+        """Draw the trajectory and the landmarks, and the truth where it is known."""
+        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
+
+        compared = self.compare()
+        truth = None if compared is None else compared[1]
+        if compared is not None and truth is not None and not self.in_true_frame:
+            truth = Trajectory(truth.stamps_ns, compose(inverse(align_trajectory(*compared)), truth.poses))
+        exact = np.zeros((len(self.landmarks.names), 2, 2))
+        return draw_landmarks(
+            self.trajectory, self.landmarks.positions, exact, title=self.source.name, caption=self.caption(),
+            truth=truth, true_positions=self.landmarks.positions, stamped=self.log.stamped,
+        )  # fmt: skip
+
+    def _write_files(self, out: OutputFolder) -> None:
+        write_trajectory(out, self.trajectory, self.covariances)
+
+    def _describe(self) -> dict[str, Any]:
+        errors = self.errors()
+        return {
+            "method": "ekf-localization",
+            **ResultByLandmarks._describe(self),
+            "map": {
+                "path": None if self.landmarks_path is None else os.fspath(self.landmarks_path),
+                "landmarks": len(self.landmarks.names),
+            },
+            "outliers": self.outliers,
+            "log_likelihood": float(sum(report.log_likelihood for report in self.reports)),
+            "errors": None if errors is None else {"aligned": not self.in_true_frame, **asdict(errors)},
+        }
 
 
 def localize_by_landmarks(
@@ -81,14 +179,16 @@ def localize_by_landmarks(
     """
     watch = stopwatch or Stopwatch()
     source = open_landmark_log_if_path(log)
-    known = _known(source, landmarks)
+    known = _read_known(source, landmarks)
     association = _COMPLETE_MAP_GATES if unknown else KnownCorrespondence()
     model = sensor or SENSORS[source.kind]
     ekf = EkfLocalization(known, model, association)
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
-    belief = ekf.init(_start(source, steps, landmarks) if pose is None else pose, covariance)
+    if pose is None:
+        pose = _find_start(source, steps) if landmarks is None else np.zeros(3)
+    belief = ekf.init(pose, covariance)
     reports = list[EkfLocalizationReport]()
     for step in steps:
         seen = step.observations.drop_correspondences() if unknown else step.observations
@@ -99,15 +199,14 @@ def localize_by_landmarks(
     if not any((report.landmarks >= 0).any() for report in reports):
         raise InputError(source.path, "expected observations of the landmarks in the map, got none that fits")
     return LandmarkLocalizationResult(
-        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
-        reports=tuple(reports), landmarks=known, unknown=unknown, log=source,
-        landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None,
-        in_true_frame=landmarks is None, models={"sensor": model, "motion": motion, "association": association},
-        digest=compute_digest(source.path), stopwatch=watch,
+        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64), unknown=unknown, log=source,
+        models={"sensor": model, "motion": motion, "association": association}, digest=compute_digest(source.path),
+        stopwatch=watch, reports=tuple(reports), landmarks=known,
+        landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None, in_true_frame=landmarks is None,
     )  # fmt: skip
 
 
-def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> KnownLandmarks:
+def _read_known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> KnownLandmarks:
     if isinstance(landmarks, KnownLandmarks):
         return landmarks
     if landmarks is None:
@@ -121,10 +220,8 @@ def _known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> K
         raise InputError(landmarks, str(error)) from None
 
 
-def _start(log: LandmarkLog, steps: list[LandmarkStep], landmarks: str | Path | KnownLandmarks | None) -> FloatArray:
-    """Default initial pose."""
-    if landmarks is not None:
-        return np.zeros(3)
+def _find_start(log: LandmarkLog, steps: list[LandmarkStep]) -> FloatArray:
+    """Read the true pose at the first step, or the one nearest in time."""
     if log.truth is None or log.truth.trajectory is None or not steps:
         raise ArgumentError("pose", "a pose, as the true one is not known", None)
     truth = log.truth.trajectory

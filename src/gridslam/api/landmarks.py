@@ -1,23 +1,37 @@
-"""From a log of landmarks to a trajectory and a map of landmarks."""
+"""From a log of landmarks to a trajectory and a map of landmarks, and the result with its output files."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias, final
 
 import numpy as np
 
-from gridslam.api.landmark_models import MOTION, SENSORS, WIDE_MOTION
-from gridslam.api.landmark_result import LandmarkEstimate, LandmarkResult
+from gridslam import __version__
+from gridslam.api.result import Result, write_trajectory
 from gridslam.arguments import require_seed
 from gridslam.errors import ArgumentError
+from gridslam.evaluation.maps import LandmarkErrors, landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, align, clip_to_truth
+from gridslam.geometry.se2 import compose, inverse, transform_points
 from gridslam.io.landmark_logs import LandmarkLog, open_landmark_log_if_path
+from gridslam.io.landmarks import write_landmarks
+from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
+from gridslam.io.trajectories import write_tum
 from gridslam.models.association import AMBIGUOUS, Association, KnownCorrespondence, MaximumLikelihood
-from gridslam.models.landmark import LandmarkModel, LandmarkStep
-from gridslam.models.motion import EXACT_ODOMETRY, OdometryBias
+from gridslam.models.landmark import (
+    DepthBearing,
+    LandmarkModel,
+    LandmarkStep,
+    ObservationKind,
+    RangeBearing,
+    RelativePosition,
+)
+from gridslam.models.motion import EXACT_ODOMETRY, DiffusionMotion, OdometryBias
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.fastslam1 import FastSlam1
@@ -27,12 +41,18 @@ from gridslam.slam.landmarks.graph_slam import LandmarkGraphSlam
 from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 from gridslam.slam.landmarks.odometry_bias import FastSlam2WithOdometryBias
 from gridslam.slam.landmarks.particles import smooth_trajectory
-from gridslam.slam.landmarks.report import LandmarkReport
+from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.robust import CauchyEstimator
-from gridslam.types import FloatArray, MotionModel
+from gridslam.types import FloatArray, IntArray, MotionModel, Trajectory
 
-__all__ = ["METHODS", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "LandmarkMethod", "map_landmarks"]
+if TYPE_CHECKING:
+    from gridslam.viz.notebook import Picture
+
+__all__ = [
+    "METHODS", "MOTION", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "SENSORS", "WIDE_MOTION", "LandmarkEstimate",
+    "LandmarkMethod", "LandmarkResult", "ResultByLandmarks", "align_trajectory", "map_landmarks",
+]  # fmt: skip
 
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
@@ -56,18 +76,225 @@ _NO_GATE = KnownCorrespondence(gate=1e6)
 _WIDE_GATE = KnownCorrespondence(gate=50.0)
 """7 standard deviations: once in 10^11 for a true one by a filter that knows how its odometry errs, loops included."""
 
-_BIAS = OdometryBias()
+SENSORS: Final[dict[ObservationKind, LandmarkModel]] = {
+    ObservationKind.RANGE_BEARING: RangeBearing(),
+    ObservationKind.DEPTH_BEARING: DepthBearing(),
+    ObservationKind.POSITION: RelativePosition(),
+}
+"""Measurement model of each observation type."""
+
+MOTION: Final = DiffusionMotion(sigma_xy_m=0.02, sigma_theta_rad=0.08)
+"""Errors of MRCLAM's commands per metre or radian; logs with covariances do not need it."""
+
+WIDE_MOTION: Final = DiffusionMotion(sigma_xy_m=0.06, sigma_theta_rad=0.12)
+"""The same over long intervals, for the gates of data association: the errors of the commands have a bias.
+
+Measured over the 30 intervals of 4 s and more without observations: with `MOTION` their NEES is 13 instead of 3. With
+known correspondences the narrow model performs better: particles spread less between observations.
+"""
+
+
+class LandmarkEstimate(NamedTuple):
+    """Estimate of a landmark algorithm.
+
+    Attributes
+    ----------
+    poses : (T, 3) float64
+        After each step: smoothed, by all methods except EKF SLAM, which marginalizes the past.
+    online : (T, 3) float64 or None
+        Online estimates, by filters.
+    covariances : (T, 3, 3) float64
+        Of the poses: online by filters, of the final solution by the graph.
+    landmarks : LandmarkMap
+    outliers : int
+        Number of outlier observations.
+    figures : dict
+        Other results of the method, as JSON values.
+    """
+
+    poses: FloatArray
+    online: FloatArray | None
+    covariances: FloatArray
+    landmarks: LandmarkMap
+    outliers: int
+    figures: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class ResultByLandmarks(Result):
+    """What mapping of landmarks and localization by them share.
+
+    Attributes
+    ----------
+    stamps_ns : (T,) int64, ns
+        Of the steps.
+    unknown : bool
+        Whether the correspondences were to be found.
+    log : LandmarkLog
+    models : dict
+        Measurement and motion model, and what else the method has.
+    digest : str
+        SHA-256 of the log's file.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    picture_name: ClassVar = "landmarks.png"
+
+    stamps_ns: IntArray
+    unknown: bool
+    log: LandmarkLog
+    models: dict[str, Any]
+    digest: str
+    stopwatch: Stopwatch
+
+    @property
+    def source(self) -> Path:
+        """The log's file."""
+        return self.log.path
+
+    def compare(self) -> tuple[Trajectory, Trajectory] | None:
+        """Return the trajectory where the truth covers it, and the truth at its steps; None where there is none."""
+        if self.log.truth is None or self.log.truth.trajectory is None:
+            return None
+        return clip_to_truth(self.trajectory, self.log.truth.trajectory)
+
+    def _correspondences(self) -> str:
+        return "unknown" if self.unknown else "known"
+
+    def _last_line(self) -> str:
+        return f"{self.stopwatch.stages['solve'][0]:.1f} s: gridslam {__version__}"
+
+    def _describe(self) -> dict[str, Any]:
+        counts = self.log.statistics
+        return {
+            "correspondences": self._correspondences(),
+            "input": {
+                "path": os.fspath(self.source),
+                "sha256": self.digest,
+                **asdict(counts),
+                "duration_s": counts.duration_s,
+                "stamped": self.log.stamped,
+            },
+            "models": {name: {"kind": type(model).__name__, **asdict(model)} for name, model in self.models.items()},
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LandmarkResult(ResultByLandmarks):
+    """Trajectory and landmark map of a log.
+
+    Attributes
+    ----------
+    method : str
+    estimate : LandmarkEstimate
+    particles : int or None
+    seed : int
+    """
+
+    schema: ClassVar = "gridslam.landmarks/2"
+
+    method: str
+    estimate: LandmarkEstimate
+    particles: int | None
+    seed: int
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for each step, map frame."""
+        return Trajectory(self.stamps_ns, self.estimate.poses)
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariances (T, 3, 3) of the poses."""
+        return self.estimate.covariances
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The landmarks, map frame."""
+        return self.estimate.landmarks
+
+    def errors(self) -> tuple[PoseErrors | None, LandmarkErrors | None]:
+        """Errors against the truth, after alignment of the trajectory and of the landmarks, each by itself."""
+        compared = self.compare()
+        poses = None if compared is None else absolute_errors(*compared, tolerance_ns=0)
+        known = self.log.truth
+        if known is None or (self.unknown and compared is None):
+            return poses, None
+        if compared is None or not self.unknown:
+            pairs = pair_by_name(self.landmarks.names, known.landmarks)
+        else:
+            pairs = pair_by_position(self.landmarks.positions, known.positions, align_trajectory(*compared))
+        found = landmark_errors(self.landmarks.positions, known.positions, pairs) if len(pairs[0]) else None
+        return poses, found
+
+    def caption(self) -> list[str]:
+        """Lines that describe the result."""
+        particles = f", {self.particles} particles, seed {self.seed}" if self.particles else ""
+        observations = self.log.statistics.observations
+        lines = [
+            f"{self.method}, {self._correspondences()} correspondences{particles}",
+            f"{len(self.stamps_ns)} steps, {observations} observations, {len(self.landmarks)} landmarks",
+        ]
+        poses, landmarks = self.errors()
+        if poses is not None and landmarks is not None:
+            lines.append(f"RMSE: position {poses.trans_rmse_m:.3f} m, landmarks {landmarks.rmse_m:.3f} m")
+        return [*lines, self._last_line()]
+
+    def picture(self) -> Picture:
+        """Draw the trajectory and the landmarks, and the truth where it is known."""
+        from gridslam.viz import draw_landmarks  # only drawing pays for the import of Pillow
+
+        way = points = None
+        compared = self.compare()
+        known = self.log.truth
+        if compared is not None and known is not None:
+            map_from_true = inverse(align_trajectory(*compared))
+            way = Trajectory(compared[1].stamps_ns, compose(map_from_true, compared[1].poses))
+            points = transform_points(map_from_true, known.positions)
+        return draw_landmarks(
+            self.trajectory, self.landmarks.positions, self.landmarks.covariances, title=self.source.name,
+            caption=self.caption(), truth=way, true_positions=points, stamped=self.log.stamped,
+        )  # fmt: skip
+
+    def _write_files(self, out: OutputFolder) -> None:
+        write_trajectory(out, self.trajectory, self.covariances)
+        if self.estimate.online is not None:
+            write_tum(out.file("trajectory_online.tum"), Trajectory(self.stamps_ns, self.estimate.online))
+        write_landmarks(out.file("landmarks.csv"), self.landmarks)
+
+    def _describe(self) -> dict[str, Any]:
+        poses, landmarks = self.errors()
+        return {
+            "method": self.method,
+            "particles": self.particles,
+            "seed": self.seed,
+            **ResultByLandmarks._describe(self),
+            "landmarks": len(self.landmarks),
+            "outliers": self.estimate.outliers,
+            **self.estimate.figures,
+            "errors": {
+                "trajectory": None if poses is None else asdict(poses),
+                "landmarks": None if landmarks is None else asdict(landmarks),
+            },
+        }
+
+
+def align_trajectory(found: Trajectory, truth: Trajectory) -> FloatArray:
+    """Pose `true_from_map` (3,) that aligns a trajectory with the true one, pose by pose."""
+    return align(found.poses[:, :2], truth.poses[:, :2])
 
 
 def map_landmarks(
     log: str | Path | LandmarkLog,
     method: LandmarkMethod = "fastslam2",
     *,
-    particles: int | None = None,
-    seed: int = 0,
     unknown: bool = False,
     sensor: LandmarkModel | None = None,
     motion: MotionModel | None = None,
+    particles: int | None = None,
+    seed: int = 0,
     on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LandmarkResult:
@@ -79,16 +306,16 @@ def map_landmarks(
         As `open_landmark_log` knows.
     method : "ekf", "fastslam1", "fastslam2" or "graph"
         EKF SLAM, FastSLAM 1.0 or 2.0, or GraphSLAM.
-    particles : int, optional
-        Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0, and 200 for both where correspondences are unknown.
-    seed : int, >= 0
-        Of FastSLAM; the same gives identical results.
     unknown : bool
         Ignore the correspondences of the log and estimate them. Not with "graph".
     sensor : LandmarkModel, optional
         Measurement model; if not given, that of the observation type of the log.
     motion : MotionModel, optional
         For a log without odometry covariances; if not given, one for MRCLAM's commands.
+    particles : int, optional
+        Of FastSLAM; if not given 100 for 1.0 and 20 for 2.0, and 200 for both where correspondences are unknown.
+    seed : int, >= 0
+        Of FastSLAM; the same gives identical results.
     on_progress : callable
         Called after each step.
     stopwatch : Stopwatch, optional
@@ -101,55 +328,71 @@ def map_landmarks(
     InputError
         The log cannot be read.
     """
-    _check(method, particles, seed, unknown)
+    if method not in METHODS:
+        raise ArgumentError("method", f"one of {', '.join(METHODS)}", method)
+    if particles is not None and (particles < 1 or method not in PARTICLES):
+        raise ArgumentError("particles", "at least one, for FastSLAM only", f"{particles} for {method}")
+    require_seed(seed)
+    if unknown and method == "graph":
+        raise ArgumentError("unknown", "False for the graph, which needs known correspondences", unknown)
     watch = stopwatch or Stopwatch()
     source = open_landmark_log_if_path(log)
     if particles is None and method in PARTICLES:
         particles = PARTICLES_UNKNOWN_CORRESPONDENCES if unknown else PARTICLES[method]
-    model, motion = sensor or SENSORS[source.kind], motion or (WIDE_MOTION if unknown else MOTION)
+    model = sensor or SENSORS[source.kind]
+    motion = motion or (WIDE_MOTION if unknown else MOTION)
     watch.lap("start")
     steps = list(source)
     watch.lap("read")
     models: dict[str, Any] = {"sensor": model, "motion": motion}
+    # only where a log contains its noise its correspondences are trusted without a gate
+    has_noise = all(step.covariance is not None for step in steps)
+    association: Association = KnownCorrespondence()
+    if unknown:
+        association = MaximumLikelihood()
+        steps = [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
+    elif has_noise:
+        association = _WIDE_GATE if method == "ekf" else _NO_GATE
     if method == "graph":
-        estimate = _by_graph(steps, model, motion)
+        estimate = _solve_graph(steps, model, motion, None if has_noise else CauchyEstimator())
+    elif method == "ekf":
+        models["bias"] = EXACT_ODOMETRY if unknown else OdometryBias()
+        estimate = _run_ekf(steps, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
     else:
-        association: Association = MaximumLikelihood() if unknown else _known_correspondence(steps, method)
-        shown = _drop_correspondences(steps) if unknown else steps
-        if method == "ekf":
-            models["bias"] = EXACT_ODOMETRY if unknown else _BIAS
-            estimate = _by_ekf(shown, EkfSlam(model, association, bias=models["bias"]), motion, on_progress)
-        else:
-            slam, bias = _particle_filter(method, LandmarkFilters(model, association), _has_own_noise(steps))
-            models |= {"bias": bias} if method == "fastslam2" else {}
-            estimate = _by_particles(shown, slam, bias, particles or 0, seed, motion, on_progress)
+        filters = LandmarkFilters(model, association)
+        bias = OdometryBias() if method == "fastslam2" and has_noise else EXACT_ODOMETRY
+        slam: FastSlam1 | FastSlam2 = FastSlam1(filters)
+        if method == "fastslam2":
+            models["bias"] = bias
+            slam = FastSlam2WithOdometryBias(filters, bias=bias) if has_noise else FastSlam2WithLocalFrames(filters)
+        estimate = _run_particle_filter(steps, slam, bias, particles or 0, seed, motion, on_progress)
     watch.lap("solve")
     return LandmarkResult(
-        method=method, estimate=estimate, unknown=unknown, seed=seed, log=source, stopwatch=watch,
-        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
-        particles=particles, models=models, digest=compute_digest(source.path),
+        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64), unknown=unknown, log=source, models=models,
+        digest=compute_digest(source.path), stopwatch=watch, method=method, estimate=estimate, particles=particles,
+        seed=seed,
     )  # fmt: skip
 
 
-def _by_ekf(
+def _run_ekf(
     steps: Sequence[LandmarkStep], slam: EkfSlam, motion: MotionModel, on_progress: Callable[[], None]
 ) -> LandmarkEstimate:
-    state, reports = slam.init(), list[LandmarkReport]()
+    state = slam.init()
+    reports = list[LandmarkReport]()
     for step in steps:
         state, report = slam.step(state, step.motion(motion), step.observations)
         reports.append(report)
         on_progress()
-    online = _poses(reports)
-    return LandmarkEstimate(
-        online, online, _covariances(reports), slam.landmark_map(state), _count_outliers(reports), {}
-    )
+    return _put_together(reports, slam.landmark_map(state))
 
 
-def _by_particles(
+def _run_particle_filter(
     steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, bias: OdometryBias, particles: int, seed: int,
     motion: MotionModel, on_progress: Callable[[], None],
 ) -> LandmarkEstimate:  # fmt: skip
-    rng, state, reports = np.random.default_rng(seed), slam.init(particles), list[LandmarkReport]()
+    rng = np.random.default_rng(seed)
+    state = slam.init(particles)
+    reports = list[LandmarkReport]()
     for step in steps:
         state, report = slam.step(state, step.motion(motion), step.observations, rng)
         reports.append(report)
@@ -158,13 +401,21 @@ def _by_particles(
         "n_eff_mean": float(np.mean([report.n_eff for report in reports])),
         "resamplings": sum(report.parents is not None for report in reports),
     }
-    full = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
-    landmarks = slam.landmark_map(state)
-    return LandmarkEstimate(full, _poses(reports), _covariances(reports), landmarks, _count_outliers(reports), figures)
+    poses = smooth_trajectory(state, state.best, [step.motion(motion) for step in steps], bias)[1:]
+    return _put_together(reports, slam.landmark_map(state))._replace(poses=poses, figures=figures)
 
 
-def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel) -> LandmarkEstimate:
-    robust = None if _has_own_noise(steps) else CauchyEstimator()
+def _put_together(reports: Sequence[LandmarkReport], landmarks: LandmarkMap) -> LandmarkEstimate:
+    """Estimate of a filter, of its online poses."""
+    online = np.array([report.pose for report in reports])
+    covariances = np.array([report.covariance for report in reports])
+    outliers = sum(int((report.landmarks == AMBIGUOUS).sum()) for report in reports)
+    return LandmarkEstimate(online, online, covariances, landmarks, outliers, {})
+
+
+def _solve_graph(
+    steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: MotionModel, robust: CauchyEstimator | None
+) -> LandmarkEstimate:
     found = LandmarkGraphSlam(sensor, GraphSlam(first_guess="given", robust=robust)).solve(steps, motion)
     figures = {
         "chi2": found.solution.chi2_after,
@@ -173,51 +424,3 @@ def _by_graph(steps: Sequence[LandmarkStep], sensor: LandmarkModel, motion: Moti
     }
     outliers = int((found.solution.weights < _OUTLIER_WEIGHT).sum())
     return LandmarkEstimate(found.poses, None, found.covariances, found.landmarks, outliers, figures)
-
-
-def _drop_correspondences(steps: Sequence[LandmarkStep]) -> list[LandmarkStep]:
-    return [replace(step, observations=step.observations.drop_correspondences()) for step in steps]
-
-
-def _has_own_noise(steps: Sequence[LandmarkStep]) -> bool:
-    """Whether a log contains measurement covariances; only then its correspondences are trusted without a gate."""
-    return all(step.covariance is not None for step in steps)
-
-
-def _known_correspondence(steps: Sequence[LandmarkStep], method: LandmarkMethod) -> KnownCorrespondence:
-    if not _has_own_noise(steps):
-        return KnownCorrespondence()
-    return _WIDE_GATE if method == "ekf" else _NO_GATE
-
-
-def _particle_filter(
-    method: LandmarkMethod, landmarks: LandmarkFilters, told: bool
-) -> tuple[FastSlam1 | FastSlam2, OdometryBias]:
-    """Choose the filter, and the errors of the odometry that it learns: of 2.0 the variant that suits the log."""
-    if method == "fastslam1":
-        return FastSlam1(landmarks), EXACT_ODOMETRY
-    if told:
-        return FastSlam2WithOdometryBias(landmarks, bias=_BIAS), _BIAS
-    return FastSlam2WithLocalFrames(landmarks), EXACT_ODOMETRY
-
-
-def _poses(reports: Sequence[LandmarkReport]) -> FloatArray:
-    return np.array([report.pose for report in reports])
-
-
-def _covariances(reports: Sequence[LandmarkReport]) -> FloatArray:
-    return np.array([report.covariance for report in reports])
-
-
-def _count_outliers(reports: Sequence[LandmarkReport]) -> int:
-    return sum(int((report.landmarks == AMBIGUOUS).sum()) for report in reports)
-
-
-def _check(method: str, particles: int | None, seed: int, unknown: bool) -> None:
-    if method not in METHODS:
-        raise ArgumentError("method", f"one of {', '.join(METHODS)}", method)
-    if particles is not None and (particles < 1 or method not in PARTICLES):
-        raise ArgumentError("particles", "at least one, for FastSLAM only", f"{particles} for {method}")
-    require_seed(seed)
-    if unknown and method == "graph":
-        raise ArgumentError("unknown", "False for the graph, which needs known correspondences", unknown)

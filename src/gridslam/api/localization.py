@@ -1,36 +1,229 @@
-"""Localize the robot of a log in a map."""
+"""From a log and a map to the robot's way in it: Monte Carlo localization, its result and its output files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from gridslam.api.localization_result import LocalizationResult
+from gridslam import __version__
+from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
-from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
+from gridslam.config.tables import to_table
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.maps import read_map
 from gridslam.io.measurement import Measurement
+from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.localization.known_map import KnownMap
 from gridslam.localization.monte_carlo import MonteCarloConfiguration, MonteCarloLocalization
-from gridslam.localization.state import LocalizationObserver, LocalizationReport, MonteCarloState
+from gridslam.localization.state import (
+    LocalizationObserver,
+    LocalizationReport,
+    LocalizationSkip,
+    MonteCarloState,
+)
 from gridslam.pipeline import Stopwatch, run
-from gridslam.types import FloatArray, OccupancyGrid, Odometry
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, Odometry, Trajectory
 
-__all__ = ["INITIAL_COVARIANCE", "known_map", "localize"]
+if TYPE_CHECKING:
+    from gridslam.viz.notebook import Picture
+
+__all__ = [
+    "BELIEF_HEADER", "INITIAL_COVARIANCE", "LocalizationInterval", "LocalizationResult", "known_map", "localize",
+]  # fmt: skip
+
+BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
+"""First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""
 
 INITIAL_COVARIANCE: FloatArray = np.diag([0.25, 0.25, (math.pi / 12) ** 2])
 """Default covariance of an initial pose: 0.5 m and 15 degrees, as in AMCL."""
 
-_FOUND, _TRIED_M = 0.2, 5.0  # found at a smaller share of the scans on so long a way: the log is of somewhere else
+_FOUND = 0.2
+"""Found at a smaller share of the scans on a way of `_TRIED_M`: the log is of somewhere else."""
+_TRIED_M = 5.0
+
+
+class LocalizationInterval(NamedTuple):
+    """Scans in a row at which the robot was found, or lost.
+
+    Attributes
+    ----------
+    lost : bool
+    first, last : int
+        Which scans, counted from 0.
+    driven_m : float
+        Way before the first of them, by odometry.
+    """
+
+    lost: bool
+    first: int
+    last: int
+    driven_m: float
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LocalizationResult(Result):
+    """A robot's way in a known map, and how it was found.
+
+    Attributes
+    ----------
+    reports : list of LocalizationReport
+        One for each scan, without particles.
+    driven_m : (N,) float64
+        Way up to each scan, by odometry.
+    map : OccupancyGrid
+    state : MonteCarloState
+        The filter after the last scan.
+    configuration : MonteCarloConfiguration
+        The effective parameters.
+    pose : (3,) float64 or None
+        Initial pose; None for global localization.
+    seed, threads : int
+        As given.
+    log : LogStatistics
+        What was met in the log.
+    source, map_path : Path
+        The log, and the map's YAML file or, for a map that was given as such, an empty path.
+    digest : str
+        SHA-256 of the log.
+    remarks : tuple of str
+        What is odd about the map's file.
+    repair : Repair
+        What was taken out of the log.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    """
+
+    schema: ClassVar = "gridslam.localization/2"
+    picture_name: ClassVar = "localization.png"
+
+    reports: list[LocalizationReport]
+    driven_m: FloatArray
+    map: OccupancyGrid
+    state: MonteCarloState
+    configuration: MonteCarloConfiguration
+    pose: FloatArray | None
+    seed: int
+    threads: int
+    log: LogStatistics
+    source: Path
+    map_path: Path
+    digest: str
+    remarks: tuple[str, ...]
+    repair: Repair
+    stopwatch: Stopwatch
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Online pose of each scan, map frame; a guess where the robot was lost."""
+        return Trajectory(self.stamps_ns, np.array([report.pose for report in self.reports]))
+
+    @property
+    def stamps_ns(self) -> IntArray:
+        """Stamps (N,) of the scans."""
+        return np.array([report.stamp_ns for report in self.reports], np.int64)
+
+    @property
+    def covariances(self) -> FloatArray:
+        """Covariances (N, 3, 3) of the poses."""
+        return np.array([report.covariance for report in self.reports])
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Whether the robot was lost at each scan: (N,)."""
+        return np.array([report.lost for report in self.reports])
+
+    def intervals(self) -> list[LocalizationInterval]:
+        """Where the robot was found and where it was lost, in order."""
+        lost = self.lost
+        begins = np.flatnonzero(np.diff(lost, prepend=~lost[:1]))
+        ends = np.append(begins[1:], len(lost)) - 1
+        pairs = zip(begins.tolist(), ends.tolist(), strict=True)
+        return [LocalizationInterval(bool(lost[a]), a, b, float(self.driven_m[a])) for a, b in pairs]
+
+    def caption(self) -> list[str]:
+        """Lines that describe the result."""
+        scans = len(self.reports)
+        found = next((interval for interval in self.intervals() if not interval.lost), None)
+        where = "never found" if found is None else f"found after {found.driven_m:.1f} m"
+        start = where if self.pose is None else f"begun at {', '.join(f'{v:g}' for v in self.pose)}"
+        return [
+            f"{scans} scans, {self.log.duration_s:.0f} s, {self.driven_m[-1]:.0f} m driven",
+            f"{start}; lost at {self.lost.sum()} of {scans} scans",
+            f"seed {self.seed}, {self.stopwatch.total()[0]:.1f} s: gridslam {__version__}",
+        ]
+
+    def picture(self) -> Picture:
+        """Draw the map with the trajectory, and where the robot was lost."""
+        from gridslam.viz import draw_localization  # only drawing pays for the import of Pillow
+
+        return draw_localization(self.map, self.trajectory, self.lost, title=self.source.name, caption=self.caption())
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        names = ("lost", "lost_probability", "inlier_ratio", "particles")
+        return {name: np.array([getattr(report, name) for report in self.reports]) for name in names}
+
+    def _write_files(self, out: OutputFolder) -> None:
+        write_trajectory(out, self.trajectory, self.covariances)
+        out.file("belief.csv").write_text("\n".join([BELIEF_HEADER, *self._belief(), ""]), encoding="ascii")
+
+    def _belief(self) -> Iterator[str]:
+        for r in self.reports:
+            n_eff = f"{r.n_eff:.1f}" if r.skipped is None else ""
+            whole, rest = divmod(r.stamp_ns, 10**9)
+            yield (
+                f"{whole}.{rest:09d},{r.lost:d},{r.lost_probability:.6g},{r.inlier_ratio:.4f},{r.particles},{n_eff},"
+                f"{r.injection_ratio:.4g}"
+            )
+
+    def _describe(self) -> dict[str, Any]:
+        stamps_ns = self.stamps_ns
+        reasons = [report.skipped for report in self.reports]
+        updates = [report for report in self.reports if report.skipped is None]
+        return {
+            "seed": self.seed,
+            "threads": self.threads,
+            "input": {
+                **describe_input(self.source, self.digest, self.log, self.repair),
+                "map": os.fspath(self.map_path),
+                "map_remarks": list(self.remarks),
+                "odometry_length_m": float(self.driven_m[-1]),
+            },
+            "initial_pose": "global" if self.pose is None else self.pose.tolist(),
+            "scans": {
+                "read": len(reasons),
+                "used": len(updates),
+                "skipped": {reason.value: reasons.count(reason) for reason in LocalizationSkip if reason in reasons},
+                "lost": int(self.lost.sum()),
+            },
+            "filter": {
+                "particles_mean": float(np.mean([report.particles for report in updates])),
+                "particles_max": max(report.particles for report in updates),
+                "n_eff_mean": float(np.mean([report.n_eff for report in updates])),
+                "inlier_ratio_mean": float(np.mean([report.inlier_ratio for report in updates])),
+                "injected_updates": sum(report.injection_ratio > 0 for report in updates),
+            },
+            "intervals": [
+                {
+                    "lost": interval.lost,
+                    "stamps_ns": stamps_ns[[interval.first, interval.last]].tolist(),
+                    "driven_m": interval.driven_m,
+                }
+                for interval in self.intervals()
+            ],
+            "configuration": to_table(self.configuration),
+        }
 
 
 def localize(
@@ -39,14 +232,15 @@ def localize(
     *,
     pose: ArrayLike | None = None,
     covariance: ArrayLike = INITIAL_COVARIANCE,
-    seed: int = 0,
-    options: LogOptions | None = None,
-    configuration: MonteCarloConfiguration | None = None,
-    threads: int = 1,
     strict_thresholds: bool = False,
+    configuration: MonteCarloConfiguration | None = None,
+    seed: int = 0,
+    threads: int = 1,
+    options: LogOptions | None = None,
     repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[LocalizationObserver] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
+    on_progress: Callable[[], None] = lambda: None,
     stopwatch: Stopwatch | None = None,
 ) -> LocalizationResult:
     """Localize the robot of a log in a map, by Monte Carlo localization.
@@ -61,22 +255,24 @@ def localize(
         Where the robot is at the first scan, map frame [x m, y m, theta rad]; it is found if not given.
     covariance : (3, 3) float64, m^2, m rad, rad^2
         Of that pose.
-    seed : int, >= 0
-        The same log, map, parameters and seed give identical results.
-    options : LogOptions, optional
-        What to read of the log at a path.
-    configuration : MonteCarloConfiguration, optional
-        Of the filter.
-    threads : int, >= 1
-        Threads of the kernels; their number never changes a result.
     strict_thresholds : bool
         Read the thresholds of the map's file literally (see `gridslam.io.maps.read_map`).
+    configuration : MonteCarloConfiguration, optional
+        Of the filter.
+    seed : int, >= 0
+        The same log, map, parameters and seed give identical results.
+    threads : int, >= 1
+        Threads of the kernels; their number never changes a result.
+    options : LogOptions, optional
+        What to read of the log at a path.
     repair : "needed", "all" or "none"
         As for `gridslam.map_log`: what is taken out of the log.
     observers : sequence of LocalizationObserver
         Called after each scan.
     gate : callable
         Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
+    on_progress : callable
+        Called after each scan.
     stopwatch : Stopwatch, optional
         To go on with.
 
@@ -98,20 +294,35 @@ def localize(
     require_threads(threads)
     require_instance("map", map, str, Path, OccupancyGrid, KnownMap)
     require_instance("configuration", configuration, MonteCarloConfiguration, optional=True)
-    watch, configuration = stopwatch or Stopwatch(), configuration or MonteCarloConfiguration()
+    watch = stopwatch or Stopwatch()
+    configuration = configuration or MonteCarloConfiguration()
     source = open_repaired(log, options, repair)
     path, known, remarks = known_map(map, configuration, threads, strict_thresholds=strict_thresholds)
-    rng, mcl = np.random.default_rng(seed), MonteCarloLocalization(known, configuration)
+    rng = np.random.default_rng(seed)
+    mcl = MonteCarloLocalization(known, configuration)
     state = mcl.init() if pose is None else mcl.init_gaussian(pose, covariance, rng)
     watch.lap("start")
-    told = _ReportRecorder()
-    state = run(gate(source), mcl, rng=rng, observers=[*observers, told], state=state, stopwatch=watch)
-    driven, taken_out = np.array(told.driven_m), source.repair if isinstance(source, RepairedLog) else None
-    _check(source, path, told.reports, driven, configuration)
+    reports = list[LocalizationReport]()
+    steps_m = list[float]()
+    last: Odometry | None = None
+
+    def note(report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
+        """Keep a report without particles, and the way since the scan before."""
+        nonlocal last
+        reports.append(replace(report, poses=None, log_weights=None, parents=None))
+        moved = None if last is None or state.last is None else state.last.pose - last.pose
+        steps_m.append(0.0 if moved is None else float(np.hypot(moved[0], moved[1])))
+        last = state.last
+        on_progress()
+
+    state = run(gate(source), mcl, rng=rng, observers=[*observers, note], state=state, stopwatch=watch)
+    driven_m = np.cumsum(steps_m)
+    _check_found(source, path, reports, driven_m, configuration)
     result = LocalizationResult(
-        told.reports, driven, known.grid, state, configuration,
-        None if pose is None else np.array(pose, np.float64), seed, threads, source.statistics, source.path, path,
-        compute_digest(source.path), remarks, taken_out or Repair(), watch,
+        reports=reports, driven_m=driven_m, map=known.grid, state=state, configuration=configuration,
+        pose=None if pose is None else np.array(pose, np.float64), seed=seed, threads=threads, log=source.statistics,
+        source=source.path, map_path=path, digest=compute_digest(source.path), remarks=remarks,
+        repair=find_repair(source), stopwatch=watch,
     )  # fmt: skip
     watch.lap("finish")
     return result
@@ -137,22 +348,7 @@ def known_map(
         raise InputError(source, str(error).removeprefix("map: ")) from None
 
 
-class _ReportRecorder:
-    """Observer that keeps reports (without particles) and the path length (m) at each."""
-
-    def __init__(self) -> None:
-        self.reports, self.driven_m = list[LocalizationReport](), list[float]()
-        self._last: Odometry | None = None
-
-    def __call__(self, report: LocalizationReport, state: MonteCarloState, seconds: float) -> None:
-        """Keep a report."""
-        last, self._last = self._last, state.last
-        way = 0.0 if last is None or state.last is None else float(np.hypot(*(state.last.pose - last.pose)[:2]))
-        self.reports.append(replace(report, poses=None, log_weights=None, parents=None))
-        self.driven_m.append(way + (self.driven_m[-1] if self.driven_m else 0.0))
-
-
-def _check(
+def _check_found(
     log: Log,
     path: Path,
     reports: list[LocalizationReport],
@@ -164,11 +360,12 @@ def _check(
     if not updates:
         lacks = "odometry, which localization needs" if log.statistics.without_odometry else "scan with a usable beam"
         raise InputError(log.path, f"has no {lacks}")
-    best, found = max(report.inlier_ratio for report in updates), np.mean([not report.lost for report in reports])
-    usual = float(np.median([report.inlier_ratio for report in updates]))
+    ratios = [report.inlier_ratio for report in updates]
+    usual = float(np.median(ratios))
+    found = np.mean([not report.lost for report in reports])
     sought = np.mean([report.injection_ratio > 0 for report in updates])  # all over the map, again and again
     fits = usual >= configuration.recovery.expected and sought < 0.5
-    if best < configuration.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
+    if max(ratios) < configuration.lost_below or (found < _FOUND and driven_m[-1] > _TRIED_M and not fits):
         where = path.name or "the map"
         raise InputError(
             log.path,

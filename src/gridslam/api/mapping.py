@@ -1,43 +1,285 @@
-"""From a log to a map."""
+"""From a log to a map: grid-based FastSLAM with loop closure, its result and its output files."""
 
 from __future__ import annotations
 
+import math
+import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
-from typing import Literal
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
 import numpy as np
 
-from gridslam.api.result import MapResult
+from gridslam import __version__
+from gridslam.api.result import Result, describe_input, find_repair, write_trajectory
 from gridslam.arguments import require_instance, require_seed, require_threads
 from gridslam.config import Configuration, apply_laser, build
 from gridslam.config import preset as preset_of
-from gridslam.doctor.repair import Repair, RepairedLog, open_repaired
+from gridslam.config.tables import to_table
+from gridslam.doctor.repair import Repair, open_repaired
 from gridslam.errors import ArgumentError
-from gridslam.io.log import Log, LogOptions, LogSource
+from gridslam.grid.tiles import TiledGrid
+from gridslam.io.g2o import write_g2o
+from gridslam.io.log import LogOptions, LogSource
+from gridslam.io.log_statistics import LogStatistics
+from gridslam.io.maps import write_map
 from gridslam.io.measurement import Measurement
+from gridslam.io.output import OutputFolder
 from gridslam.io.results.record import RecordWriter
 from gridslam.io.text import compute_digest
-from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.io.trajectories import write_tum
+from gridslam.kernels import compiled
+from gridslam.observers import RunStatistics, StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
-from gridslam.slam.full_slam.full_slam import FullSlam, full_slam
+from gridslam.slam.full_slam.full_slam import LoopClosureSummary, full_slam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import StepReport, Trajectory
+from gridslam.slam.loop_closure.constraints import ConstraintSource
+from gridslam.slam.loop_closure.state import RejectionReason
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.tracking.tracker import Tracker, TrackerState
+from gridslam.types import FloatArray, IntArray, OccupancyGrid, StepReport, Trajectory
 
-__all__ = ["map_log"]
+if TYPE_CHECKING:
+    from gridslam.viz.notebook import Picture
+
+__all__ = ["MapResult", "finish_mapping", "map_log"]
+
+_MOST_DRAWN = 300
+"""Recognized closures in the picture; of more every second, third, ... is drawn."""
+_APART = 20
+"""Key scans between two tracked revisits that are drawn."""
+_ORDERS = {1: "as told", 0: "none", -1: "backward"}
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class MapResult(Result):
+    """Map and trajectory of a log, and how they came about.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        The full SLAM trajectory: the pose of every scan given all measurements, at the scan's own stamp.
+    covariances : (N, 3, 3) float64
+        Of its poses, by x, y in m and theta in rad, map frame, given that the first pose is exact.
+    online_trajectory : Trajectory
+        The online trajectory: the pose of the best particle at each scan.
+    tiled_map : TiledGrid
+        The map, drawn from the trajectory.
+    graph : PoseGraph
+        The key scans and what was measured between them.
+    loop_summary : LoopClosureSummary or None
+        Summary of loop closure; None without loop closure.
+    key_stamps_ns : (T,) int64, ns
+        Stamps of the key scans, the nodes of the graph.
+    state : GridFastSlamState
+        The filter after the last scan; of its particles maybe only the best (see `map_log`).
+    maps_bytes : int
+        Bytes of all particles' maps then.
+    statistics : RunStatistics
+        Counts and latencies.
+    log : LogStatistics
+        What was met in the log.
+    configuration : Configuration
+        The effective one.
+    seed, threads : int
+        As given.
+    source : Path
+        The log.
+    digest : str
+        Its SHA-256.
+    repair : Repair
+        What was taken out of it.
+    record : RecordWriter
+        The particles at each key scan.
+    stopwatch : Stopwatch
+        Time spent; saving goes on counting.
+    truth : Trajectory or None
+        The true trajectory in the map's frame, where it is known; it is drawn into the picture.
+    """
+
+    schema: ClassVar = "gridslam.run/3"
+    picture_name: ClassVar = "map.png"
+
+    trajectory: Trajectory
+    covariances: FloatArray
+    online_trajectory: Trajectory
+    tiled_map: TiledGrid
+    graph: PoseGraph
+    loop_summary: LoopClosureSummary | None
+    key_stamps_ns: IntArray
+    state: GridFastSlamState
+    maps_bytes: int
+    statistics: RunStatistics
+    log: LogStatistics
+    configuration: Configuration
+    seed: int
+    threads: int
+    source: Path
+    digest: str
+    repair: Repair
+    record: RecordWriter
+    stopwatch: Stopwatch
+    truth: Trajectory | None = None
+
+    @property
+    def map(self) -> OccupancyGrid:
+        """The map as one array, built at each access."""
+        return self.tiled_map.whole()
+
+    @property
+    def driven(self) -> str:
+        """Odometry path length as text."""
+        log = self.log
+        return "no odometry" if log.without_odometry == log.scan_count else f"{log.odometry_length_m:.0f} m driven"
+
+    def caption(self) -> list[str]:
+        """Lines that describe the map."""
+        height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
+        wall = self.stopwatch.total()[0]
+        places = ""
+        loops = self.loop_summary
+        if loops is not None:
+            places = f", {len(loops.closures)} places recognized, {len(loops.tracked_revisits)} known again"
+        return [
+            f"{len(self.trajectory)} scans, {self.log.duration_s:.0f} s, {self.driven}{places}",
+            f"{width:.0f} m x {height:.0f} m in cells of {100 * self.tiled_map.resolution_m:g} cm",
+            f"{self.configuration.particles} particles, seed {self.seed}, {wall:.1f} s: gridslam {__version__}",
+        ]
+
+    def picture(self) -> Picture:
+        """Draw the map with the trajectory, its closures, and the true trajectory where it is known."""
+        from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
+
+        return draw_map(
+            self.tiled_map, self.trajectory, title=self.source.name, caption=self.caption(), truth=self.truth,
+            closures=None if self.loop_summary is None else self._drawn(self.loop_summary),
+        )  # fmt: skip
+
+    def _write_files(self, out: OutputFolder) -> None:
+        write_map(out.file("map.yaml"), self.tiled_map)
+        write_trajectory(out, self.trajectory, self.covariances)
+        write_tum(out.file("trajectory_online.tum"), self.online_trajectory)
+        write_g2o(out.file("graph.g2o"), self.graph)
+        self.record.write(out.file("record.npz"))
+
+    def _describe(self) -> dict[str, Any]:
+        statistics = self.statistics
+        return {
+            "seed": self.seed,
+            "threads": self.threads,
+            "kernels": "compiled" if compiled else "reference",
+            "input": self._describe_input(),
+            "scans": self._describe_scans(),
+            "tracker": self._describe_tracker(),
+            "filter": self._describe_filter(),
+            "loop_closure": self.loop_summary is not None and self._describe_loop_closure(self.loop_summary),
+            "latency": {"key_scans": asdict(statistics.key_latency), "all_scans": asdict(statistics.latency)},
+            "peak_memory_bytes": _peak_memory_bytes(),
+            "configuration": to_table(self.configuration),
+        }
+
+    def _drawn(self, loops: LoopClosureSummary) -> FloatArray:
+        """Lines (K, 4) of closures: the recognized ones, and some of those whose place was known."""
+        recognized = loops.closures[:: -(-len(loops.closures) // _MOST_DRAWN) or 1]
+        known = loops.tracked_revisits[np.flatnonzero(np.diff(loops.tracked_revisits[:, 1] // _APART, prepend=-1))]
+        ends: FloatArray = self.graph.poses[np.concatenate([known, recognized]), :2].reshape(-1, 4)
+        return ends
+
+    def _describe_input(self) -> dict[str, Any]:
+        log = self.log
+        sensors = {
+            sensor: {
+                "base_from_laser": mounting.pose.tolist(),
+                "source": mounting.source,
+                "moved": log.moving_mountings[sensor],  # scans at which it had changed since the first
+            }
+            for sensor, mounting in log.mountings.items()
+        }
+        return describe_input(self.source, self.digest, log, self.repair) | {
+            "bytes": log.total_bytes,
+            "truncated": log.truncated,
+            "sensors": sensors,
+            "odometry": log.odometry_source,
+            "without_odometry": log.without_odometry,
+            "odometry_length_m": log.odometry_length_m,
+            "backward_stamps": log.backward_stamps,
+            "duplicate_stamps": log.duplicate_stamps,
+            "invalid_beams": log.invalid_beams,
+            "no_return_beams": log.no_return_beams,
+            "missing_transforms": dict(log.missing_transforms),
+            "remarks": dict(log.remarks),
+        }
+
+    def _describe_scans(self) -> dict[str, Any]:
+        statistics = self.statistics
+        return {
+            "read": self.log.scan_count,
+            "used": statistics.key_scans,
+            "skipped": {reason.value: count for reason, count in statistics.skipped.items()},
+            "lost": statistics.lost,
+            "degenerate": statistics.degenerate,
+        }
+
+    def _describe_tracker(self) -> dict[str, Any] | None:
+        """Summary of the tracker; None for the tracker that uses the odometry unchanged."""
+        tracker = self.configuration.tracker
+        if not isinstance(tracker, Tracker):
+            return None
+        state = self.state.tracker
+        timed = {sensor: track for sensor, track in state.sensors.items() if track.beam_order.scans}
+        has_odometry = self.log.without_odometry < self.log.scan_count
+        return {
+            "odometry": _describe_odometry_errors(state) if has_odometry else None,
+            "odometry_rejected": state.rejected_odometry,
+            "stamps_reliable": not state.stamps_unreliable,
+            "beam_order": {sensor: _ORDERS[track.best_order] for sensor, track in timed.items()},
+        }
+
+    def _describe_filter(self) -> dict[str, Any]:
+        statistics = self.statistics
+        height, width = (side * self.tiled_map.resolution_m for side in self.tiled_map.shape)
+        return {
+            "particles": self.configuration.particles,
+            "resamplings": statistics.resamplings,
+            "n_eff_mean": statistics.n_eff_mean,
+            "n_eff_min": statistics.n_eff_min,
+            "map_width_m": width,
+            "map_height_m": height,
+            "maps_bytes": self.maps_bytes,
+        }
+
+    def _describe_loop_closure(self, loops: LoopClosureSummary) -> dict[str, Any]:
+        return {
+            "closures": [
+                {"key_scans": pair, "stamps_ns": self.key_stamps_ns[pair].tolist()} for pair in loops.closures.tolist()
+            ],
+            "removed": loops.removed,
+            "rejected": {reason.value: loops.rejected[reason] for reason in RejectionReason if loops.rejected[reason]},
+            "corrections": self.statistics.corrections,
+            "constraints": {source.name.lower(): loops.constraints[source] for source in ConstraintSource},
+            "refinement_constraints": loops.refinement_constraints,
+            "chi2": loops.chi2,
+            "max_correction_m": loops.max_correction_m,
+            "candidates": {  # the agreement is null if no beam was compared
+                name: asdict(score) | {"agreement": score.agreement if score.beams else None}
+                for name, score in loops.candidates.items()
+            },
+            "selected": loops.selected,
+        }
 
 
 def map_log(
     log: LogSource,
-    particles: int | None = None,
-    seed: int = 0,
     *,
-    options: LogOptions | None = None,
     preset: str = "default",
+    particles: int | None = None,
     laser: str | None = None,
     configuration: Configuration | None = None,
-    loop_closure: bool = True,
+    seed: int = 0,
     threads: int = 1,
+    options: LogOptions | None = None,
     repair: Literal["needed", "all", "none"] = "needed",
     observers: Sequence[Observer] = (),
     gate: Callable[[Iterable[Measurement]], Iterable[Measurement]] = iter,
@@ -51,22 +293,20 @@ def map_log(
     ----------
     log : str, Path or Log
         The log, of any format that `open_log` knows.
-    particles : int, optional
-        Number of particles; the preset's own if not given. Not together with `configuration`.
-    seed : int, >= 0
-        The same log, configuration and seed give identical results.
-    options : LogOptions, optional
-        What to read of the log at a path.
     preset : str
         "default", "fast", "accurate" or "gmapping".
+    particles : int, optional
+        Number of particles; the preset's own if not given.
     laser : str, optional
         What the laser is, a name of `gridslam.config.LASERS`: limits and cells that suit it, over the preset.
     configuration : Configuration, optional
-        Instead of a preset and a laser.
-    loop_closure : bool
-        False to disable loop closure, whatever the configuration.
+        Instead of a preset, a number of particles and a laser. The filter alone is `Configuration(loop_closure=None)`.
+    seed : int, >= 0
+        The same log, configuration and seed give identical results.
     threads : int, >= 1
         Threads of the kernels; their number never changes a result.
+    options : LogOptions, optional
+        What to read of the log at a path.
     repair : "needed", "all" or "none"
         Faults of the log corrected before mapping: those that make any map unusable (a mirrored or misaligned laser),
         also clock offsets and odometry errors, or none. The result reports them.
@@ -75,7 +315,7 @@ def map_log(
     gate : callable
         Gets the measurements on their way to the filter and gives them on, as they are, when they may go.
     on_progress : callable
-        Called periodically during the final refinement, after the last scan.
+        Called after each scan, and periodically during the final refinement.
     stopwatch : Stopwatch, optional
         To go on with.
     keep_particles : bool
@@ -92,36 +332,57 @@ def map_log(
     ConfigurationError
         There is no such preset or laser, or the number of particles is out of range.
     """
-    _check(seed, threads, particles if laser is None else laser, configuration)
-    config = configuration or preset_of(preset, particles)
-    config = config if laser is None else apply_laser(config, laser)
-    config = config if loop_closure else replace(config, loop_closure=None)
+    require_seed(seed)
+    require_threads(threads)
+    require_instance("configuration", configuration, Configuration, optional=True)
+    if configuration is None:
+        configuration = preset_of(preset, particles)
+        configuration = configuration if laser is None else apply_laser(configuration, laser)
+    elif particles is not None or laser is not None:
+        got = particles if laser is None else laser
+        raise ArgumentError("particles, laser", "none where a configuration is given", got)
     watch = stopwatch or Stopwatch()
     source = open_repaired(log, options, repair)
-    trajectory, statistics, record = TrajectoryRecorder(), StatisticsRecorder(), RecordWriter()
+    trajectory = TrajectoryRecorder()
+    statistics = StatisticsRecorder()
+    record = RecordWriter()
     watch.lap("start")
-    slam, rng = build(config, threads), np.random.default_rng(seed)
-    watched: list[Observer] = [trajectory, statistics, _kept_in(record), *observers]
-    state = run(gate(source), slam, rng=rng, observers=watched, stopwatch=watch)
+
+    def note(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        record.add(report, seconds)
+        on_progress()
+
+    state = run(
+        gate(source), build(configuration, threads), rng=np.random.default_rng(seed),
+        observers=[trajectory, statistics, *observers, note], stopwatch=watch,
+    )  # fmt: skip
+    digest = compute_digest(source.path)
+    watch.lap("finish")
+    result = finish_mapping(
+        state, trajectory, statistics, record, configuration, seed=seed, threads=threads, log=source.statistics,
+        source=source.path, digest=digest, repair=find_repair(source), on_progress=on_progress, stopwatch=watch,
+        keep_particles=keep_particles,
+    )  # fmt: skip
+    watch.lap("finish")
+    return result
+
+
+def finish_mapping(
+    state: GridFastSlamState, trajectory: TrajectoryRecorder, statistics: StatisticsRecorder, record: RecordWriter,
+    configuration: Configuration, *, seed: int, threads: int, log: LogStatistics, source: Path, digest: str,
+    repair: Repair, on_progress: Callable[[], None] = lambda: None, stopwatch: Stopwatch, keep_particles: bool = True,
+) -> MapResult:  # fmt: skip
+    """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s."""
     maps_bytes = state.maps.nbytes
     if not keep_particles:
         state.keep_best()
     full = full_slam(
-        state, trajectory.keys, trajectory.key_from_base, config.mapper, config.loop_closure, config.final_refinement,
-        on_progress,
+        state, trajectory.keys, trajectory.key_from_base, configuration.mapper, configuration.loop_closure,
+        configuration.final_refinement, on_progress,
     )  # fmt: skip
-    watch.lap("final refinement")
-    return _result(full, state, maps_bytes, trajectory, statistics, record, source, config, seed, threads, watch)
-
-
-def _result(
-    full: FullSlam, state: GridFastSlamState, maps_bytes: int, trajectory: TrajectoryRecorder,
-    statistics: StatisticsRecorder, record: RecordWriter, source: Log, config: Configuration, seed: int, threads: int,
-    watch: Stopwatch,
-) -> MapResult:  # fmt: skip
-    """Put together what a run gives."""
+    stopwatch.lap("final refinement")
     online = trajectory.online_trajectory()
-    result = MapResult(
+    return MapResult(
         trajectory=Trajectory(online.stamps_ns, full.poses),
         covariances=full.covariances,
         online_trajectory=online,
@@ -132,30 +393,45 @@ def _result(
         state=state,
         maps_bytes=maps_bytes,
         statistics=statistics.summary(),
-        log=source.statistics,
-        configuration=config,
+        log=log,
+        configuration=configuration,
         seed=seed,
         threads=threads,
-        source=source.path,
-        digest=compute_digest(source.path),
-        repair=(source.repair if isinstance(source, RepairedLog) else None) or Repair(),
+        source=source,
+        digest=digest,
+        repair=repair,
         record=record,
-        stopwatch=watch,
+        stopwatch=stopwatch,
     )
-    watch.lap("finish")
-    return result
 
 
-def _check(seed: int, threads: int, chosen: int | str | None, configuration: Configuration | None) -> None:
-    require_seed(seed)
-    require_threads(threads)
-    require_instance("configuration", configuration, Configuration, optional=True)
-    if chosen is not None and configuration is not None:
-        raise ArgumentError("particles, laser", "none where a configuration is given", chosen)
+def _describe_odometry_errors(state: TrackerState) -> dict[str, Any]:
+    """Estimated odometry errors: ratios of true to measured increments, and the residual per segment."""
+    errors = state.odometry_errors
+    a, c, _, _, turn_scale, turn_rad_per_m = errors.factors.tolist()
+    sigma_m, sigma_rad = np.sqrt(errors.variances).tolist()
+    return {
+        "trusted": errors.trusted,
+        "segments": errors.segments,
+        "scale": math.hypot(a, c),
+        "direction_rad": math.atan2(c, a),
+        "turn_scale": turn_scale,
+        "turn_rad_per_m": turn_rad_per_m,
+        "sigma_m": sigma_m,
+        "sigma_rad": sigma_rad,
+    }
 
 
-def _kept_in(record: RecordWriter) -> Observer:
-    def keep(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-        record.add(report, seconds)
+def _peak_memory_bytes() -> int:
+    """Greatest memory that this process has held.
 
-    return keep
+    `getrusage` may report the memory of the parent process, so /proc is read first.
+    """
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+    except (OSError, StopIteration, ValueError):
+        import resource  # where there is no /proc
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else 1024 * peak

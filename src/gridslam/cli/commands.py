@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from gridslam import __version__
-from gridslam.cli.family_commands import FAMILY_COMMANDS
-from gridslam.cli.live import host_options, live_options
-from gridslam.cli.log_options import log_options
-from gridslam.cli.node_commands import NODE_COMMANDS
-from gridslam.cli.options import PATH, SEED, SETTINGS, json_option
-from gridslam.cli.rerun import rerun_option
+from gridslam.cli.options import (
+    PATH,
+    SEED,
+    SETTINGS,
+    THREADS,
+    add_options,
+    assignment_option,
+    host_options,
+    json_option,
+    live_options,
+    log_options,
+    out_option,
+    read_pose,
+    repair_option,
+    rerun_option,
+    seed_option,
+    threads_option,
+)
 
 __all__ = ["gridslam"]
 
@@ -52,24 +65,18 @@ class _MapCommand(click.Command):
 
 @gridslam.command("map", cls=_MapCommand)
 @click.argument("log", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
+@out_option
 @click.option("--particles", type=int, help="Number of particles.  [default: the preset's, 30]")
-@click.option(
-    "--seed", type=SEED, default=0, show_default=True, help="Random seed; the same seed gives identical output files."
-)
-@click.option(
-    "--threads", type=click.IntRange(1, 256), default=1, show_default=True,
-    help="Number of threads; does not affect the results.",
-)  # fmt: skip
+@seed_option
+@threads_option
 @click.option("--preset", default="default", show_default=True, help="Preset: default, fast, accurate or gmapping.")
 @click.option("--laser", metavar="NAME", help="Laser model; sets its range limits and map resolution (see below).")
 @click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset.")
-@click.option("--set", "assignments", multiple=True, metavar="NAME=VALUE", help="Set one parameter (see below).")
+@assignment_option(help="Set one parameter (see below).")
 @click.option("--no-loop-closure", is_flag=True, help="Disable loop closure.")
-@click.option(
-    "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True,
-    help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones.",
-)  # fmt: skip
+@repair_option(
+    help="Faults to correct before mapping; needed: those that make any map unusable, all: all measurable ones."
+)
 @log_options
 @live_options
 @rerun_option
@@ -98,7 +105,7 @@ def doctor_command(**options: Any) -> Any:  # noqa: ANN401
 
     LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans. Exit status: 3 if a fault makes the map unusable.
     """
-    from gridslam.cli.doctor import doctor_log
+    from gridslam.cli.logs import doctor_log
 
     return doctor_log(**options)
 
@@ -123,7 +130,7 @@ def convert_command(**options: Any) -> None:  # noqa: ANN401
     CARMEN and CSV are compressed if the name ends in .gz or .bz2. Data that the format of OUT cannot represent is
     reported.
     """
-    from gridslam.cli.convert import convert
+    from gridslam.cli.logs import convert
 
     convert(**options)
 
@@ -137,7 +144,7 @@ def dataset_group() -> None:
 @json_option
 def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
     """List the available logs with their credit and licence."""
-    from gridslam.cli.dataset import list_datasets
+    from gridslam.cli.logs import list_datasets
 
     list_datasets(**options)
 
@@ -149,7 +156,7 @@ def dataset_list_command(**options: Any) -> None:  # noqa: ANN401
 @json_option
 def dataset_get_command(**options: Any) -> None:  # noqa: ANN401
     """Download the log NAME if it is missing, and verify its SHA-256."""
-    from gridslam.cli.dataset import get_dataset
+    from gridslam.cli.logs import get_dataset
 
     get_dataset(**options)
 
@@ -167,7 +174,7 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 
     Writes to OUT the files of `gridslam map`, demo.clf.gz (the log) and truth.tum (the true trajectory).
     """
-    from gridslam.cli.demo import demo
+    from gridslam.cli.simulate import demo
 
     demo(**options)
 
@@ -177,10 +184,233 @@ def demo_command(**options: Any) -> None:  # noqa: ANN401
 @host_options
 def view_command(**options: Any) -> None:  # noqa: ANN401
     """Replay the results in OUT in the browser."""
-    from gridslam.cli.view import view
+    from gridslam.cli.live import view
 
     view(**options)
 
 
-for command in (*NODE_COMMANDS, *FAMILY_COMMANDS):
-    gridslam.add_command(command)
+@gridslam.command("landmarks")
+@click.argument("log", type=PATH)
+@out_option
+@click.option(
+    "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph", "ekf-localization"]), default="fastslam2",
+    show_default=True, help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM, or EKF localization in a known landmark map.",
+)  # fmt: skip
+@click.option("--particles", type=click.IntRange(1, 100_000), metavar="N",
+              help="Number of FastSLAM particles.  [default: 100 for 1.0, 20 for 2.0, 200 with --unknown]")  # fmt: skip
+@seed_option
+@click.option("--unknown", is_flag=True, help="Estimate the correspondences, even if LOG contains them.")
+@click.option(
+    "--landmarks", type=PATH, help="Landmark map to localize in, a landmarks.csv.  [default: the true landmarks of LOG]"
+)
+@click.option(
+    "--initial-pose", metavar="X,Y,THETA", callback=read_pose,
+    help="Initial pose, m and rad.  [default: the true pose; with --landmarks the origin]",
+)  # fmt: skip
+@json_option
+def landmarks_command(**options: Any) -> None:  # noqa: ANN401
+    """Estimate the landmarks and the trajectory of LOG.
+
+    LOG is an odometry file of UTIAS MRCLAM (Robot1_Odometry.dat in the folder of the dataset), or a Victoria Park file
+    with ODOMETRY and LANDMARK lines.
+
+    Writes to OUT: landmarks.csv (except for ekf-localization) and trajectory.csv, both with covariances, landmarks.png,
+    trajectory.tum, trajectory_online.tum (SLAM filters only: the online pose estimates) and run.json.
+    """
+    from gridslam.cli.landmarks import landmarks_to_folder
+
+    landmarks_to_folder(**options)
+
+
+@gridslam.command("grid")
+@click.argument("log", type=PATH)
+@click.option("--trajectory", type=PATH, required=True, help="Trajectory of the robot, a file in TUM format.")
+@out_option
+@click.option(
+    "--model", type=click.Choice(["bayes", "counting"]), default="bayes", show_default=True,
+    help="Inverse sensor model with log-odds (bayes), or reflection probability per cell (counting).",
+)  # fmt: skip
+@click.option(
+    "--decay", "half_life_scans", type=float, metavar="N",
+    help="Half-life of the evidence of a cell, in scans that observe it.  [default: infinite]",
+)  # fmt: skip
+@click.option(
+    "--resolution", "resolution_m", type=float, metavar="M", help="Map resolution, m per cell.  [default: 0.05]"
+)
+@click.option("--laser", metavar="NAME", help="Laser model; sets range limits and map resolution (see gridslam map).")
+@click.option("--max-gap", "max_gap_s", type=float, default=1.0, show_default=True, metavar="S",
+              help="Longest gap between poses to interpolate across, s.")  # fmt: skip
+@click.option("--no-deskew", is_flag=True, help="Ignore the beam times; do not deskew.")
+@repair_option(help="Faults corrected before the log is used, as in gridslam map.")
+@threads_option
+@log_options
+@json_option
+def grid_command(**options: Any) -> None:  # noqa: ANN401
+    """Map LOG with known poses.
+
+    Scans are inserted at the poses of the trajectory, without scan matching. The pose of each scan is interpolated at
+    its stamp; scans outside the trajectory are skipped and counted.
+
+    Writes map.yaml, map.pgm, map.png and run.json to OUT.
+    """
+    from gridslam.cli.grid import grid_to_folder
+
+    grid_to_folder(**options)
+
+
+@gridslam.command("localize")
+@click.argument("log", type=PATH)
+@click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2).")
+@click.option("-o", "--out", type=PATH, help="Output folder; created if missing.")
+@click.option(
+    "--initial-pose", metavar="X,Y,THETA", callback=read_pose, default="global", show_default=True,
+    help="Initial pose, m and rad; global: unknown.",
+)  # fmt: skip
+@seed_option
+@click.option("--particles", type=click.IntRange(min=1), help="Maximum number of particles.  [default: 20000]")
+@threads_option
+@click.option(
+    "--preset", type=click.Choice(["default", "amcl", "nav2"]), default="default", show_default=True,
+    help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
+)  # fmt: skip
+@assignment_option(help="Set one parameter, by its gridslam or AMCL name.")
+@click.option(
+    "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."
+)
+@repair_option(help="Faults corrected before the log is used, as in gridslam map.")
+@log_options
+@live_options
+@rerun_option
+@json_option
+def localize_command(**options: Any) -> None:  # noqa: ANN401
+    """Localize a robot in a known map.
+
+    Monte Carlo localization. LOG is a CARMEN log, a ROS 1 or ROS 2 bag, or a CSV of scans, with odometry.
+
+    Writes to OUT: trajectory.tum (the online pose estimate of every scan), trajectory.csv (with covariances),
+    belief.csv (lost flag and lost probability per scan), localization.png and run.json.
+    """
+    from gridslam.cli.localize import localize_to_folder
+
+    localize_to_folder(**options)
+
+
+@gridslam.command("graph")
+@click.argument("file", type=PATH)
+@out_option
+@click.option("--robust", is_flag=True, help="Reject outlier loop closures by graduated non-convexity.")
+@click.option("--no-guess", is_flag=True, help="Ignore the poses in FILE; compute the initial guess from the edges.")
+@click.option("--skip-unknown", is_flag=True, help="Skip lines with unknown tags and report their number.")
+@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, metavar="N",
+              help="Maximum number of iterations per initial guess.")  # fmt: skip
+@json_option
+def graph_command(**options: Any) -> None:  # noqa: ANN401
+    """Solve FILE, a pose graph, by GraphSLAM.
+
+    FILE is in g2o format, plain or compressed (.gz, .bz2).
+
+    Writes to OUT: graph.g2o (the optimized poses), graph.png (before and after), graph.json and, with --robust,
+    weights.csv.
+    """
+    from gridslam.cli.graph import graph_to_folder
+
+    graph_to_folder(**options)
+
+
+@gridslam.command("evaluate")
+@click.argument("trajectory", type=PATH)
+@click.argument("reference", type=PATH)
+@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, metavar="M",
+              help="Path length between the pose pairs of the RPE, m.")  # fmt: skip
+@json_option
+def evaluate_command(**options: Any) -> None:  # noqa: ANN401
+    """Compute the errors of TRAJECTORY with respect to REFERENCE.
+
+    TRAJECTORY is in TUM format: stamp x y z qx qy qz qw.
+
+    REFERENCE is a file of true relative poses (Kuemmerle et al. 2009) if its name ends in .relations; otherwise a true
+    trajectory in TUM format, for which the absolute (ATE, aligned) and relative (RPE) errors are reported.
+    """
+    from gridslam.cli.evaluate import evaluate
+
+    evaluate(**options)
+
+
+@gridslam.command("simulate")
+@click.argument("world")
+@click.option("-o", "--out", type=PATH, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the noise and of random worlds.")
+@click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams per scan.")
+@click.option("--fov", "fov_deg", type=click.FloatRange(0, 360, min_open=True), default=180.0, show_default=True,
+              metavar="DEG", help="Field of view, degrees.")  # fmt: skip
+@click.option("--range-max", "range_max_m", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
+              metavar="M", help="Maximum range, m.")  # fmt: skip
+@click.option("--rate", "rate_hz", type=click.FloatRange(0, 1000, min_open=True), default=5.0, show_default=True,
+              metavar="HZ", help="Scan rate, Hz.")  # fmt: skip
+@click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
+@click.option("--duration", "duration_s", type=float, metavar="S", help="Duration of the log, s.")
+@json_option
+def simulate_command(**options: Any) -> None:  # noqa: ANN401
+    """Simulate a robot in WORLD and write the log.
+
+    \b
+    WORLD is
+      fixed: demo, loop, rooms, hall or corridor
+      random, generated from the seed: random
+        with perceptual aliasing: equal_rooms, symmetric, bare_corridors, moved_furniture
+        large: campus (2 km), fleet (10 km)
+
+    Also writes LOG.truth.tum, the true trajectory.
+    """
+    from gridslam.cli.simulate import simulate_to_log
+
+    simulate_to_log(**options)
+
+
+_NODE_OPTIONS = (
+    click.argument("arguments", nargs=-1, type=click.UNPROCESSED),
+    click.option("--preset", help="Preset: default, fast, accurate or gmapping."),
+    click.option("--particles", type=int, help="Number of particles."),
+    click.option("--seed", type=SEED, help="Random seed; equal seeds and scans give equal results."),
+    click.option("--threads", type=THREADS, help="Number of threads; does not affect the results."),
+    click.option("--config", type=PATH, help="TOML file with parameters; overrides the preset."),
+    assignment_option(help="Set one parameter (see map)."),
+    click.option("--map", "map_file", type=PATH, help="Map YAML file; localize in this map instead of mapping."),
+    click.option("-o", "--out", type=PATH, help="Output folder of the node."),
+    click.option("--record", type=PATH, metavar="FILE", help="Record the accepted scans to FILE for offline mapping."),
+)
+_NODE_SETTINGS = {**SETTINGS, "ignore_unknown_options": True}
+
+
+def node_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a node to its command."""
+    return add_options(live_options(rerun_option(command)), _NODE_OPTIONS)
+
+
+@gridslam.command("ros1", context_settings=_NODE_SETTINGS)
+@node_options
+def ros1_command(**options: Any) -> None:  # noqa: ANN401
+    """Run the ROS 1 node, a drop-in replacement for slam_gmapping: subscribes to /scan and /tf, publishes /map.
+
+    ARGUMENTS are ROS arguments: _name:=value sets a parameter, name:=other remaps a topic.
+    """
+    from gridslam.cli.ros import ros1
+
+    ros1(**options)
+
+
+@gridslam.command("ros2", context_settings=_NODE_SETTINGS)
+@node_options
+@click.option(
+    "--transport", type=click.Choice(["auto", "rclpy", "dds"]), default="auto", show_default=True,
+    help="rclpy of a sourced ROS 2, or Cyclone DDS without ROS (extra: ros2).",
+)  # fmt: skip
+@click.option("--interface", "interfaces", multiple=True, help="Network interface of DDS; repeatable.")
+def ros2_command(**options: Any) -> None:  # noqa: ANN401
+    """Run the ROS 2 node: subscribes to /scan and /tf, publishes /map.
+
+    ARGUMENTS are ROS arguments after --ros-args.
+    """
+    from gridslam.cli.ros import ros2
+
+    ros2(**options)

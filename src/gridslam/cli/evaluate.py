@@ -8,10 +8,15 @@ from typing import Any
 
 import click
 
-from gridslam.cli.output import print_json
+from gridslam.cli.output import print_result
 from gridslam.errors import ArgumentError, InputError
-from gridslam.evaluation.relations import RelationErrors, relation_errors
-from gridslam.evaluation.trajectory import PoseErrors, absolute_errors, relative_errors_by_distance
+from gridslam.evaluation.trajectory import (
+    PoseErrors,
+    RelationErrors,
+    absolute_errors,
+    relation_errors,
+    relative_errors_by_distance,
+)
 from gridslam.io.trajectories import read_relations, read_tum
 from gridslam.types import Trajectory
 
@@ -37,10 +42,8 @@ def evaluate(trajectory: Path, reference: Path, distance_m: float, as_json: bool
         if error.argument == "distance_m":
             raise click.ClickException(str(error).replace("distance_m", "--distance", 1)) from None
         raise InputError(trajectory, f"cannot be compared with {reference}: {error}") from None
-    if as_json:
-        print_json({"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores})
-    else:
-        click.echo("\n".join(lines))
+    document = {"schema": EVALUATION_SCHEMA, "trajectory": str(trajectory), "reference": str(reference), **scores}
+    print_result(document, lines, as_json)
 
 
 def score_against_truth(estimate: Trajectory, truth: Trajectory, distance_m: float = 1.0) -> dict[str, Any]:

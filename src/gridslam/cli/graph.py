@@ -5,20 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam import __version__
 from gridslam.cli import STARTED_S
-from gridslam.cli.output import open_output, print_json
+from gridslam.cli.output import open_output, print_result, warn
 from gridslam.io.g2o import G2oGraph, read_g2o, write_g2o
 from gridslam.io.output import OutputFolder
 from gridslam.io.text import compute_digest
 from gridslam.pipeline import Stopwatch
 from gridslam.slam.pose_graph.descent import squared_mahalanobis
 from gridslam.slam.pose_graph.graph_slam import GraphSlam, GraphSolution
-from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
 from gridslam.viz import draw_graph
 
@@ -26,7 +24,9 @@ __all__ = ["GRAPH_SCHEMA", "graph_to_folder"]
 
 GRAPH_SCHEMA = "gridslam.graph/1"
 
-_GRAPH, _PICTURE, _DOCUMENT, _WEIGHTS = "graph.g2o", "graph.png", "graph.json", "weights.csv"
+_GRAPH = "graph.g2o"
+_PICTURE = "graph.png"
+_WEIGHTS = "weights.csv"
 _MIN_WEIGHT = 0.5  # an edge of a smaller weight is rejected; robust estimation drives weights to 0 or 1
 _MAX_LISTED = 10  # rejected edges in the summary
 
@@ -45,34 +45,22 @@ def graph_to_folder(
     source = read_g2o(file, skip_unknown=skip_unknown)
     watch.lap("read")
     with open_output(out) as folder:
-        _import_algebra()
+        solver.import_solver()  # which the measured time excludes
         watch.lap("start")
         solution = solver.solve(source.graph)
         watch.lap("solve")
-        document = _document(file, source, solver, solution, watch)
-        _write(folder, source, solution, document, watch)
+        rejected = solution.weights < _MIN_WEIGHT if robust else None
+        document = _document(file, source, solver, solution, rejected, watch)
+        _write(folder, source, solution, rejected, document, watch)
     if not solution.converged:
-        problem = f"no convergence within --max-iterations {max_iterations}"
-        click.echo(f"gridslam: {file}: {problem}", err=True)
-    if as_json:
-        print_json(document)
-    else:
-        click.echo("\n".join(_summary(document, out)))
-
-
-def _import_algebra() -> None:
-    """Solve a graph of two poses to import SciPy, so that the measured time excludes the import."""
-    GraphSlam().solve(PoseGraph.of(np.zeros((2, 3)), [[0, 1]], [[1.0, 0.0, 0.0]], [np.eye(3)]))
-
-
-def _find_rejected(solution: GraphSolution) -> NDArray[np.bool_]:
-    """Return the mask (M,) of rejected edges."""
-    return np.asarray(solution.weights < _MIN_WEIGHT)
+        warn(f"{file}: no convergence within --max-iterations {max_iterations}")
+    print_result(document, _summarize(document, out), as_json)
 
 
 def _document(
-    file: Path, source: G2oGraph, solver: GraphSlam, solution: GraphSolution, watch: Stopwatch
-) -> dict[str, Any]:
+    file: Path, source: G2oGraph, solver: GraphSlam, solution: GraphSolution, rejected: NDArray[np.bool_] | None,
+    watch: Stopwatch,
+) -> dict[str, Any]:  # fmt: skip
     """Build the content of graph.json, except for the times of writing."""
     graph = source.graph
     document = {
@@ -96,20 +84,19 @@ def _document(
         "converged": solution.converged,
         "seconds": watch.stages["solve"][0],
     }
-    if solver.robust is not None:
-        document |= {"rejected": source.edge_ids[_find_rejected(solution)].tolist(), "weights": _WEIGHTS}
+    if rejected is not None:
+        document |= {"rejected": source.edge_ids[rejected].tolist(), "weights": _WEIGHTS}
     return document
 
 
 def _write(
-    folder: OutputFolder, source: G2oGraph, solution: GraphSolution, document: dict[str, Any], watch: Stopwatch
-) -> None:
+    folder: OutputFolder, source: G2oGraph, solution: GraphSolution, rejected: NDArray[np.bool_] | None,
+    document: dict[str, Any], watch: Stopwatch,
+) -> None:  # fmt: skip
     """Write the files, and how long that took into the document."""
     write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order)
-    rejected = None
-    if document["robust"]:
+    if rejected is not None:
         _write_weights(folder.file(_WEIGHTS), source, solution)
-        rejected = _find_rejected(solution)
     watch.lap("write")
     picture = draw_graph(
         solution.graph,
@@ -123,7 +110,7 @@ def _write(
     picture.save(folder.file(_PICTURE), optimize=False)
     watch.lap("draw")
     document["time"] = watch.to_dict()
-    folder.write_json(_DOCUMENT, document)
+    folder.write_json("graph.json", document)
 
 
 def _write_weights(path: Path, source: G2oGraph, solution: GraphSolution) -> None:
@@ -144,9 +131,10 @@ def _caption(document: dict[str, Any]) -> list[str]:
     ]
 
 
-def _summary(document: dict[str, Any], out: Path) -> list[str]:
+def _summarize(document: dict[str, Any], out: Path) -> list[str]:
     """Format the summary."""
-    graph, rejected = document["input"], document.get("rejected", [])
+    graph = document["input"]
+    rejected = document.get("rejected", [])
     lines = [
         f"{Path(graph['path']).name}: {graph['vertices']} poses, {graph['edges']} edges, "
         f"{graph['loop_closures']} of them loop closures",

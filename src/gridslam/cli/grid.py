@@ -6,15 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-import click
-
-from gridslam.api.grid import GridModel, map_with_poses
-from gridslam.api.grid_result import GridResult
+from gridslam.api.grid import GridModel, GridResult, map_with_poses
 from gridslam.cli import STARTED_S
-from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import open_output, print_json
-from gridslam.cli.progress import reading_progress
-from gridslam.errors import ArgumentError
+from gridslam.cli.options import name_option
+from gridslam.cli.output import open_output, print_result, reading_progress, warn
 from gridslam.io.log import LogOptions, open_log
 from gridslam.mapping.known_poses import NoPoseReason
 from gridslam.pipeline import Stopwatch
@@ -25,51 +20,41 @@ __all__ = ["grid_to_folder"]
 def grid_to_folder(
     log: Path,
     trajectory: Path,
-    options: LogOptions,
     out: Path,
     model: GridModel,
     half_life_scans: float | None,
-    resolution_m: float | None,
-    laser: str | None,
     max_gap_s: float,
     no_deskew: bool,
-    repair: Literal["needed", "all", "none"],
+    resolution_m: float | None,
+    laser: str | None,
     threads: int,
+    options: LogOptions,
+    repair: Literal["needed", "all", "none"],
     as_json: bool,
 ) -> None:
     """Map a log with known poses, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_log(log, options)
-    with open_output(out) as folder, reading_progress(lambda: source.statistics, shown=not as_json) as show:
-
-        def on_progress() -> None:
-            stop_if_interrupted()
-            show()
-
-        try:
-            result = map_with_poses(
-                source, trajectory, model=model, half_life_scans=half_life_scans, resolution_m=resolution_m,
-                laser=laser, max_gap_s=max_gap_s, deskew=not no_deskew, repair=repair, threads=threads,
-                on_progress=on_progress, stopwatch=watch,
-            )  # fmt: skip
-        except ArgumentError as error:
-            option = _OPTIONS.get(error.argument, error.argument)
-            raise click.ClickException(f"--{str(error).replace(error.argument, option, 1)}") from None
+    with (
+        open_output(out) as folder,
+        reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
+        name_option(half_life_scans="--decay", resolution_m="--resolution", max_gap_s="--max-gap"),
+    ):
+        result = map_with_poses(
+            source, trajectory, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
+            deskew=not no_deskew, resolution_m=resolution_m, laser=laser, threads=threads, repair=repair,
+            on_progress=on_progress, stopwatch=watch,
+        )  # fmt: skip
         document = result.write(folder)
-    for warning in _warnings(result):
-        click.echo(f"gridslam: {log}: {warning}", err=True)
-    if as_json:
-        print_json(document)
-    else:
-        click.echo("\n".join(_summary(document, result, out)))
+    warn(*(f"{log}: {warning}" for warning in _find_warnings(result)))
+    print_result(document, _summarize(document, result, out), as_json)
 
 
-_OPTIONS = {"half_life_scans": "decay", "resolution_m": "resolution", "max_gap_s": "max-gap"}
-
-
-def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[str]:
+def _summarize(document: dict[str, Any], result: GridResult, out: Path) -> list[str]:
     """Format the summary."""
-    scans, seconds, size = document["scans"], document["time"]["wall_s"], document["map"]
+    scans = document["scans"]
+    seconds = document["time"]["wall_s"]
+    size = document["map"]
     return [
         f"{result.source.name}: {scans['read']} scans, {result.log.duration_s:.0f} s",
         f"{scans['used']} scans mapped by a trajectory of {len(result.given)} poses",
@@ -78,7 +63,7 @@ def _summary(document: dict[str, Any], result: GridResult, out: Path) -> list[st
     ]
 
 
-def _warnings(result: GridResult) -> Iterator[str]:
+def _find_warnings(result: GridResult) -> Iterator[str]:
     """Yield the warnings about unmapped scans and the log."""
     log = result.log
     for fault in result.repair.describe():
@@ -86,7 +71,8 @@ def _warnings(result: GridResult) -> Iterator[str]:
     yield from log.remarks
     if log.truncated:
         yield f"the log is truncated after {log.scan_count} scans"
-    first, last = (stamp * 1e-9 for stamp in (result.given.stamps_ns.min(), result.given.stamps_ns.max()))
+    first = result.given.stamps_ns.min() * 1e-9
+    last = result.given.stamps_ns.max() * 1e-9
     reasons = {
         NoPoseReason.OUTSIDE: f"they lie outside the trajectory, which lasts from {first:.3f} to {last:.3f} s",
         NoPoseReason.GAP: f"the neighbouring poses are more than {result.max_gap_s:g} s apart (--max-gap)",

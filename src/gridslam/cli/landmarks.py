@@ -1,70 +1,119 @@
-"""gridslam landmarks."""
+"""gridslam landmarks: mapping of landmarks, and localization by them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
-from gridslam.api.landmark_result import LandmarkResult
+from gridslam.api.landmark_localization import localize_by_landmarks
 from gridslam.api.landmarks import LandmarkMethod, map_landmarks
 from gridslam.cli import STARTED_S
-from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.output import open_output, print_json
-from gridslam.errors import ArgumentError, InputError
+from gridslam.cli.options import name_option
+from gridslam.cli.output import open_output, print_result, stop_if_interrupted
+from gridslam.errors import InputError
 from gridslam.io.landmark_logs import open_landmark_log
 from gridslam.pipeline import Stopwatch
 
 __all__ = ["landmarks_to_folder"]
 
+_LEFT_OUT = {"robots": "of other robots", "unknown": "of unknown barcodes"}
+
 
 def landmarks_to_folder(
-    log: Path, out: Path, method: LandmarkMethod, particles: int | None, seed: int, unknown: bool, as_json: bool
+    log: Path,
+    out: Path,
+    method: LandmarkMethod | Literal["ekf-localization"] = "fastslam2",
+    landmarks: Path | None = None,
+    initial_pose: tuple[float, float, float] | None = None,
+    unknown: bool = False,
+    particles: int | None = None,
+    seed: int = 0,
+    as_json: bool = False,
 ) -> None:
-    """Map the landmarks of a log, write the results to a folder and print a summary."""
+    """Estimate the landmarks of a log, or the robot's way in a map of them, write the results and print a summary."""
+    if method == "ekf-localization":
+        if particles is not None:
+            raise click.ClickException(f"--particles: expected none for {method}, got {particles}")
+        _localize_to_folder(log, out, landmarks, initial_pose, unknown, as_json)
+        return
+    if landmarks is not None or initial_pose is not None:
+        raise click.ClickException("--landmarks and --initial-pose: only valid with --method ekf-localization")
     if method == "graph" and unknown:
         raise click.ClickException("--unknown: GraphSLAM requires known correspondences")
     watch = Stopwatch(STARTED_S, 0.0)
     source = open_landmark_log(log)
-    with open_output(out) as folder:
-        try:
-            result = map_landmarks(
-                source, method, particles=particles, seed=seed, unknown=unknown, on_progress=stop_if_interrupted,
-                stopwatch=watch,
-            )  # fmt: skip
-        except ArgumentError as error:
-            raise click.ClickException(f"--{error}") from None
+    with open_output(out) as folder, name_option(particles="--particles"):
+        result = map_landmarks(
+            source, method, unknown=unknown, particles=particles, seed=seed, on_progress=stop_if_interrupted,
+            stopwatch=watch,
+        )  # fmt: skip
         if not source.statistics.observations:
             raise InputError(log, "expected landmark observations, got none")
         document = result.write(folder)
-    if as_json:
-        print_json(document)
-    else:
-        click.echo("\n".join(_summary(document, result, out)))
+    print_result(document, _summarize_map(document, out), as_json)
 
 
-def _summary(document: dict[str, Any], result: LandmarkResult, out: Path) -> list[str]:
-    """Format the summary."""
-    source_info, errors = document["input"], document["errors"]
-    left_out = ", ".join(f"{source_info[name]} {what}" for name, what in _LEFT_OUT.items() if source_info[name])
-    time = f", {source_info['duration_s']:.0f} s" if source_info["stamped"] else ""
+def _localize_to_folder(
+    log: Path,
+    out: Path,
+    landmarks: Path | None,
+    initial_pose: tuple[float, float, float] | None,
+    unknown: bool,
+    as_json: bool,
+) -> None:
+    watch = Stopwatch(STARTED_S, 0.0)
+    source = open_landmark_log(log)
+    with open_output(out) as folder, name_option(pose="--initial-pose"):
+        result = localize_by_landmarks(
+            source, landmarks, pose=initial_pose, unknown=unknown, on_progress=stop_if_interrupted, stopwatch=watch
+        )
+        document = result.write(folder)
+    print_result(document, _summarize_localization(document, out), as_json)
+
+
+def _summarize_map(document: dict[str, Any], out: Path) -> list[str]:
+    source = document["input"]
+    errors = document["errors"]
+    left_out = ", ".join(f"{source[name]} {what}" for name, what in _LEFT_OUT.items() if source[name])
     seconds = document["time"]["stages"]["solve"]["wall_s"]
     lines = [
-        f"{Path(source_info['path']).name}: {source_info['steps']} steps{time}, "
-        f"{source_info['observations']} observations" + (f" ({left_out} left out)" if left_out else ""),
+        _summarize_input(source) + (f" ({left_out} left out)" if left_out else ""),
         f"{document['landmarks']} landmarks by {document['method']} in {seconds:.1f} s, "
         f"{document['outliers']} outliers",
     ]
     if errors["trajectory"] is not None:
         lines.append(f"position RMSE {errors['trajectory']['trans_rmse_m']:.3f} m against the truth, aligned")
-    if (found := errors["landmarks"]) is not None:
+    found = errors["landmarks"]
+    if found is not None:
         lines.append(
             f"landmark RMSE {found['rmse_m']:.3f} m: {found['found']} found, {found['missing']} missing, "
             f"{found['surplus']} too many"
         )
-    files = "landmarks.csv", "landmarks.png", "trajectory.tum", "run.json"
-    return [*lines, f"results: {', '.join(str(out / name) for name in files)}"]
+    return [*lines, _list_files(out, "landmarks.csv", "landmarks.png", "trajectory.tum", "run.json")]
 
 
-_LEFT_OUT = {"robots": "of other robots", "unknown": "of unknown barcodes"}
+def _summarize_localization(document: dict[str, Any], out: Path) -> list[str]:
+    errors = document["errors"]
+    seconds = document["time"]["stages"]["solve"]["wall_s"]
+    lines = [
+        _summarize_input(document["input"]),
+        f"localized by {document['map']['landmarks']} landmarks in {seconds:.1f} s, {document['outliers']} outliers",
+    ]
+    if errors is not None:
+        aligned = ", aligned" if errors["aligned"] else ""
+        lines.append(
+            f"position RMSE {errors['trans_rmse_m']:.3f} m, heading RMSE {errors['rot_rmse_deg']:.1f} degrees against "
+            f"the truth{aligned}"
+        )
+    return [*lines, _list_files(out, "landmarks.png", "trajectory.tum", "trajectory.csv", "run.json")]
+
+
+def _summarize_input(source: dict[str, Any]) -> str:
+    time = f", {source['duration_s']:.0f} s" if source["stamped"] else ""
+    return f"{Path(source['path']).name}: {source['steps']} steps{time}, {source['observations']} observations"
+
+
+def _list_files(out: Path, *names: str) -> str:
+    return f"results: {', '.join(str(out / name) for name in names)}"

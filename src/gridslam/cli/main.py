@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import click
 
 from gridslam.cli.commands import gridslam
-from gridslam.cli.interrupt import handle_signals
+from gridslam.cli.output import handle_signals
 from gridslam.errors import ConfigurationError, GridslamError, InputError
 
 __all__ = ["main"]

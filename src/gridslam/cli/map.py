@@ -4,30 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import click
-
-from gridslam.api import MapResult, map_log
+from gridslam.api.mapping import MapResult, map_log
 from gridslam.cli import STARTED_S
-from gridslam.cli.doctor import check_log
-from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.live import live_page, observe_source, show_result
-from gridslam.cli.output import open_output, print_json
-from gridslam.cli.progress import progress
-from gridslam.cli.rerun import rerun_recording
+from gridslam.cli.live import NOBODY, Viewers, open_viewers
+from gridslam.cli.logs import check_log
+from gridslam.cli.output import mapping_progress, open_output, print_result, warn
 from gridslam.config import Configuration, apply_laser, load, override, preset
 from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.live.options import LiveOptions
-from gridslam.pipeline import Observer, Stopwatch
-from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import StepReport
+from gridslam.pipeline import Stopwatch
 
-if TYPE_CHECKING:
-    from gridslam.live.page import LivePage
-    from gridslam.viz.rerun_recording import RerunRecording
-
-__all__ = ["map_to_folder", "map_with_progress", "summary"]
+__all__ = ["map_to_folder", "map_with_progress", "summarize"]
 
 _MAX_BACKWARD_RATIO = 0.1
 """Ratio of scans stamped before their predecessor above which a warning is printed; jitter causes up to 0.05."""
@@ -35,16 +24,16 @@ _MAX_BACKWARD_RATIO = 0.1
 
 def map_to_folder(
     log: Path,
-    options: LogOptions,
     out: Path,
-    particles: int | None,
-    seed: int,
-    threads: int,
     preset: str,
+    particles: int | None,
     laser: str | None,
     config: Path | None,
     assignments: Sequence[str],
     no_loop_closure: bool,
+    seed: int,
+    threads: int,
+    options: LogOptions,
     repair: Literal["needed", "all", "none"],
     live: LiveOptions | None,
     rerun: str | None,
@@ -52,58 +41,48 @@ def map_to_folder(
 ) -> None:
     """Map a log, write the results to a folder and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
-    configuration = _build_configuration(preset, laser, particles, config, assignments, no_loop_closure)
+    configuration = _build_configuration(preset, particles, laser, config, assignments, no_loop_closure)
     source = check_log(open_log(log, options), options)
-    name, range_max_m = source.path.name, configuration.range_max_m
-    with rerun_recording(rerun, name, range_max_m) as recording, live_page(live, name, range_max_m) as page:
+    with open_viewers(live, rerun, source.path.name, configuration.range_max_m) as viewers:
         with open_output(out) as folder:
             result = map_with_progress(
-                source, configuration, seed, threads, not as_json, watch, repair, page, recording
+                source, configuration, watch, viewers, shown=not as_json, seed=seed, threads=threads, repair=repair
             )
             document = result.write(folder)
-        for warning in _warnings(result):
-            click.echo(f"gridslam: {log}: {warning}", err=True)
-        if as_json:
-            print_json(document)
-        else:
-            click.echo("\n".join(summary(document, result, out)))
+        warn(*(f"{log}: {warning}" for warning in _find_warnings(result)))
+        print_result(document, summarize(document, result, out), as_json)
 
 
 def map_with_progress(
-    source: Log, configuration: Configuration, seed: int, threads: int, shown: bool, watch: Stopwatch,
-    repair: Literal["needed", "all", "none"] = "none", page: LivePage | None = None,
-    recording: RerunRecording | None = None,
-) -> MapResult:  # fmt: skip
+    source: Log,
+    configuration: Configuration,
+    watch: Stopwatch,
+    viewers: Viewers = NOBODY,
+    *,
+    shown: bool,
+    seed: int = 0,
+    threads: int = 1,
+    repair: Literal["needed", "all", "none"] = "none",
+) -> MapResult:
     """Map a log while progress is shown, the map on a page if there is one, and all of it recorded."""
-    viewers: list[Observer] = [] if page is None else [page.observer]
-    viewers += [] if recording is None else [recording]
-
-    if page is not None:
-        page.set_progress(lambda: source.statistics.share_read)
-    with progress(lambda: source.statistics, shown=shown) as show:
-
-        def observe(report: StepReport, state: GridFastSlamState, seconds: float) -> None:
-            stop_if_interrupted()
-            show(report, state, seconds)
-
-        def on_progress() -> None:
-            stop_if_interrupted()
-            show.show_refinement()
-
+    with mapping_progress(lambda: source.statistics, shown=shown) as progress:
+        watching = viewers.watch(source, watch)
         result = map_log(
-            source, configuration=configuration, seed=seed, threads=threads, on_progress=on_progress, stopwatch=watch,
-            repair=repair, observers=[observe, *viewers], keep_particles=page is not None,
-            gate=lambda source: observe_source(source, page, recording, watch),
+            source, configuration=configuration, seed=seed, threads=threads, repair=repair, gate=watching["gate"],
+            observers=[progress, *watching["observers"]], on_progress=progress.on_progress, stopwatch=watch,
+            keep_particles=viewers.page is not None,
         )  # fmt: skip
-        for viewer in (page, recording):
-            show_result(viewer, result)
+        viewers.show_result(result)
         return result
 
 
-def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]:
+def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[str]:
     """Format the summary of a run."""
-    scans, filter_, seconds = document["scans"], document["filter"], document["time"]["wall_s"]
-    latency, log = document["latency"]["all_scans"], result.log
+    scans = document["scans"]
+    filter_ = document["filter"]
+    seconds = document["time"]["wall_s"]
+    latency = document["latency"]["all_scans"]
+    log = result.log
     lost = f"; lost at {scans['lost']} scans" if scans["lost"] else ""
     return [
         f"{result.source.name}: {scans['read']} scans, {log.duration_s:.0f} s, {result.driven}",
@@ -113,14 +92,14 @@ def summary(document: dict[str, Any], result: MapResult, out: Path) -> list[str]
         f"resampled {filter_['resamplings']} times{lost}",
         f"a scan took {1e3 * latency['median_s']:.2f} ms (median), {1e3 * latency['p99_s']:.1f} ms (99 of 100), "
         f"{1e3 * latency['max_s']:.1f} ms (longest)",
-        *_loop_closure_lines(document["loop_closure"]),
+        *_summarize_loop_closure(document["loop_closure"]),
         f"map, {filter_['map_width_m']:.1f} m x {filter_['map_height_m']:.1f} m: {out / 'map.png'}, {out / 'map.yaml'}",
         f"trajectory: {out / 'trajectory.tum'}",
     ]
 
 
 def _build_configuration(
-    name: str, laser: str | None, particles: int | None, path: Path | None, assignments: Sequence[str],
+    name: str, particles: int | None, laser: str | None, path: Path | None, assignments: Sequence[str],
     no_loop_closure: bool,
 ) -> Configuration:  # fmt: skip
     """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
@@ -134,7 +113,7 @@ def _build_configuration(
     return override(config, "loop_closure=false") if no_loop_closure else config
 
 
-def _loop_closure_lines(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
+def _summarize_loop_closure(loops: dict[str, Any] | Literal[False]) -> Iterator[str]:
     """Format the loop-closure lines of the summary."""
     if not loops:
         return
@@ -148,7 +127,7 @@ def _loop_closure_lines(loops: dict[str, Any] | Literal[False]) -> Iterator[str]
         yield f"{sum(rejected.values())} loop-closure candidates rejected: {reasons}"
 
 
-def _warnings(result: MapResult) -> Iterator[str]:
+def _find_warnings(result: MapResult) -> Iterator[str]:
     """Yield the warnings about the log and the map."""
     log = result.log
     for fault in result.repair.describe():

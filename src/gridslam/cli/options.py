@@ -1,18 +1,28 @@
-"""What options of several commands share."""
+"""Options that several commands share; importing this module is cheap, so that help is quick."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, TypeVar, final
 
 import click
 
 from gridslam.errors import ArgumentError
 
-__all__ = ["PATH", "SEED", "SETTINGS", "json_option", "name_option", "read_pose"]
+if TYPE_CHECKING:
+    from gridslam.live.options import LiveOptions
+
+__all__ = [
+    "PATH", "SEED", "SETTINGS", "THREADS", "add_options", "assignment_option", "host_options", "json_option",
+    "live_options", "log_options", "name_option", "out_option", "read_pose", "repair_option", "rerun_option",
+    "seed_option", "threads_option",
+]  # fmt: skip
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 @final
@@ -23,6 +33,92 @@ class _Path(click.Path):
         if value == "":
             self.fail("expected a path, got an empty string", param, ctx)
         return super().convert(value, param, ctx)
+
+
+PATH = _Path(path_type=Path)
+SEED = click.IntRange(min=0)
+THREADS = click.IntRange(1, 256)
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+out_option = click.option("-o", "--out", type=PATH, required=True, help="Output folder; created if missing.")
+seed_option = click.option(
+    "--seed", type=SEED, default=0, show_default=True, help="Random seed; the same seed gives identical output files."
+)
+threads_option = click.option(
+    "--threads", type=THREADS, default=1, show_default=True, help="Number of threads; does not affect the results."
+)
+assignment_option = functools.partial(click.option, "--set", "assignments", multiple=True, metavar="NAME=VALUE")
+repair_option = functools.partial(
+    click.option, "--repair", type=click.Choice(["needed", "all", "none"]), default="needed", show_default=True
+)
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress."
+)
+rerun_option = click.option(
+    "--rerun", metavar="FILE|HOST:PORT", help="Record the run for Rerun's viewer, or stream it there (extra: rerun)."
+)
+
+_LOG_OPTIONS = (
+    click.option("--scan", "scan_topics", multiple=True, metavar="TOPIC", help="Topic of the scans; may be repeated."),
+    click.option("--odom", "odometry_topic", metavar="TOPIC", help="Topic of the odometry."),
+    click.option("--odom-frame", "odometry_frame", metavar="FRAME", help="Odometry frame; take the odometry from /tf."),
+    click.option("--base-frame", metavar="FRAME", help="Base frame of the robot (REP-105 base_link)."),
+    click.option("--no-odometry", is_flag=True, help="Ignore the odometry."),
+    click.option("--keep-truncated", is_flag=True, help="Accept a truncated log and read the part that exists."),
+    click.option("--start", "start_s", type=float, default=0, metavar="S", help="Skip the first S seconds of the log."),
+    click.option("--duration", "duration_s", type=float, metavar="S", help="Read only S seconds."),
+    click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Use only every N-th scan."),
+)
+_LOG_FIELDS = (
+    "scan_topics", "odometry_topic", "odometry_frame", "base_frame", "no_odometry", "keep_truncated", "start_s",
+    "duration_s", "every",
+)  # fmt: skip
+_HOST_OPTIONS = (
+    click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
+    click.option(
+        "--live-host",
+        metavar="HOST",
+        help="Address of the page; any other than 127.0.0.1 exposes it, protected by a token.",
+    ),
+)
+_LIVE_OPTION = click.option("--live", is_flag=True, help="Show the run live in the browser.")
+
+
+def log_options(command: _Command) -> _Command:
+    """Add the options that choose what is read of a log, which a command gets as ``options``: LogOptions."""
+
+    @functools.wraps(command)
+    def wrapper(**given: Any) -> Any:  # noqa: ANN401
+        from gridslam.io.log import LogOptions
+
+        fields = {name: given.pop(name) for name in _LOG_FIELDS}
+        with name_option(start_s="--start", duration_s="--duration"):
+            options = LogOptions(**fields)
+        return command(options=options, **given)
+
+    return add_options(wrapper, _LOG_OPTIONS)  # type: ignore[return-value]
+
+
+def live_options(command: _Command) -> _Command:
+    """Add --live, --live-port and --live-host to a command, which gets them as ``live``: LiveOptions, or None."""
+
+    @functools.wraps(command)
+    def wrapper(live: bool, live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+        if not live and (live_port is not None or live_host is not None):
+            raise click.UsageError("--live-port and --live-host need --live")
+        return command(live=_read_live_options(live_port, live_host) if live else None, **given)
+
+    return add_options(wrapper, (_LIVE_OPTION, *_HOST_OPTIONS))  # type: ignore[return-value]
+
+
+def host_options(command: _Command) -> _Command:
+    """Add --live-port and --live-host to a command that serves a page anyway, and gets them as ``live``."""
+
+    @functools.wraps(command)
+    def wrapper(live_port: int | None, live_host: str | None, **given: Any) -> Any:  # noqa: ANN401
+        return command(live=_read_live_options(live_port, live_host), **given)
+
+    return add_options(wrapper, _HOST_OPTIONS)  # type: ignore[return-value]
 
 
 def read_pose(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[float, float, float] | None:
@@ -50,10 +146,16 @@ def name_option(**options: str) -> Iterator[None]:
         raise click.ClickException(str(error).replace(error.argument, options[error.argument], 1)) from None
 
 
-PATH = _Path(path_type=Path)
-SEED = click.IntRange(min=0)
-SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+def add_options(command: Callable[..., Any], options: Sequence[Callable[..., Any]]) -> Callable[..., Any]:
+    """Decorate a command with options, which help lists in this order."""
+    for option in reversed(options):
+        command = option(command)
+    return command
 
-json_option = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object instead of text, and no progress."
-)
+
+def _read_live_options(port: int | None, host: str | None) -> LiveOptions:
+    from gridslam.live.options import LiveOptions
+
+    given = {name: value for name, value in (("port", port), ("host", host)) if value is not None}
+    with name_option(port="--live-port", host="--live-host"):
+        return LiveOptions(**given)  # type: ignore[arg-type]

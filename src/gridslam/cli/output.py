@@ -1,24 +1,44 @@
-"""What commands share: the folder OUT, and one JSON object on stdout."""
+"""What commands print and write, how far they are, and how they are interrupted; importing this module is cheap."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any, final
 
 import click
 
 from gridslam.errors import OutputError
-from gridslam.io.output import OutputFolder
 
-__all__ = ["open_output", "print_json"]
+if TYPE_CHECKING:
+    from gridslam.io.log_statistics import LogStatistics
+    from gridslam.io.output import OutputFolder
+    from gridslam.slam.grid_fastslam.state import GridFastSlamState
+    from gridslam.types import StepReport
+
+__all__ = [
+    "Progress", "handle_signals", "mapping_progress", "open_output", "print_json", "print_result", "reading_progress",
+    "stop_if_interrupted", "warn",
+]  # fmt: skip
+
+_BAR_EVERY_S = 0.25
+_LINE_EVERY_S = 5.0
+
+_interrupted = False
 
 
 @contextmanager
 def open_output(path: Path) -> Iterator[OutputFolder]:
     """Open OUT before the long work; one that cannot be written is bad usage."""
+    from gridslam.io.output import OutputFolder
+
     with ExitStack() as stack:
         try:
             out = stack.enter_context(OutputFolder(path))
@@ -30,3 +50,157 @@ def open_output(path: Path) -> Iterator[OutputFolder]:
 def print_json(document: Mapping[str, Any]) -> None:
     """Print the one object that --json promises."""
     click.echo(json.dumps(document, indent=2, allow_nan=False))
+
+
+def print_result(document: Mapping[str, Any], summary: Iterable[str], as_json: bool) -> None:
+    """Print the document of a run with --json, and otherwise the lines of its summary."""
+    if as_json:
+        print_json(document)
+    else:
+        click.echo("\n".join(summary))
+
+
+def warn(*warnings: str) -> None:
+    """Print warnings on stderr, a line for each."""
+    for warning in warnings:
+        click.echo(f"gridslam: {warning}", err=True)
+
+
+@contextmanager
+def handle_signals() -> Iterator[None]:
+    """Turn the first SIGINT or SIGTERM into KeyboardInterrupt; later ones must not disturb the cleaning up."""
+    global _interrupted
+    _interrupted = False
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    global _interrupted
+    if not _interrupted:
+        _interrupted = True
+        raise KeyboardInterrupt
+
+
+def stop_if_interrupted() -> None:
+    """Repeat an interrupt which came while a destructor ran: Python swallows it there."""
+    if _interrupted:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def mapping_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Progress]:
+    """Yield the progress of a mapping run, which prints nothing if disabled."""
+    with _display(shown) as (show, every_s):
+        yield Progress(statistics, show, every_s)
+
+
+@contextmanager
+def reading_progress(statistics: Callable[[], LogStatistics], *, shown: bool = True) -> Iterator[Callable[[], None]]:
+    """Give what is called after each scan: it shows now and then how far the reading is, and stops if interrupted."""
+    with _display(shown) as (show, every_s):
+        began = time.perf_counter()
+        due = began + every_s
+        scans = 0
+
+        def on_progress() -> None:
+            nonlocal scans, due
+            stop_if_interrupted()
+            scans += 1
+            now = time.perf_counter()
+            if now >= due:
+                due = now + every_s
+                show(statistics().share_read, f"{scans} scans, {scans / (now - began):.0f}/s")
+
+        yield on_progress
+
+
+@final
+class Progress:
+    """Observer that periodically shows rate, N_eff, map size and time left, or that the final refinement goes on."""
+
+    def __init__(
+        self, statistics: Callable[[], LogStatistics], show: Callable[[float, str], None], every_s: float
+    ) -> None:
+        """Display a fraction (0 to 1) and a text with `show`, at the given period in seconds."""
+        self._statistics = statistics
+        self._show = show
+        self._every_s = every_s
+        self._began = time.perf_counter()
+        self._due = self._began + every_s
+        self._ended = math.inf
+        self._scans = 0
+        self._first_ns = 0
+        self._n_eff = 0.0
+        self._latest: tuple[StepReport, GridFastSlamState] | None = None
+
+    def __call__(self, report: StepReport, state: GridFastSlamState, seconds: float) -> None:
+        """Record one scan."""
+        self._first_ns = self._first_ns if self._scans else report.stamp_ns
+        self._scans += 1
+        if report.skipped is None:
+            self._n_eff = report.n_eff
+        self._latest = report, state
+
+    def on_progress(self) -> None:
+        """Show the progress of the scan since the last call, or of the final refinement; stop if interrupted."""
+        stop_if_interrupted()
+        now = time.perf_counter()
+        latest = self._latest
+        self._latest = None
+        if latest is None:
+            self._ended = min(self._ended, now)
+        if now < self._due:
+            return
+        self._due = now + self._every_s
+        if latest is None:
+            self._show(1.0, f"{self._scans} scans; final refinement, {now - self._ended:.0f} s")
+        else:
+            self._show_rate(now - self._began, *latest)
+
+    def _show_rate(self, seconds: float, report: StepReport, state: GridFastSlamState) -> None:
+        share = self._statistics().share_read
+        height, width = state.maps.tiled(state.best).shape
+        side = state.maps.resolution_m
+        real = (report.stamp_ns - self._first_ns) * 1e-9 / seconds
+        left = f"{seconds * (1 - share) / share:.0f} s left" if share else ""
+        self._show(
+            share,
+            f"{self._scans} scans, {self._scans / seconds:.0f}/s, {real:.0f} x real time, "
+            f"N_eff {self._n_eff:.1f} of {len(state.poses)}, "
+            f"map {width * side:.0f} x {height * side:.0f} m, {state.maps.nbytes / 1e6:.0f} MB, {left}",
+        )
+
+
+@contextmanager
+def _display(shown: bool) -> Iterator[tuple[Callable[[float, str], None], float]]:
+    """Yield a function that displays a fraction and a text, and its period in seconds."""
+    if not shown:
+        yield lambda share, text: None, math.inf
+    elif sys.stderr.isatty():
+        with _bar() as show:
+            yield show, _BAR_EVERY_S
+    else:
+        yield _print_line, _LINE_EVERY_S
+
+
+def _print_line(share: float, text: str) -> None:
+    print(f"{share:4.0%}  {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[float, str], None]]:
+    from rich.console import Console, Group  # only terminals pay for its import
+    from rich.live import Live
+    from rich.progress_bar import ProgressBar
+    from rich.text import Text
+
+    def shown(share: float, text: str) -> Group:
+        return Group(ProgressBar(total=1.0, completed=share, width=60), Text(f"\n{share:.0%}  {text}"))
+
+    with Live(shown(0.0, ""), console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        yield lambda share, text: live.update(shown(share, text), refresh=True)

@@ -8,31 +8,23 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from gridslam.cli.interrupt import stop_if_interrupted
-from gridslam.cli.live import node_page
-from gridslam.cli.rerun import rerun_recording
+from gridslam.cli.live import node_page, rerun_recording
+from gridslam.cli.output import stop_if_interrupted
 from gridslam.errors import ConfigurationError
 from gridslam.live.options import LiveOptions
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.session import Localization
 from gridslam.ros.node.transport import ViewerOpener
 
-__all__ = ["collect_parameters", "make_viewer_opener", "ros1", "ros2"]
+__all__ = ["make_viewer_opener", "ros1", "ros2"]
 
 
-def collect_parameters(
-    preset: str | None = None, particles: int | None = None, seed: int | None = None, threads: int | None = None,
-    config: Path | None = None, assignments: Sequence[str] = (), record: Path | None = None, out: Path | None = None,
-    map_file: Path | None = None,
-) -> dict[str, Any]:  # fmt: skip
+def _collect_parameters(assignments: Sequence[str] = (), **options: Any) -> dict[str, Any]:  # noqa: ANN401
     """Options of the command line under the names of the node's parameters; what is not given is left out."""
-    options = {
-        "preset": preset, "particles": particles, "seed": seed, "threads": threads,
-        "config": None if config is None else str(config), "set": ";".join(assignments) or None,
-        "record": None if record is None else str(record), "out": None if out is None else str(out),
-        "mode": None if map_file is None else "localization", "map_file": None if map_file is None else str(map_file),
-    }  # fmt: skip
-    return {name: value for name, value in options.items() if value is not None}
+    given = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
+    given["set"] = ";".join(assignments) or None
+    given["mode"] = None if options.get("map_file") is None else "localization"
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def ros1(
@@ -45,8 +37,8 @@ def ros1(
     """Run the ROS 1 node until it is stopped."""
     from gridslam.ros.ros1.ros1 import run_ros1
 
-    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 1", live, rerun)
-    run_ros1(arguments, given=given, open_viewers=open_viewers, on_poll=stop_if_interrupted)
+    open_viewers = make_viewer_opener("ROS 1", live, rerun)
+    run_ros1(arguments, given=_collect_parameters(**options), open_viewers=open_viewers, on_poll=stop_if_interrupted)
 
 
 def ros2(
@@ -59,7 +51,8 @@ def ros2(
     **options: Any,  # noqa: ANN401
 ) -> None:
     """Run the ROS 2 node until it is stopped: by rclpy if a ROS 2 is sourced, otherwise by Cyclone DDS."""
-    given, open_viewers = collect_parameters(**options), make_viewer_opener("ROS 2", live, rerun)
+    given = _collect_parameters(**options)
+    open_viewers = make_viewer_opener("ROS 2", live, rerun)
     if transport == "dds" or (transport == "auto" and importlib.util.find_spec("rclpy") is None):
         from gridslam.ros.ros2.ros2_dds import run_dds
 

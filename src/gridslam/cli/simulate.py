@@ -1,36 +1,51 @@
-"""gridslam simulate."""
+"""gridslam simulate and gridslam demo: a robot in a world that is made up."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import click
 import numpy as np
 
-from gridslam.cli.output import open_output, print_json
-from gridslam.errors import ArgumentError
+from gridslam.cli import STARTED_S
+from gridslam.cli.evaluate import format_scores, score_against_truth
+from gridslam.cli.live import open_viewers
+from gridslam.cli.map import map_with_progress, summarize
+from gridslam.cli.options import name_option
+from gridslam.cli.output import open_output, print_result
+from gridslam.config import Configuration
+from gridslam.evaluation.trajectory import align
+from gridslam.geometry.se2 import compose
+from gridslam.io.carmen.reader import CarmenLog
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.trajectories import write_tum
+from gridslam.live.options import LiveOptions
+from gridslam.pipeline import Stopwatch
 from gridslam.sim import (
     LidarConfig,
     OdometryNoise,
     PeopleConfig,
     RobotConfig,
-    SimulatedStream,
     make_world,
+    simulate,
     simulate_stream,
 )
 from gridslam.types import Trajectory
 
-__all__ = ["SIMULATION_SCHEMA", "simulate_to_log"]
+__all__ = ["DEMO_SCHEMA", "SIMULATION_SCHEMA", "demo", "simulate_to_log"]
 
+DEMO_SCHEMA = "gridslam.demo/1"
 SIMULATION_SCHEMA = "gridslam.simulation/1"
 
+_DEMO_LOG = "demo.clf.gz"
+_DEMO_SPEED = 30.0
+"""Times as fast as the robot drives, so that one can look on."""
 _DAY_S = 86_400.0
-_CARMEN = ".clf", ".log", ".carmen"
-_PACKED = ".gz", ".bz2"
+_CARMEN = (".clf", ".log", ".carmen")
+_PACKED = (".gz", ".bz2")
 
 
 def simulate_to_log(
@@ -46,22 +61,32 @@ def simulate_to_log(
     as_json: bool,
 ) -> None:
     """Write a simulated log and its true trajectory."""
-    truth = out.with_name(_truth_name(out))
+    truth_path = out.with_name(_truth_name(out))
     lidar = _lidar(beams, fov_deg, range_max_m, rate_hz)
     if duration_s is not None and not duration_s >= 0:
         raise click.ClickException(f"--duration: expected 0 s or more, got {duration_s:g}")
     scans = None if duration_s is None else math.floor(min(duration_s, _DAY_S) * rate_hz) + 1
     rng = np.random.default_rng(seed)
+    crowd = PeopleConfig(count=people)
     with open_output(out.parent) as folder:
-        try:
-            crowd = PeopleConfig(count=people)
+        with name_option(name="WORLD"):
             log = simulate_stream(make_world(world, rng), RobotConfig(), OdometryNoise(), lidar, rng, people=crowd)
-        except ArgumentError as error:
-            raise click.ClickException(str(error).replace("name:", "WORLD:", 1)) from None
-        kept = _cut(log.truth, scans)
+        truth = Trajectory(log.truth.stamps_ns[:scans], log.truth.poses[:scans])
         write_carmen(folder.file(out.name), islice(log.measurements, scans))
-        write_tum(folder.file(truth.name), kept)
-    _print_summary(log, kept, world, seed, out, truth, as_json)
+        write_tum(folder.file(truth_path.name), truth)
+    steps = np.diff(truth.poses[:, :2], axis=0)
+    length_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+    duration_s = float(np.ptp(truth.stamps_ns)) * 1e-9
+    document = {
+        "schema": SIMULATION_SCHEMA, "world": world, "seed": seed, "log": str(out), "truth": str(truth_path),
+        "scans": len(truth), "walls": len(log.walls), "duration_s": duration_s, "length_m": length_m,
+    }  # fmt: skip
+    summary = [
+        f"{world}: {len(truth)} scans, {duration_s:.0f} s, {length_m:.0f} m driven",
+        f"log: {out}",
+        f"truth: {truth_path}",
+    ]
+    print_result(document, summary, as_json)
 
 
 def _truth_name(out: Path) -> str:
@@ -84,20 +109,37 @@ def _lidar(beams: int, fov_deg: float, range_max_m: float, rate_hz: float) -> Li
     return LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg), range_max_m=range_max_m, rate_hz=rate_hz)
 
 
-def _cut(trajectory: Trajectory, scans: int | None) -> Trajectory:
-    return Trajectory(trajectory.stamps_ns[:scans], trajectory.poses[:scans])
+def demo(out: Path, seed: int, live: LiveOptions | None, rerun: str | None, as_json: bool) -> None:
+    """Simulate the world `demo`, map it and compare with the truth."""
+    watch = Stopwatch(STARTED_S, 0.0)
+    rng = np.random.default_rng(seed)
+    configuration = Configuration()
+    slowed = None if live is None else replace(live, speed=_DEMO_SPEED)
+    with open_viewers(slowed, rerun, "demo", configuration.range_max_m) as viewers:
+        with open_output(out) as folder:
+            simulated = simulate(make_world("demo", rng), RobotConfig(), OdometryNoise(), LidarConfig(), rng)
+            write_carmen(folder.file(_DEMO_LOG), simulated.measurements)
+            write_tum(folder.file("truth.tum"), simulated.truth)
+            watch.lap("simulate")
+            viewers.wait()
+            watch.resume()
+            log = CarmenLog(folder.file(_DEMO_LOG))
+            result = map_with_progress(log, configuration, watch, viewers, shown=not as_json, seed=seed)
+            truth = _align_truth(simulated.truth, result.trajectory)
+            document = replace(result, source=out / _DEMO_LOG, truth=truth).write(folder)
+        errors = score_against_truth(result.trajectory, simulated.truth)
+        odometry = score_against_truth(simulated.odometry, simulated.truth)
+        summary = [
+            *summarize(document, result, out),
+            "against the truth:",
+            *(f"  {line}" for line in format_scores(errors)),
+            "the odometry alone:",
+            *(f"  {line}" for line in format_scores(odometry)),
+        ]
+        content = {"schema": DEMO_SCHEMA, "run": document, "errors": errors, "odometry_errors": odometry}
+        print_result(content, summary, as_json)
 
 
-def _print_summary(
-    log: SimulatedStream, kept: Trajectory, world: str, seed: int, out: Path, truth: Path, as_json: bool
-) -> None:
-    steps = np.diff(kept.poses[:, :2], axis=0)
-    length_m, duration_s = float(np.hypot(*steps.T).sum()), float(np.ptp(kept.stamps_ns)) * 1e-9
-    if as_json:
-        print_json({
-            "schema": SIMULATION_SCHEMA, "world": world, "seed": seed, "log": str(out), "truth": str(truth),
-            "scans": len(kept), "walls": len(log.walls), "duration_s": duration_s, "length_m": length_m,
-        })  # fmt: skip
-    else:
-        click.echo(f"{world}: {len(kept)} scans, {duration_s:.0f} s, {length_m:.0f} m driven")
-        click.echo(f"log: {out}\ntruth: {truth}")
+def _align_truth(truth: Trajectory, estimate: Trajectory) -> Trajectory:
+    """Align the true trajectory rigidly with the estimate; both have the same scans."""
+    return Trajectory(truth.stamps_ns, compose(align(truth.poses[:, :2], estimate.poses[:, :2]), truth.poses))

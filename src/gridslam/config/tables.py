@@ -76,6 +76,7 @@ def read_assignments(assignments: Iterable[str]) -> Table:
         name, equals, text = (part.strip() for part in assignment.partition("="))
         if not (name and equals and text):
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
+        values.pop(name, None)  # the last one counts, by whatever name
         try:
             values[name] = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:

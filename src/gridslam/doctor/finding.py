@@ -60,8 +60,6 @@ class Figure:
         At least one.
     marks : tuple of Mark
         Limits and measured values.
-    equal : bool
-        Whether both axes have the same scale, as for points in the plane.
     """
 
     title: str
@@ -69,7 +67,6 @@ class Figure:
     y_label: str
     series: tuple[Series, ...]
     marks: tuple[Mark, ...] = ()
-    equal: bool = False
 
 
 @final

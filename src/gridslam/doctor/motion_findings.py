@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ _EPISODE = np.array([0.15, 0.25])  # m, rad of a whole episode
 _DETERMINED = np.array([0.028, 0.02])  # m, rad: greatest standard deviation of the laser's own increment
 _AROUND_S = 2.0  # what is made up for so soon was no slip: a message came late, or a match was wrong for a moment
 _KEPT = 0.6
+_PAUSE_S = 0.5  # an episode ends where suspect intervals are farther apart
 _MOSTLY = 0.75  # of the episodes have too much odometry: if as many have too little, it jitters
 _LEAP_M = 0.3  # larger jumps of odometry from one scan to the next: scans are missing, and the laser may be wrong
 
@@ -330,7 +331,11 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
     suspect = (np.abs(residuals) > np.maximum(_SUSPECT, _SIGMAS * np.nan_to_num(calibration.noise))).any(axis=1)
     found: list[Slip] = []
     short = 0
-    for first, last in _runs(suspect, times, until):
+    indices = np.flatnonzero(suspect)
+    pauses = (np.diff(indices) > 1) | (times[indices[1:]] - until[indices[:-1]] >= _PAUSE_S)
+    for run in np.split(indices, np.flatnonzero(pauses) + 1) if len(indices) else []:
+        first = run[0]
+        last = run[-1]
         amount = residuals[max(first - 1, 0) : last + 2].sum(axis=0)  # it begins and ends within an interval
         around = (times > times[first] - _AROUND_S) & (until < until[last] + _AROUND_S)
         net = residuals[around].sum(axis=0)
@@ -351,16 +356,4 @@ def _even(odometry: FloatArray, begins: IntArray, ends: IntArray) -> NDArray[np.
     steps = np.nan_to_num(between(odometry[:-1], odometry[1:])[:, :2])
     leaps = np.concatenate([[False], np.hypot(*np.diff(steps, axis=0).T) > _LEAP_M, [False]])
     before = np.concatenate([[0], np.cumsum(leaps)])
-    even: NDArray[np.bool_] = before[np.minimum(ends + 1, len(before) - 1)] == before[np.maximum(begins - 1, 0)]
-    return even
-
-
-def _runs(suspect: NDArray[np.bool_], times: NDArray[Any], until: NDArray[Any]) -> list[tuple[int, int]]:
-    """First and last of suspect intervals that follow one another without a pause."""
-    runs: list[tuple[int, int]] = []
-    for index in np.flatnonzero(suspect).tolist():
-        if runs and runs[-1][1] == index - 1 and times[index] - until[index - 1] < 0.5:
-            runs[-1] = (runs[-1][0], index)
-        else:
-            runs.append((index, index))
-    return runs
+    return np.asarray(before[np.minimum(ends + 1, len(before) - 1)] == before[np.maximum(begins - 1, 0)])

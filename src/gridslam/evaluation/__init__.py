@@ -2,14 +2,16 @@
 
 from gridslam.evaluation.closures import closure_errors, false_closures
 from gridslam.evaluation.consistency import Consistency, check_consistency, chi_square_quantile, nees
-from gridslam.evaluation.map import MapAgreement, compare_maps
-from gridslam.evaluation.relations import RelationErrors, Relations, relation_errors
+from gridslam.evaluation.maps import MapAgreement, compare_maps
 from gridslam.evaluation.trajectory import (
     PoseErrors,
+    RelationErrors,
+    Relations,
     absolute_errors,
     align,
     associate,
     interpolate,
+    relation_errors,
     relative_errors_by_distance,
     relative_errors_by_step,
 )

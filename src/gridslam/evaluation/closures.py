@@ -54,11 +54,12 @@ def closure_errors(
     ArgumentError
         For wrong shapes, or a scan that is not in `truth`.
     """
-    poses, pairs = np.asarray(truth, np.float64), np.asarray(edges, np.int64).reshape(-1, 2)
+    poses = np.asarray(truth, np.float64)
+    pairs = np.asarray(edges, np.int64).reshape(-1, 2)
     measured = np.asarray(measurements, np.float64).reshape(-1, 3)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(pairs) != len(measured):
-        got = poses.shape, pairs.shape, measured.shape
-        raise ArgumentError("closures", "truth (N, 3), edges (M, 2), measurements (M, 3)", got)
+        shapes = (poses.shape, pairs.shape, measured.shape)
+        raise ArgumentError("closures", "truth (N, 3), edges (M, 2), measurements (M, 3)", shapes)
     if len(pairs) and (pairs.min() < 0 or pairs.max() >= len(poses)):
         raise ArgumentError("edges", f"places in [0, {len(poses)})", [int(pairs.min()), int(pairs.max())])
     away = measured - between(poses[pairs[:, 0]], poses[pairs[:, 1]])
@@ -70,10 +71,11 @@ def closure_errors(
 
 def _determined_m(away: FloatArray, measured: FloatArray, information: FloatArray) -> FloatArray:
     """Length (M,) of position errors (M, 3) in the directions in which the information is more than next to none."""
-    c, s = np.cos(measured[:, 2]), np.sin(measured[:, 2])  # the information is of the frame where a measurement ends
-    seen = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]], axis=1)
+    c = np.cos(measured[:, 2])
+    s = np.sin(measured[:, 2])
+    end_from_start = np.array([[c, s], [-s, c]])  # the information is of the frame where a measurement ends
     known, axes = np.linalg.eigh(information[:, :2, :2])
-    along = np.einsum("mij,mi->mj", axes, seen)
+    along = np.einsum("mij,ikm,mk->mj", axes, end_from_start, away[:, :2])
     return np.asarray(np.sqrt((np.square(along) * (known >= OPEN_M**-2)).sum(axis=1)))
 
 
@@ -91,5 +93,4 @@ def false_closures(
     Arguments and errors are those of `closure_errors`.
     """
     metres, radians = closure_errors(truth, edges, measurements, information)
-    false: NDArray[np.bool_] = (metres > tolerance_m) | (radians > tolerance_rad)
-    return false
+    return np.asarray((metres > tolerance_m) | (radians > tolerance_rad))

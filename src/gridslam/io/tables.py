@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Callable, Iterator
-from decimal import Decimal
+from decimal import Context, Decimal
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+_EXACT = Context(prec=1000)  # digits
 _STAMPS_NS = Decimal(-(2**63)), Decimal(2**63)  # range of 64 bits
 
 
@@ -44,7 +45,7 @@ class Table(NamedTuple):
 def parse_stamp_ns(text: str) -> int:
     """Nanoseconds of a decimal number of seconds, exactly; raises ValueError, with what was expected."""
     try:
-        value = Decimal(text).scaleb(9)
+        value = Decimal(text).scaleb(9, _EXACT)
         if _STAMPS_NS[0] <= value < _STAMPS_NS[1]:
             return int(value)
     except ArithmeticError:

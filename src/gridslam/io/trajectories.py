@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.relations import Relations
+from gridslam.evaluation.trajectory import Relations
 from gridslam.geometry.angles import wrap
 from gridslam.io.tables import check_rows, format_stamp_ns, read_table, symmetric_of_upper, upper_of_symmetric
 from gridslam.types import FloatArray, Trajectory

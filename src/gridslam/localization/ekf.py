@@ -141,17 +141,17 @@ class EkfLocalization:
         ArgumentError
             The association needs correspondences that the observations do not contain.
         """
-        belief = self._predicted(belief, motion)
+        belief = self._predict(belief, motion)
         if not len(observations):
             return belief, EkfLocalizationReport(belief.pose, belief.covariance, np.empty(0, np.int64), 0.0)
         noise = self.sensor.noise(observations)
         places = self._correspondences(belief, observations, noise)
         seen = np.flatnonzero(places >= 0)
-        belief, log_likelihood = self._corrected(belief, places[seen], observations.values[seen], noise[seen])
+        belief, log_likelihood = self._correct(belief, places[seen], observations.values[seen], noise[seen])
         told = np.where(places >= 0, self.landmarks.names[places], places)
         return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
 
-    def _predicted(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
+    def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
         """Table 7.2, lines 2 to 7."""
         (pose,), (motion_noise,) = motion.moments(belief.pose[None])
         G = lever_arm_jacobian(belief.pose, pose)
@@ -165,7 +165,7 @@ class EkfLocalization:
         distances = np.einsum("kmi,kmij,kmj->km", residuals, np.linalg.inv(S), residuals)
         return self.association(observations, self.landmarks.names, distances, np.linalg.slogdet(S)[1])
 
-    def _corrected(
+    def _correct(
         self, belief: PoseGaussian, places: IntArray, measured: FloatArray, noise: FloatArray
     ) -> tuple[PoseGaussian, float]:
         """Table 7.2, lines 11 to 21, for K observations: P - K S K' = P - W' W with W = L^-1 H P, S = L L'."""

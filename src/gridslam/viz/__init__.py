@@ -1,6 +1,6 @@
-"""Pictures of maps, trajectories and graphs."""
+"""Pictures of maps, trajectories, landmarks and graphs."""
 
 from gridslam.viz.graph_picture import draw_graph
-from gridslam.viz.picture import draw_map
+from gridslam.viz.picture import draw_landmarks, draw_localization, draw_map
 
-__all__ = ["draw_graph", "draw_map"]
+__all__ = ["draw_graph", "draw_landmarks", "draw_localization", "draw_map"]

@@ -1,24 +1,50 @@
-"""Picture of the map: known cells, trajectory of the robot, a scale, and a caption."""
+"""Pictures of the plane: a map, a localization in it, landmarks; each with the robot's path, a scale and a caption."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gridslam.types import FloatArray, GridRows, Trajectory
-from gridslam.viz.footer import paint_footer
-from gridslam.viz.layout import Layout, lay_out
-from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, Colour, time_colours
-from gridslam.viz.strokes import disc, stroke
+from gridslam.types import FloatArray, GridRows, OccupancyGrid, Trajectory
+from gridslam.viz.canvas import (
+    CLOSURE,
+    FREE,
+    LOST,
+    OCCUPIED,
+    TIME_ENDS,
+    TRUTH,
+    UNKNOWN,
+    Colour,
+    Layout,
+    disc,
+    dots,
+    label_time,
+    mark_ends,
+    paint_footer,
+    paint_path,
+    stroke,
+)
 
-__all__ = ["draw_map"]
+__all__ = ["SIGMAS", "draw_landmarks", "draw_localization", "draw_map", "ellipse", "known_part", "lay_out"]
 
-_NODE_PX = 3.0  # a path is thinned to nodes this far apart
-_ROWS = 64  # cells are turned to bytes this many rows at a time
-_LEVELS_PER_NAT, _EVEN = 32, 128  # log-odds as a byte: 128 is even odds, also for an unknown cell
+_MAP_SIDE_PX = (1300, 3200)  # the map's long side; with margins and footer the page is 1400 to 4000
+_MAP_AREA_PX = 7_000_000  # Pillow keeps 4 bytes a pixel: a page of 30 MB
+_CELL_PX = 64  # cells are not enlarged further
+_ROWS = 64  # rows of cells looked at, or turned to bytes, at a time
+_LEVELS_PER_NAT = 32  # of log-odds as a byte
+_EVEN = 128  # even odds, also for an unknown cell
+
+_LANDMARKS_SIDE_PX = 1600  # the long side of a picture of landmarks
+_CORNERS = 48  # of an ellipse
+SIGMAS = 3.0
+"""Ellipses are drawn at this many standard deviations: they contain the landmark with 98.9 %."""
+
+_JUMP_M = 1.0  # a longer step of a localized robot is no way that was driven
+_SPOT_PX = 3.0  # poses of a lost robot that are no farther apart are one dot
 
 
 def _ramp(first: int, last: int) -> list[int]:
@@ -65,80 +91,198 @@ def draw_map(
         RGB, its long side about 1400 to 4000 px.
     """
     layout = lay_out(grid, title, caption)
-    page = Image.new("RGB", layout.size, UNKNOWN)
-    _paint_cells(page, grid, layout)
-    _paint_truth(page, truth, walls, layout)
+    page = _paint_cells(grid, layout)
+    keys: list[tuple[str, Colour]] = []
+    ends: tuple[str, str] | None = None
+    if truth is not None or walls is not None:
+        keys.append(("truth", TRUTH))
+    if walls is not None:
+        stroke(page, layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4), TRUTH, 1.2 * layout.unit)
+    if truth is not None:
+        paint_path(page, layout, truth, 2.0, TRUTH)
     if trajectory is not None and len(trajectory):
-        _paint_trajectory(page, trajectory, layout)
-    keys = [("truth", TRUTH)] if truth is not None or walls is not None else []
+        paint_path(page, layout, trajectory, 3.0)
+        mark_ends(page, layout.pixels(trajectory.poses[[0, -1], :2]), 8.0 * layout.unit)
+        ends = label_time(trajectory)
     if closures is not None and len(closures):
-        _paint_closures(page, closures, layout)
+        points = layout.pixels(closures.reshape(-1, 2))
+        stroke(page, points.reshape(-1, 4), CLOSURE, 1.5 * layout.unit)
+        dots(page, points, CLOSURE, 5.0 * layout.unit)
         keys.append(("loop closures", CLOSURE))
-    paint_footer(page, layout, title, caption, trajectory, keys)
+    paint_footer(page, layout.map_box[3], layout.unit, title, caption, keys, ends, layout.px_per_m)
     return page
 
 
-def _paint_cells(page: Image.Image, grid: GridRows, layout: Layout) -> None:
-    """Blend FREE and then OCCUPIED into the page, each through a mask of how much a cell is so."""
-    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
-        _blend(page, colour, _levels(grid, layout, np.array(table, np.uint8)), layout)
+def draw_localization(
+    grid: OccupancyGrid,
+    trajectory: Trajectory,
+    lost: NDArray[np.bool_],
+    *,
+    title: str = "",
+    caption: Sequence[str] = (),
+) -> Image.Image:
+    """Draw a map with the reported poses: the trajectory by time, dots where the robot was lost.
 
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map in which the robot was localized.
+    trajectory : Trajectory
+        A pose for each scan, frame of the grid; poses off the map are cut off.
+    lost : (N,) bool
+        Whether the robot was lost at each; where it was found (again) a disc is drawn.
+    title : str
+        First line of the caption, in larger letters.
+    caption : sequence of str
+        Further lines.
 
-def _blend(page: Image.Image, colour: Colour, cells: NDArray[np.uint8], layout: Layout) -> None:
-    """Blend one colour into the page, through cells (H, W) enlarged or reduced to the map's box."""
-    if not cells.size:
-        return
-    left, top, right, bottom = layout.map_box
-    size = (right - left, bottom - top)
-    larger = size[0] > cells.shape[1]
-    mask = Image.fromarray(cells).resize(size, Image.Resampling.BICUBIC if larger else Image.Resampling.BOX)
-    page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
-
-
-def _levels(grid: GridRows, layout: Layout, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first."""
-    below, columns = layout.rows.start, layout.columns
-    height = min(layout.rows.stop, grid.shape[0]) - below
-    levels = np.empty((height, min(columns.stop, grid.shape[1]) - columns.start), np.uint8)
-    for first in range(0, height, _ROWS):
-        last = min(first + _ROWS, height)
-        band = grid.rows(below + first, below + last)
-        log_odds, shown = band.log_odds[:, columns], np.full((last - first, levels.shape[1]), _EVEN, np.uint8)
-        scaled = np.clip(log_odds * _LEVELS_PER_NAT + _EVEN, 0, 255)
-        np.copyto(shown, scaled, where=band.known[:, columns], casting="unsafe")
-        levels[height - last : height - first] = table[shown][::-1]
-    return levels
-
-
-def _path(trajectory: Trajectory, layout: Layout) -> tuple[FloatArray, FloatArray]:
-    """Segments (K, 4) of a path in px, thinned, and when each of them ends, as a share (K,) of the whole time."""
+    Returns
+    -------
+    PIL.Image.Image
+        RGB, its long side about 1400 to 4000 px.
+    """
+    layout = lay_out(grid, title, caption)
+    page = _paint_cells(grid, layout)
     points = layout.pixels(trajectory.poses[:, :2])
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    walked = np.concatenate([[0.0], np.cumsum(steps)]) // _NODE_PX
-    kept = np.union1d(np.flatnonzero(np.diff(walked, prepend=-1.0)), len(points) - 1)
-    passed = np.maximum.accumulate(trajectory.stamps_ns - trajectory.stamps_ns[0]).astype(np.float64)
-    nodes = points[kept]
-    return np.concatenate([nodes[:-1], nodes[1:]], axis=1), passed[kept[1:]] / max(passed[-1], 1.0)
+    keys: list[tuple[str, Colour]] = [("found", CLOSURE)]
+    if lost.any():
+        keys.append(("lost", LOST))
+        dots(page, np.unique(np.round(points[lost] / _SPOT_PX), axis=0) * _SPOT_PX, LOST, 3.0 * layout.unit)
+    paint_path(page, layout, trajectory, 3.0, hidden=lost, jump_m=_JUMP_M)
+    disc(page, points[~lost & np.append(True, lost[:-1])], 8.0 * layout.unit, FREE, CLOSURE)
+    if not lost[-1]:
+        disc(page, points[-1:], 8.0 * layout.unit, TIME_ENDS[1], OCCUPIED)
+    ends = label_time(trajectory)
+    paint_footer(page, layout.map_box[3], layout.unit, title, caption, keys, ends, layout.px_per_m)
+    return page
 
 
-def _paint_truth(page: Image.Image, truth: Trajectory | None, walls: FloatArray | None, layout: Layout) -> None:
-    if walls is not None and len(walls):
-        ends = layout.pixels(walls.reshape(-1, 2)).reshape(-1, 4)
-        stroke(page, ends, [TRUTH] * len(ends), 1.2 * layout.unit)
-    if truth is not None and len(truth):
-        ends, _ = _path(truth, layout)
-        stroke(page, ends, [TRUTH] * len(ends), 2.0 * layout.unit)
+def draw_landmarks(
+    trajectory: Trajectory,
+    positions: FloatArray,
+    covariances: FloatArray,
+    *,
+    title: str = "",
+    caption: Sequence[str] = (),
+    truth: Trajectory | None = None,
+    true_positions: FloatArray | None = None,
+    stamped: bool = True,
+) -> Image.Image:
+    """Draw a trajectory and landmarks with their covariance ellipses over the truth, a scale bar and a caption below.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Coloured by time, its start (white) and end (filled) marked.
+    positions, covariances : (M, 2) m, (M, 2, 2) m^2 float64
+        Of the landmarks; ellipses are those of `SIGMAS` standard deviations.
+    title : str
+        First line of the caption, in larger letters.
+    caption : sequence of str
+        Further lines.
+    truth : Trajectory, optional
+        In the frame of the other.
+    true_positions : (L, 2) float64, m, optional
+        True landmarks in that frame, drawn as crosses.
+    stamped : bool
+        Whether stamps are times; else they only count the steps.
+
+    Returns
+    -------
+    PIL.Image.Image
+        RGB.
+    """
+    outlines = ellipse(positions, covariances)
+    true_marks = np.empty((0, 2)) if true_positions is None else true_positions
+    shown = [trajectory.poses[:, :2], outlines.reshape(-1, 2), true_marks]
+    if truth is not None:
+        shown.append(truth.poses[:, :2])
+    points = np.concatenate(shown)
+    low = points.min(axis=0)
+    high = np.maximum(points.max(axis=0), low + 1e-3)
+    border = 0.05 * float((high - low).max())
+    layout = Layout.of(low - border, high + border, _LANDMARKS_SIDE_PX / (22 * border), title, caption)
+    u = layout.unit
+    page = Image.new("RGB", layout.size, UNKNOWN)
+    page.paste(FREE, layout.map_box)
+    keys: list[tuple[str, Colour]] = [(f"landmarks, {SIGMAS:g} sigma", CLOSURE)]
+    if truth is not None or true_positions is not None:
+        keys.append(("truth", TRUTH))
+    if truth is not None:
+        paint_path(page, layout, truth, 2.0, TRUTH)
+    arms = 7.0 * u * np.array([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]])
+    crosses = np.tile(layout.pixels(true_marks), 2)[:, None] + arms
+    stroke(page, crosses.reshape(-1, 4), TRUTH, 2.5 * u)
+    paint_path(page, layout, trajectory, 2.0)
+    corners = layout.pixels(outlines.reshape(-1, 2)).reshape(-1, _CORNERS + 1, 2)
+    stroke(page, np.concatenate([corners[:, :-1], corners[:, 1:]], axis=2).reshape(-1, 4), CLOSURE, 1.5 * u)
+    dots(page, layout.pixels(positions), CLOSURE, 5.0 * u)
+    mark_ends(page, layout.pixels(trajectory.poses[[0, -1], :2]), 8.0 * u)
+    paint_footer(page, layout.map_box[3], u, title, caption, keys, label_time(trajectory, stamped), layout.px_per_m)
+    return page
 
 
-def _paint_closures(page: Image.Image, closures: FloatArray, layout: Layout) -> None:
-    points = layout.pixels(closures.reshape(-1, 2))
-    stroke(page, points.reshape(-1, 4), [CLOSURE] * len(closures), 1.5 * layout.unit)
-    stroke(page, np.tile(points, 2), [CLOSURE] * len(points), 5.0 * layout.unit)  # a dot at each end
+def ellipse(positions: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Outlines (M, 49, 2), closed, of the ellipses (p - m)' C^-1 (p - m) = SIGMAS^2."""
+    angle = np.linspace(0.0, math.tau, _CORNERS + 1)
+    circle = SIGMAS * np.stack([np.cos(angle), np.sin(angle)])
+    variances, axes = np.linalg.eigh(covariances)
+    root = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]
+    return np.asarray(positions[:, None] + (root @ circle).swapaxes(1, 2))
 
 
-def _paint_trajectory(page: Image.Image, trajectory: Trajectory, layout: Layout) -> None:
-    segments, shares = _path(trajectory, layout)
-    stroke(page, segments, time_colours(shares), 3.0 * layout.unit)
-    (start, end), (first, last) = layout.pixels(trajectory.poses[[0, -1], :2]).tolist(), TIME_ENDS
-    disc(page, start, 8.0 * layout.unit, FREE, first)
-    disc(page, end, 8.0 * layout.unit, last, OCCUPIED)
+def lay_out(grid: GridRows, title: str = "", caption: Sequence[str] = ()) -> Layout:
+    """Decide how large the known part of a grid is shown, and where; a grid without a known cell is shown whole."""
+    rows, columns = known_part(grid)
+    cells = np.array([columns.stop - columns.start, rows.stop - rows.start])
+    least, most = _MAP_SIDE_PX
+    px = min(math.ceil(least / cells.max()), _CELL_PX, most / cells.max(), math.sqrt(_MAP_AREA_PX / cells.prod()))
+    low = np.add(grid.origin, np.multiply([columns.start, rows.start], grid.resolution_m))
+    return Layout.of(low, low + cells * grid.resolution_m, float(px / grid.resolution_m), title, caption)
+
+
+def known_part(grid: GridRows) -> tuple[slice, slice]:
+    """The rows and columns from the first to the last with a known cell; all of them, where there is none."""
+    height, width = grid.shape
+    in_row = np.zeros(height, np.bool_)
+    in_column = np.zeros(width, np.bool_)
+    for top in range(0, height, _ROWS):
+        known = grid.rows(top, min(top + _ROWS, height)).known
+        in_row[top : top + _ROWS] = known.any(axis=1)
+        in_column |= known.any(axis=0)
+    return _extent(in_row), _extent(in_column)
+
+
+def _extent(known: NDArray[np.bool_]) -> slice:
+    """From the first to the last that is known; at least one long."""
+    found = np.flatnonzero(known)
+    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, max(1, len(known)))
+
+
+def _paint_cells(grid: GridRows, layout: Layout) -> Image.Image:
+    """Blend FREE and then OCCUPIED into a page, each through a mask of how much a cell is so."""
+    page = Image.new("RGB", layout.size, UNKNOWN)
+    rows, columns = known_part(grid)
+    for colour, table in ((FREE, _FREE_LEVELS), (OCCUPIED, _OCCUPIED_LEVELS)):
+        cells = _levels(grid, rows, columns, np.array(table, np.uint8))
+        if cells.size:
+            left, top, right, bottom = layout.map_box
+            larger = right - left > cells.shape[1]
+            resample = Image.Resampling.BICUBIC if larger else Image.Resampling.BOX
+            mask = Image.fromarray(cells).resize((right - left, bottom - top), resample)
+            page.paste(colour, layout.map_box, mask.point(_CRISP) if larger else mask)
+    return page
+
+
+def _levels(grid: GridRows, rows: slice, columns: slice, table: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Log-odds of the cells shown, as bytes and by `table`, the uppermost row first."""
+    bottom = min(rows.stop, grid.shape[0])
+    levels = np.empty((bottom - rows.start, min(columns.stop, grid.shape[1]) - columns.start), np.uint8)
+    for first in range(rows.start, bottom, _ROWS):
+        last = min(first + _ROWS, bottom)
+        band = grid.rows(first, last)
+        shown = np.full((last - first, levels.shape[1]), _EVEN, np.uint8)
+        scaled = np.clip(band.log_odds[:, columns] * _LEVELS_PER_NAT + _EVEN, 0, 255)
+        np.copyto(shown, scaled, where=band.known[:, columns], casting="unsafe")
+        levels[bottom - last : bottom - first] = table[shown][::-1]
+    return levels

@@ -17,8 +17,8 @@ from gridslam.geometry.se2 import compose
 from gridslam.localization import LocalizationReport, MonteCarloState
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, LaserScan, OccupancyGrid, Odometry, StepReport
+from gridslam.viz.canvas import CLOSURE, FAINT, TIME_ENDS, TRUTH
 from gridslam.viz.cloud import select_representatives
-from gridslam.viz.palette import CLOSURE, FAINT, TIME_ENDS, TRUTH
 
 __all__ = ["RerunRecording"]
 
@@ -67,22 +67,25 @@ class RerunRecording:
             self._blueprint: Any = importlib.import_module("rerun.blueprint")
         except ImportError as error:
             raise ConfigurationError(f"Rerun is not there ({error}): pip install 'gridslam[rerun]'") from None
-        self._target, self._range_max_m, self._known = target, range_max_m, known
+        self._target = target
+        self._range_max_m = range_max_m
+        self._known = known
         self._recording: Any = self._rerun.RecordingStream(f"gridslam {title}")
-        self._scans, self._due_ns = 0, 0
+        self._scans = 0
+        self._due_ns = 0
         self._scan: LaserScan | None = None
         self._begin()
 
     def __enter__(self) -> RerunRecording:
         """Open the file, or the line to the viewer."""
-        recording, layout = self._recording, self._layout()
+        recording = self._recording
+        target = self._target
+        layout = self._layout()
+        if re.fullmatch(r"[\w.-]+:\d+|\[[\da-fA-F:]+\]:\d+", target):
+            target = f"rerun+http://{target}/proxy"
         try:
-            if "://" in self._target:
-                recording.connect_grpc(self._target, default_blueprint=layout)
-            elif re.fullmatch(r"[\w.-]+:\d+|\[[\da-fA-F:]+\]:\d+", self._target):
-                recording.connect_grpc(f"rerun+http://{self._target}/proxy", default_blueprint=layout)
-            else:
-                recording.save(self._target, default_blueprint=layout)
+            start = recording.connect_grpc if "://" in target else recording.save
+            start(target, default_blueprint=layout)
         except (OSError, RuntimeError, ValueError) as error:
             raise OutputError(f"{self._target}: cannot be recorded to: {error}") from None
         recording.log("map", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -108,7 +111,8 @@ class RerunRecording:
 
     def __call__(self, report: Any, state: Any, seconds: float) -> None:  # noqa: ANN401
         """Record one scan: of a report and a state of SLAM or, where the map is known, of localization."""
-        rerun, log = self._rerun, self._recording.log
+        rerun = self._rerun
+        log = self._recording.log
         self._scans += 1
         if self._known is None:
             self._closures.extend(report.closures)
@@ -134,14 +138,18 @@ class RerunRecording:
 
     def _begin(self) -> None:
         """Begin with a session's first scan."""
-        self._keys, self._closures = 0, list[tuple[int, int]]()
+        self._keys = 0
+        self._closures: list[tuple[int, int]] = []
         self._way: list[list[list[float]]] = [[]]  # where the robot was found
 
     def _log_slam(self, report: StepReport, state: GridFastSlamState) -> None:
         self._points("particles", state.poses, 0.03, CLOSURE)
         if report.corrected or self._keys % _KEYS_A_MAP == 1:
             self._log_map(state.maps.occupancy(state.best))
-            self._log_past(state.ancestry.trajectory(state.best), self._closures)
+            past = state.ancestry.trajectory(state.best)[:, :2]
+            self._strips("path", [past], FAINT)
+            if self._closures:
+                self._strips("closures", past[np.array(self._closures)], TRUTH)
 
     def _log_localization(self, report: LocalizationReport, state: MonteCarloState) -> None:
         chosen, _ = select_representatives(np.exp(state.log_weights))
@@ -184,11 +192,6 @@ class RerunRecording:
             colormap=rerun.components.Colormap.RvizMap,
         )  # fmt: skip
         self._recording.log("map/grid", picture, static=static)
-
-    def _log_past(self, past: FloatArray, closures: list[tuple[int, int]]) -> None:
-        self._strips("path", [past[:, :2]], FAINT)
-        if closures:
-            self._strips("closures", past[np.array(closures), :2], TRUTH)
 
     def _points(self, name: str, poses: FloatArray, radius_m: float, colour: tuple[int, int, int]) -> None:
         points = _lift(poses[:, :2], _HEIGHT_M[name])

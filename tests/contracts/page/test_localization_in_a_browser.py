@@ -8,9 +8,9 @@ import threading
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
 from gridslam.api.grid import map_with_poses
 from gridslam.api.localization import localize
+from gridslam.api.mapping import map_log
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.landmarks import write_landmarks
 from gridslam.io.maps import write_map

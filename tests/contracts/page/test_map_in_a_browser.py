@@ -94,7 +94,7 @@ def test_a_particle_is_picked_and_its_map_is_seen(browser, drive, screenshot):
         click(browser, "follow")
         time.sleep(1.0)  # the camera gets there
         screenshot("near")
-        canvas, pose = browser.find_element("id", "map"), page._run.make_scene(0).particles[5]
+        canvas, pose = browser.find_element("id", "map"), page._run.make_scene(0).frame.particles[5]
         u, v = on_screen(browser, pose[0], pose[1])
         ActionChains(browser).move_to_element_with_offset(
             canvas, int(u - canvas.size["width"] / 2), int(v - canvas.size["height"] / 2)

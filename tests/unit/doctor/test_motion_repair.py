@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
+from gridslam.api.mapping import map_log
+from gridslam.config import Configuration
 from gridslam.doctor.calibration import calibrate
 from gridslam.doctor.laser_motion import laser_motion
 from gridslam.doctor.repair import (
@@ -28,6 +29,7 @@ from gridslam.slam.grid_fastslam.grid_fastslam import GridFastSlam
 from gridslam.types import Trajectory
 from support.laser_drives import log, perfect
 
+FILTER_ALONE = Configuration(particles=2, loop_closure=None)
 EXACT_REPAIRS = {
     "yaw_offset": lambda size: Repair(yaw_rad=size),
     "odometry_scale": lambda size: Repair(scale=1 + size),
@@ -152,7 +154,7 @@ def test_a_repaired_log_is_what_map_log_maps_and_tells(tmp_path):
     write_csv_log(tmp_path / "mirrored.csv", faulty)
     errors = {}
     for repair in ("needed", "none"):
-        result = map_log(tmp_path / "mirrored.csv", particles=2, repair=repair, loop_closure=False)
+        result = map_log(tmp_path / "mirrored.csv", configuration=FILTER_ALONE, repair=repair)
         assert result.repair == (Repair(reflected=True) if repair == "needed" else Repair())
         true = Trajectory(result.trajectory.stamps_ns, truth)
         errors[repair] = absolute_errors(result.trajectory, true).trans_rmse_m

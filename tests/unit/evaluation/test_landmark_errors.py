@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gridslam.errors import ArgumentError
-from gridslam.evaluation.landmarks import landmark_errors, pair_by_name, pair_by_position
+from gridslam.evaluation.maps import landmark_errors, pair_by_name, pair_by_position
 from gridslam.geometry.se2 import inverse, transform_points
 
 TRUTH = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 0.3], [0.0, 5.0], [-3.0, 1.0]])

@@ -11,7 +11,7 @@ import pytest
 from gridslam.grid import Evidence, TileMaps
 from gridslam.io.maps import write_map
 from gridslam.types import LaserScan, ScanGeometry
-from gridslam.viz.layout import lay_out
+from gridslam.viz.picture import lay_out
 
 CELL = 0.1
 

@@ -134,7 +134,14 @@ def test_of_a_ros1_bag_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, comp
 @pytest.mark.parametrize(
     ("kind", "compression", "share"),
     # Compressed chunk by chunk, of which there are three; the page of SQLite that leads to all rows lies at 0.86.
-    [("mcap", "", 0.8), ("mcap", "storage", 0.8), ("db3", "", 0.95), ("db3", "file", 0.95)],
+    [
+        ("mcap", "", 0.8),
+        ("mcap", "storage", 0.8),
+        ("mcap", "message", 0.8),
+        ("db3", "", 0.95),
+        ("db3", "file", 0.95),
+        ("db3", "message", 0.95),
+    ],
 )
 def test_of_a_ros2_file_that_is_cut_off_all_before_the_cut_is_kept(tmp_path, kind, compression, share):
     folder = ros_bags.write(tmp_path, kind, ros_bags.drive(150.0), compression)

@@ -7,11 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gridslam.io.carmen.reader import CarmenLog
-from gridslam.io.tables import parse_stamp_ns
 from gridslam.io.text import compute_digest
 from gridslam.types import BeamStatus, LaserScan
 
@@ -212,23 +209,6 @@ def test_front_and_rear_keep_file_order_and_one_path(read):
     measurements, statistics = read(*lines)
     assert [m.scan.sensor for m in measurements] == ["front", "rear"] * 3
     assert statistics.odometry_length_m == pytest.approx(5.0)
-
-
-@given(st.integers(0, 4 * 10**9), st.integers(0, 10**9 - 1))
-def test_stamps_are_exact(seconds, nanoseconds):
-    assert parse_stamp_ns(f"{seconds}.{nanoseconds:09d}") == seconds * 10**9 + nanoseconds
-    assert parse_stamp_ns(f"{seconds}.{nanoseconds // 1000:06d}") == seconds * 10**9 + nanoseconds // 1000 * 1000
-
-
-@pytest.mark.parametrize(("text", "stamp"), [("-1.5", -1_500_000_000), ("12", 12 * 10**9), ("1e3", 10**12)])
-def test_rare_forms_of_stamps(text, stamp):
-    assert parse_stamp_ns(text) == stamp
-
-
-@pytest.mark.parametrize("text", ["", "x", "nan", "inf", "1.2.3", "99999999999.0", "1e999999999"])
-def test_what_is_no_stamp(text):
-    with pytest.raises(ValueError, match="expected a stamp"):
-        parse_stamp_ns(text)
 
 
 def test_a_constant_offset_in_the_lines_is_the_mounting(read):

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import convert_log
+from gridslam.api.conversion import convert_log
 from gridslam.geometry.se2 import between, compose, compound_covariance, increment_covariance
 from gridslam.io.bags.bag import BagLog
-from gridslam.io.bags.odometry_covariance import PoseCovariances
+from gridslam.io.bags.rig import PoseCovariances
 from gridslam.io.log import LogOptions, open_log
 from gridslam.io.selection import CovarianceSum
 from gridslam.types import Odometry

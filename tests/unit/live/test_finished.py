@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from gridslam.api.grid import map_with_poses
-from gridslam.api.localization import localize
-from gridslam.api.localization_result import BELIEF_HEADER
+from gridslam.api.localization import BELIEF_HEADER, localize
 from gridslam.errors import InputError
 from gridslam.io.carmen.writer import write_carmen
 from gridslam.io.landmarks import write_landmarks

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
+from gridslam.api.mapping import map_log
 from gridslam.config import override
 from gridslam.errors import ArgumentError, InputError
 from gridslam.io.carmen.writer import write_carmen

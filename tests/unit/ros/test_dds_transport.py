@@ -10,14 +10,14 @@ import pytest
 pytest.importorskip("cyclonedds", reason="Cyclone DDS (the extra ros2) is not installed")
 
 from gridslam.ros.node.messages import GridMessage
+from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import TOPICS, RosNode
 from gridslam.ros.ros2 import dds
 from gridslam.ros.ros2.arguments import RosArguments
-from gridslam.ros.ros2.cdr import encode_message
-from gridslam.ros.ros2.outputs import Ros2Outputs
 from gridslam.ros.ros2.ros2_dds import DdsTransport
 from support.dds_peer import free_domain
+from support.ros_bytes import encode_message
 from support.ros_node import until
 
 STAMP = 1_700_000_000, 5
@@ -59,7 +59,7 @@ def test_bytes_arrive_as_they_were_sent_by_any_version(monkeypatch, known):
     monkeypatch.setattr(dds, "_KNOWN", known)
     participant, sent, got = dds.DdsParticipant(free_domain(), ["127.0.0.1"]), {}, []
     assert participant._carries_bytes == (known == "11.")
-    outputs = Ros2Outputs(sent.__setitem__, lambda: 0, lambda level, text: None, "node")
+    outputs = EncodedOutputs(participant.encoder, sent.__setitem__, lambda: 0, lambda level, text: None, "node")
     outputs.map(GridMessage(5, "map", 0.05, (1.0, 2.0), np.arange(-1, 5, dtype=np.int8).reshape(2, 3)))
     participant.add_writer("rt/map", TOPICS["map"], latched=True)
     participant.publish("rt/map", sent["map"])

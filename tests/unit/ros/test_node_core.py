@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridslam.api import map_log
+from gridslam.api.mapping import map_log
 from gridslam.config import Configuration, preset
 from gridslam.errors import ArgumentError, ConfigurationError
 from gridslam.geometry.se2 import compose

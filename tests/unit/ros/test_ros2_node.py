@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.ros2.cdr import encode_message
 from gridslam.ros.ros2.ros2 import run_ros2
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, make_world, simulate
 from support import fake_rclpy
+from support.ros_bytes import encode_message
 from support.ros_node import mounting, odometry_message, scan_message, until
 
 SHIFT_NS = 1_700_000_000 * 10**9

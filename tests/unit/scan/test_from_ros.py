@@ -9,8 +9,8 @@ import pytest
 
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se3 import from_planar
+from gridslam.io.bags.bag import BagScanBuilder
 from gridslam.io.bags.ros_messages import ScanMessage
-from gridslam.io.bags.scans import BagScanBuilder
 from gridslam.ros.node import accepted_scan
 from gridslam.types import BeamStatus, LaserScan
 

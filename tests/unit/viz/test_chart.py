@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gridslam.viz.canvas import CLOSURE, FREE, OCCUPIED, TIME_ENDS
 from gridslam.viz.chart import draw_chart
-from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS
 
 LEFT, TOP, RIGHT, BOTTOM = 130, 90, 1350, 710
 
 
-def chart(*series, marks=(), equal=False):
+def chart(*series, marks=()):
     drawn = tuple(SimpleNamespace(name=f"s{k}", x=np.array(x, float), y=np.array(y, float), style=style)
                   for k, (x, y, style) in enumerate(series))  # fmt: skip
-    return SimpleNamespace(title="T", x_label="x, m", y_label="y, m", series=drawn, marks=marks, equal=equal)
+    return SimpleNamespace(title="T", x_label="x, m", y_label="y, m", series=drawn, marks=marks)
 
 
 def where(page, colour):
@@ -52,12 +52,6 @@ def test_series_have_colours_of_their_own_and_marks_one():
     for colour in (OCCUPIED, CLOSURE, TIME_ENDS[1]):
         assert len(where(page, colour)[0]) > 100
     assert len(np.unique(where(page, TIME_ENDS[1])[0])) <= 4, "it is level"
-
-
-def test_equal_axes_have_one_scale():
-    angles = np.linspace(0, math.tau, 200)
-    rows, columns = where(draw_chart(chart((np.cos(angles), np.sin(angles), "line"), equal=True)), OCCUPIED)
-    assert np.ptp(rows) == pytest.approx(np.ptp(columns), abs=3)
 
 
 def test_a_caption_is_wrapped_and_makes_the_page_longer():

@@ -9,7 +9,7 @@ from PIL import ImageDraw
 from gridslam.errors import ArgumentError
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.viz import draw_graph
-from gridslam.viz.palette import CLOSURE, FREE, REJECTED, TIME_ENDS, time_colours
+from gridslam.viz.canvas import CLOSURE, FREE, REJECTED, TIME_ENDS, time_colours
 
 
 def _square(closures=((0, 3),), side_m=10.0):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gridslam.types import Trajectory
-from gridslam.viz.landmark_picture import SIGMAS, draw_landmarks, ellipse
-from gridslam.viz.palette import CLOSURE, TRUTH
+from gridslam.viz.canvas import CLOSURE, TRUTH
+from gridslam.viz.picture import SIGMAS, draw_landmarks, ellipse
 
 
 def test_an_ellipse_has_its_distance_from_the_centre_everywhere():

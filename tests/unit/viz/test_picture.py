@@ -8,9 +8,8 @@ from PIL import ImageDraw
 
 from gridslam.types import OccupancyGrid, Trajectory
 from gridslam.viz import draw_map
-from gridslam.viz.footer import round_length
-from gridslam.viz.layout import MARGIN, lay_out
-from gridslam.viz.palette import CLOSURE, FREE, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, time_colours
+from gridslam.viz.canvas import CLOSURE, FREE, MARGIN, OCCUPIED, TIME_ENDS, TRUTH, UNKNOWN, round_length, time_colours
+from gridslam.viz.picture import known_part, lay_out
 
 RESOLUTION = 0.05
 
@@ -65,7 +64,7 @@ def test_only_the_known_part_is_shown():
     grid = _grid((500, 400), known=False)
     grid.known[100:200, 50:100] = True
     layout = lay_out(grid)
-    assert (layout.rows, layout.columns) == (slice(100, 200), slice(50, 100))
+    assert known_part(grid) == (slice(100, 200), slice(50, 100))
     left, top, right, bottom = layout.map_box
     assert (bottom - top) == 2 * (right - left)
     corner = layout.pixels(np.array([[50 * RESOLUTION, 200 * RESOLUTION]]))[0]

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import math
+from collections import Counter, deque
 from collections.abc import Iterator
 from pathlib import Path
-from typing import final
+from typing import NamedTuple, final
 
-from gridslam.errors import InputError
-from gridslam.io.bags.choice import Choice, choose
-from gridslam.io.bags.reading import BagReading
+from gridslam.errors import ArgumentError, InputError
+from gridslam.io.bags.rig import Rig
 from gridslam.io.bags.ros1 import Ros1Bag
 from gridslam.io.bags.ros2 import Ros2Bag
+from gridslam.io.bags.ros_messages import ScanMessage, kind_of
 from gridslam.io.bags.source import BagSource
-from gridslam.io.bags.survey import Survey, survey
+from gridslam.io.bags.survey import Choice, Decoded, Survey, choose, decoded_messages, survey
 from gridslam.io.log_statistics import LogStatistics
 from gridslam.io.measurement import Measurement
 from gridslam.io.selection import LogOptions
 from gridslam.io.text import open_for_reading
+from gridslam.transforms import Coverage
+from gridslam.types import FloatArray, LaserScan, Odometry, ScanGeometry
 
-__all__ = ["BagLog"]
+__all__ = ["BagLog", "BagScanBuilder"]
 
 _ALL = LogOptions()
 _LATE_S = 1.0  # transforms on /tf are published at least this often
+_MOST_GEOMETRIES = 64  # cheap lidars turn unevenly, so that each scan has angles of its own
+_PATIENCE_NS = 1_000_000_000
+_MOST_WAITING = 1000  # scans, whatever the times of recording
+_WHY = {
+    Coverage.NOT_YET: "odometry: no reading at or after the scan's stamp comes within 1 s of the log",
+    Coverage.TOO_EARLY: "odometry: no reading at or before the scan's stamp",
+    Coverage.NOT_CONNECTED: "odometry: no reading comes before the scan or within 1 s of the log after it",
+}
 
 
 @final
@@ -35,7 +46,7 @@ class BagLog:
     was before, the measurement is without odometry, which `statistics.missing_transforms` counts with the reason.
     Each iteration rereads the bag and restarts `statistics`; memory does not grow with the length of the log.
 
-    The choice of topics and frames, and when the user must choose, is described at `bag_choice.choose`.
+    The choice of topics and frames, and when the user must choose, is described at `gridslam.io.bags.survey.choose`.
 
     Parameters
     ----------
@@ -69,14 +80,15 @@ class BagLog:
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start."""
         statistics = self.statistics = self._new_statistics()
-        yield from BagReading(self._source, self._seen, self.choice, statistics).measurements()
+        yield from _BagReading(self._source, self._seen, self.choice, statistics).measurements()
         statistics.bytes_read = self._source.bytes_read
         statistics.truncated = self._source.is_truncated
         if not statistics.scan_count:
             raise InputError(self.path, f"there are no scans on {', '.join(self.choice.scans)}")
 
     def _new_statistics(self) -> LogStatistics:
-        source, choice = self._source, self.choice
+        source = self._source
+        choice = self.choice
         statistics = LogStatistics(total_bytes=source.total_bytes, topics=dict(source.topics))
         statistics.truncated = source.is_truncated
         if choice.odometry_frame:
@@ -109,3 +121,122 @@ def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
                 late = f"is first published {late_s:.1f} s after the first scan: assumed to hold before"
                 found[f"{link[0]} -> {link[1]} {late}"] += 1
     return found
+
+
+class _Waiting(NamedTuple):
+    """A scan that waits for odometry or for other lasers, and until when in the time of recording."""
+
+    until_ns: int
+    stamp_ns: int
+    topic: str
+    message: ScanMessage
+
+
+@final
+class _BagReading:
+    """One pass over a bag, see `BagLog`; counts in `statistics`."""
+
+    def __init__(self, source: BagSource, seen: Survey, choice: Choice, statistics: LogStatistics) -> None:
+        self._source = source
+        self._seen = seen
+        self._statistics = statistics
+        self._rig = Rig(choice, seen)
+        self._maker = BagScanBuilder()
+        self._waiting: deque[_Waiting] = deque()
+        self._latest_ns = dict.fromkeys(choice.scans, -1)
+        wanted = {*choice.scans, choice.odometry, *self._rig.topics}
+        self._kinds = {name: kind_of(topic.type) for name, topic in source.topics.items() if name in wanted}
+
+    def measurements(self) -> Iterator[Measurement]:
+        """Yield the measurements of the whole bag."""
+        for time_ns, name, message in decoded_messages(self._source, self._kinds):
+            if self._take(name, message, time_ns):
+                yield from self._ready(time_ns)
+        yield from self._ready(math.inf)
+
+    def _take(self, name: str, message: Decoded, time_ns: int) -> bool:
+        """Process a message; return whether a scan may be ready now."""
+        if isinstance(message, ScanMessage):
+            self._await(name, message, time_ns)
+            return True
+        try:
+            if isinstance(message, list):
+                news = False
+                for transform in message:
+                    news |= self._rig.add_transform(transform)
+                return news
+            stamped = self._seen.odometry[name].stamped
+            self._rig.add_odometry(message if stamped else message._replace(stamp_ns=time_ns))
+            return True
+        except ArgumentError:
+            self._statistics.remarks[f"a reading of {name} is no pose: left out"] += 1
+            return False
+
+    def _await(self, name: str, message: ScanMessage, time_ns: int) -> None:
+        """Put a scan in the queue: behind those of its own laser, and by its stamp among those of others."""
+        stamp_ns = message.stamp_ns if self._seen.scans[name].stamped else time_ns
+        self._latest_ns[name] = max(stamp_ns, self._latest_ns[name])
+        waiting = self._waiting
+        place = len(waiting)
+        while place and waiting[place - 1].stamp_ns > stamp_ns and waiting[place - 1].topic != name:
+            place -= 1
+        waiting.insert(place, _Waiting(time_ns + _PATIENCE_NS, stamp_ns, name, message))
+
+    def _ready(self, time_ns: float) -> Iterator[Measurement]:
+        """Yield the measurements of the next scans that need not wait at this time of recording."""
+        while self._waiting and (measurement := self._measurement(self._waiting[0], time_ns)) is not None:
+            self._waiting.popleft()
+            yield measurement
+
+    def _measurement(self, scan: _Waiting, time_ns: float) -> Measurement | None:
+        """Measurement of a scan; None where its odometry or an earlier scan may still come."""
+        last = time_ns > scan.until_ns or len(self._waiting) > _MOST_WAITING
+        if not last and (min(self._latest_ns.values()) < scan.stamp_ns or self._rig.latest_ns < scan.stamp_ns):
+            return None
+        odometry: Odometry | None = None
+        statistics = self._statistics
+        if self._rig.has_odometry:
+            coverage, odometry = self._rig.odometry(scan.stamp_ns)
+            if odometry is None:
+                if not last and coverage is not Coverage.TOO_EARLY:
+                    return None
+                statistics.missing_transforms[_WHY[coverage]] += 1
+        message = scan.message
+        topic = scan.topic
+        laser = self._rig.laser(message.frame)
+        if topic not in statistics.mountings:
+            statistics.mountings[topic] = laser.mounting
+        if not laser.is_known:
+            statistics.missing_transforms[f"mounting: {laser.mounting.source}"] += 1
+        if laser.has_moved:
+            statistics.moving_mountings[topic] += 1
+        made = self._maker.scan(message, scan.stamp_ns, topic, laser.base_from_laser)
+        if message.time_increment > 0 and made.beam_times_s is None:
+            statistics.remarks[f"by the time_increment of {topic} a scan takes 10 s or more: not used"] += 1
+        measurement = Measurement(odometry, made)
+        statistics.count(measurement)
+        statistics.bytes_read = self._source.bytes_read
+        return measurement
+
+
+@final
+class BagScanBuilder:
+    """Makes scans whose geometries are shared as far as their angles and mountings are the same."""
+
+    def __init__(self) -> None:
+        self._geometries: dict[tuple[float, float, int, int], tuple[ScanGeometry, FloatArray]] = {}
+
+    def scan(self, message: ScanMessage, stamp_ns: int, sensor: str, base_from_laser: FloatArray) -> LaserScan:
+        """Make a scan, by the rules of `LaserScan.from_ros`."""
+        key = message.angle_min, message.angle_increment, len(message.ranges), id(base_from_laser)
+        kept = self._geometries.get(key)
+        scan = LaserScan.from_ros(
+            stamp_ns, message.ranges, angle_min=message.angle_min, angle_increment=message.angle_increment,
+            range_min=message.range_min, range_max=message.range_max, time_increment=message.time_increment,
+            base_from_laser=base_from_laser, geometry=kept and kept[0], sensor=sensor, frame=message.frame,
+        )  # fmt: skip
+        if kept is None:
+            self._geometries[key] = scan.geometry, base_from_laser  # kept too: while it is, nothing else has its id
+            if len(self._geometries) > _MOST_GEOMETRIES:
+                del self._geometries[next(iter(self._geometries))]
+        return scan

@@ -115,7 +115,9 @@ class Wire:
         return _frame(data[start:end]), end
 
 
-_ROS1, _CDR_LITTLE, _CDR_BIG = Wire("<", False), Wire("<", True), Wire(">", True)
+_ROS1 = Wire("<", False)
+_CDR_LITTLE = Wire("<", True)
+_CDR_BIG = Wire(">", True)
 
 
 def wire_of_ros1(data: bytes) -> Wire:

@@ -1,22 +1,34 @@
-"""What every kind of bag offers to the reader of logs, and what goes wrong with bags."""
+"""What every kind of bag offers to the reader of logs, how bags are compressed, and what goes wrong with them."""
 
 from __future__ import annotations
 
+import bz2
+import importlib
+import sys
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple, Protocol, final
+from typing import Any, NamedTuple, Protocol, final
+
+from lz4.frame import LZ4FrameDecompressor
 
 from gridslam.errors import InputError
 from gridslam.io.log_statistics import Topic
 
-__all__ = ["BagSource", "Chunk", "DamageError", "Message", "merge_chunks", "raise_truncated"]
+__all__ = [
+    "ZSTD_MAGIC", "BagSource", "Chunk", "DamageError", "Message", "count_topics", "decompress", "decompress_file",
+    "merge_chunks", "truncation_error",
+]  # fmt: skip
 
 Message = tuple[int, str, bytes]
 """Time of its recording in ns, topic, serialized bytes."""
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of Zstandard, in which ROS 2 compresses the messages or the files of a bag."""
+
 _when = itemgetter(0)
+_BLOCK_BYTES = 1 << 20
 
 
 @final
@@ -45,10 +57,7 @@ class BagSource(Protocol):
     topics: Mapping[str, Topic]
     is_ros1: bool
     total_bytes: int
-
-    @property
-    def bytes_read(self) -> int:
-        """How much of the bag the latest reading has taken in."""
+    bytes_read: int
 
     @property
     def is_truncated(self) -> bool:
@@ -66,6 +75,16 @@ class Chunk(NamedTuple):
     connections: frozenset[int]
 
 
+def count_topics(found: Iterable[tuple[str, str, int]]) -> dict[str, Topic]:
+    """Sum up names, types and numbers of messages; of a name that stands for several types the first one counts."""
+    topics: dict[str, Topic] = {}
+    for name, kind, messages in found:
+        before = topics.get(name, Topic(kind, 0))
+        if before.type == kind:
+            topics[name] = Topic(kind, before.messages + messages)
+    return topics
+
+
 def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Message]:
     """Merge chunks, given as start time and messages by ascending start time, into one stream ordered by time.
 
@@ -81,7 +100,44 @@ def merge_chunks(chunks: Iterable[tuple[int, Iterable[Message]]]) -> Iterator[Me
     yield from waiting
 
 
-def raise_truncated(path: Path, problem: str) -> InputError:
-    """Raise that a bag is damaged or cut off, and how to read it up to there."""
+def truncation_error(path: Path, problem: str) -> InputError:
+    """Return the error of a bag that is damaged or cut off, with the way to read it up to there."""
     one_line = "".join(letter if letter.isprintable() else "?" for letter in problem)  # bytes of the file among them
     return InputError(path, f"{one_line}; --keep-truncated reads what is there")
+
+
+def decompress(compression: bytes, data: bytes, size: int = -1) -> bytes:
+    """Decompress a chunk or a message, by the name that bags give to the compression.
+
+    Gives `size` bytes at most if that is given, and less where `data` is cut off. Raises DamageError where they are
+    damaged or the compression is not known.
+    """
+    if compression in (b"none", b""):
+        return data
+    zstd = _zstd()
+    known = {b"bz2": bz2.BZ2Decompressor, b"lz4": LZ4FrameDecompressor, b"zstd": zstd.ZstdDecompressor}
+    if compression not in known:
+        raise DamageError(f"it is compressed by '{compression.decode(errors='replace')}', which is not known")
+    try:
+        found: bytes = known[compression]().decompress(data, size)
+    except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstd.ZstdError) as error:
+        raise DamageError(f"its data cannot be decompressed: {error}") from None
+    return found
+
+
+def decompress_file(packed: Path, target: Path) -> str:
+    """Decompress a file (zstd) into another; returns why the latter is not whole, or an empty text."""
+    zstd = _zstd()
+    with target.open("wb") as file:
+        try:
+            with zstd.open(packed, "rb") as stream:
+                while block := stream.read1(_BLOCK_BYTES):
+                    file.write(block)
+        except (zstd.ZstdError, EOFError, MemoryError) as error:
+            return f"it cannot be decompressed to its end: {error}"
+    return ""
+
+
+def _zstd() -> Any:  # noqa: ANN401
+    """The module of the standard library, or what stands in for it before Python 3.14 and comes with rosbags."""
+    return importlib.import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

@@ -1,12 +1,16 @@
-"""A first look into a bag: which frames its lasers and its odometry have, and the tree of links between frames."""
+"""A first look into a bag: frames of its lasers and its odometry, the tree of links, and the choice that follows."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple, final
+from pathlib import Path
+from typing import NamedTuple, TypeAlias, final
+
+import numpy as np
 
 from gridslam.errors import ArgumentError, InputError
 from gridslam.geometry import rigid
@@ -14,6 +18,7 @@ from gridslam.geometry.rigid import Rigid
 from gridslam.io.bags.ros_messages import (
     MessageError,
     OdometryMessage,
+    ScanMessage,
     StampedTransform,
     Wire,
     decode_odometry,
@@ -24,12 +29,28 @@ from gridslam.io.bags.ros_messages import (
     wire_of_ros1,
 )
 from gridslam.io.bags.source import BagSource
+from gridslam.io.selection import LogOptions
 
-__all__ = ["LinkInfo", "Step", "Survey", "TopicInfo", "differs", "make_input_error", "survey"]
+__all__ = [
+    "Choice", "LinkInfo", "Step", "Survey", "TopicInfo", "choose", "decoded_messages", "differs", "survey",
+]  # fmt: skip
 
 _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 10 Hz and more often, static ones at once
 _SAMPLES = 200
-_MOVED_M, _MOVED_RAD = 0.005, 0.01  # a mounting that has moved by less has not: rounding, a calibration's last digits
+_MOVED_M = 0.005  # a mounting that has moved by less has not: rounding, a calibration's last digits
+_MOVED_RAD = 0.01
+_TRUTH = re.compile(r"truth|ground|(?:^|[/_])gt(?:$|[/_])", re.IGNORECASE)
+_ABOVE_BASE = re.compile(r"odom|^map$|^world$|^earth$", re.IGNORECASE)
+_ODOMETRY_FRAME = re.compile(r"odom", re.IGNORECASE)
+_BASES = ("base_link", "base_footprint", "base", "base_frame", "base_stabilized")
+_AGREES_M = 0.02  # odometry and transforms of one source are equal but for interpolation
+
+
+Decoded: TypeAlias = ScanMessage | OdometryMessage | list[StampedTransform]
+
+_DECODERS: Mapping[str, Callable[[bytes, Wire], Decoded]] = {
+    "scan": decode_scan, "odometry": decode_odometry, "transforms": decode_transforms,
+}  # fmt: skip
 
 
 class Step(NamedTuple):
@@ -104,7 +125,8 @@ class Survey:
 
     def way(self, target: str, source: str) -> list[Step] | None:
         """Links that join two frames, from the target on; None where they are not connected."""
-        up, down = self.ancestors(target), self.ancestors(source)
+        up = self.ancestors(target)
+        down = self.ancestors(source)
         shared = next((frame for frame in up if frame in down), None)
         if shared is None:
             return None
@@ -142,10 +164,19 @@ def differs(a: Rigid, b: Rigid) -> bool:
     return x * x + y * y + z * z > _MOVED_M**2 or 4 * (i * i + j * j + k * k) > _MOVED_RAD**2
 
 
-def make_input_error(source: BagSource, topic: str, time_ns: int, error: MessageError) -> InputError:
-    """Name the message that cannot be decoded."""
-    type_ = source.topics[topic].type
-    return InputError(source.path, f"a message of {topic} recorded at {time_ns / 1e9:.3f} s is no {type_}: {error}")
+def decoded_messages(source: BagSource, kinds: Mapping[str, str]) -> Iterator[tuple[int, str, Decoded]]:
+    """Yield time of recording in ns, topic and message of the topics in `kinds`, in the order of recording.
+
+    Raises InputError, which names the message, where one does not match the type of its topic.
+    """
+    wire_of = wire_of_ros1 if source.is_ros1 else wire_of_cdr
+    for time_ns, name, data in source.messages(kinds):
+        try:
+            message = _DECODERS[kinds[name]](data, wire_of(data))
+        except MessageError as error:
+            problem = f"a message of {name} recorded at {time_ns / 1e9:.3f} s is no {source.topics[name].type}: {error}"
+            raise InputError(source.path, problem) from None
+        yield time_ns, name, message
 
 
 def survey(source: BagSource) -> Survey:
@@ -156,16 +187,13 @@ def survey(source: BagSource) -> Survey:
     kinds = {name: kind_of(topic.type) for name, topic in source.topics.items() if topic.messages}
     found = Survey()
     _look(source, {name: kind for name, kind in kinds.items() if kind}, found, first=True)
-    unseen = {name: kind for name, kind in kinds.items() if kind in ("scan", "odometry") and not _topic_of(found, name)}
+    seen = {*found.scans, *found.odometry}
+    unseen = {name: kind for name, kind in kinds.items() if kind in ("scan", "odometry") and name not in seen}
     if not _connected(found):
         unseen |= {name: kind for name, kind in kinds.items() if kind == "transforms"}
     if unseen:
         _look(source, unseen, found, first=False)
     return found
-
-
-def _topic_of(found: Survey, name: str) -> bool:
-    return name in found.scans or name in found.odometry
 
 
 def _connected(found: Survey) -> bool:
@@ -174,36 +202,30 @@ def _connected(found: Survey) -> bool:
 
 
 def _complete(found: Survey, kinds: Mapping[str, str]) -> bool:
-    return _connected(found) and all(_topic_of(found, name) or kind == "transforms" for name, kind in kinds.items())
+    seen = {*found.scans, *found.odometry}
+    return _connected(found) and all(name in seen or kind == "transforms" for name, kind in kinds.items())
 
 
 def _look(source: BagSource, kinds: Mapping[str, str], found: Survey, first: bool) -> None:
     """Read the topics: at first for 10 s, then until each of them has been seen and the lasers are connected."""
-    wire_of = wire_of_ros1 if source.is_ros1 else wire_of_cdr
     until_ns: int | None = None
-    for time_ns, name, data in source.messages(kinds):
+    for time_ns, name, message in decoded_messages(source, kinds):
         if until_ns is None:
             until_ns = time_ns + _LOOK_NS
         if first and time_ns > until_ns:
             return
-        try:
-            new = _note(found, name, kinds[name], data, wire_of(data))
-        except MessageError as error:
-            raise make_input_error(source, name, time_ns, error) from None
-        if not first and new and _complete(found, kinds):
+        if _note(found, name, message) and not first and _complete(found, kinds):
             return
 
 
-def _note(found: Survey, name: str, kind: str, data: bytes, wire: Wire) -> bool:
+def _note(found: Survey, name: str, message: Decoded) -> bool:
     """Process a message; return whether it may have added information."""
-    if kind == "transforms":
+    if isinstance(message, list):
         links = len(found.links)
-        for transform in decode_transforms(data, wire):
+        for transform in message:
             found.add(name, transform, name.endswith("tf_static"))
         return len(found.links) > links
-    scan = kind == "scan"
-    topics = found.scans if scan else found.odometry
-    message = decode_scan(data, wire) if scan else decode_odometry(data, wire)
+    topics = found.scans if isinstance(message, ScanMessage) else found.odometry
     new = name not in topics
     if new:
         child = message.child_frame if isinstance(message, OdometryMessage) else ""
@@ -215,3 +237,231 @@ def _note(found: Survey, name: str, kind: str, data: bytes, wire: Wire) -> bool:
         if pose is not None:
             topic.samples.append((message.stamp_ns, pose))
     return new
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is read of a bag.
+
+    Attributes
+    ----------
+    scans : tuple of str
+        Topics of the lasers.
+    odometry : str
+        Topic of the odometry; empty where it is taken from the transforms, or there is none.
+    odometry_frame : str
+        Frame in which the odometry is; empty where there is none.
+    odometry_child : str
+        Child frame of the odometry topic.
+    base_frame : str
+        Frame whose poses the log has.
+    remarks : tuple of str
+        What was decided that the user may want to know.
+    """
+
+    scans: tuple[str, ...]
+    odometry: str
+    odometry_frame: str
+    odometry_child: str
+    base_frame: str
+    remarks: tuple[str, ...]
+
+
+def choose(source: BagSource, seen: Survey, options: LogOptions) -> Choice:
+    """Choose lasers, odometry and frames.
+
+    The odometry comes from a topic of nav_msgs/Odometry if there is one that is not ground truth: it is what its source
+    measured, at its own stamps, also in logs without transforms. Where `options.odometry_frame` is given, or there is
+    no such topic, it comes from the transforms.
+
+    Raises
+    ------
+    InputError
+        There are no scans, no such topics or frames as the options name, or several of which one must be chosen.
+    """
+    remarks: list[str] = []
+    scans = _scans(source, seen, options, remarks)
+    odometry = "" if options.no_odometry else _odometry_topic(source, seen, options, scans, remarks)
+    above = [seen.ancestors(seen.scans[name].frame) for name in scans]
+    if odometry:
+        frame = seen.odometry[odometry].frame
+        child = _child(seen, odometry, above, remarks)
+    else:
+        frame = "" if options.no_odometry else (options.odometry_frame or _odometry_frame(seen, above)).lstrip("/")
+        child = _below(seen, frame, above) or _base_above(seen, above[0][0]) or "base_link"
+    base = (options.base_frame or child).lstrip("/")
+    if not odometry:
+        child = base
+    _check_joined(source.path, seen, base if odometry or not frame else frame, child)
+    for frames in above:
+        if len(frames) > 1 and seen.names(base):
+            _check_joined(source.path, seen, base, frames[0])
+    return Choice(scans, odometry, frame, child, base, tuple(remarks))
+
+
+def _child(seen: Survey, odometry: str, above: list[list[str]], remarks: list[str]) -> str:
+    """Child frame of the odometry; if it is empty or unknown to the transforms, the base."""
+    topic = seen.odometry[odometry]
+    base = next((base for frames in above if (base := _base_above(seen, frames[0]))), "")
+    child = "" if topic.child_frame == topic.frame else topic.child_frame
+    if child and (seen.names(child) or not base):
+        return child
+    found = base or "base_link"
+    if seen.links:
+        named = f"{child}, which no transform names" if child else "no frame"
+        remarks.append(f"{odometry} has the child frame {named}: used as {found} (--base-frame)")
+    return found
+
+
+def _scans(source: BagSource, seen: Survey, options: LogOptions, remarks: list[str]) -> tuple[str, ...]:
+    empty = [name for name, topic in sorted(source.topics.items()) if kind_of(topic.type) == "scan"]
+    if not seen.scans and empty:
+        raise InputError(source.path, f"expected scans on {', '.join(empty)}, got no message of it")
+    if not seen.scans:
+        there = ", ".join(f"{name} ({topic.type})" for name, topic in sorted(source.topics.items())) or "no topics"
+        raise InputError(source.path, f"expected scans (sensor_msgs/LaserScan), got {there}")
+    if options.scan_topics:
+        wanted = tuple(dict.fromkeys("/" + name.removeprefix("/") for name in options.scan_topics))
+        for name in wanted:
+            if name not in seen.scans:
+                raise InputError(source.path, f"expected scans on {name}, got scans on {', '.join(seen.scans)} alone")
+        return wanted
+    names = sorted(seen.scans)
+    if len(names) > 1:
+        names = _still(seen, names, remarks)
+    if len(names) > 1:
+        problem = _why_not_one_robot(seen, names)
+        if problem:
+            raise InputError(source.path, f"{problem}: choose with --scan TOPIC among {', '.join(names)}")
+    return tuple(names)
+
+
+def _still(seen: Survey, names: list[str], remarks: list[str]) -> list[str]:
+    """Leave out lasers that tilt or turn on the robot, if there are others."""
+    still = []
+    for name in names:
+        base = _base_above(seen, seen.scans[name].frame)
+        way = seen.way(base, seen.scans[name].frame) if base else None
+        if not any(seen.links[step.link].moves for step in way or ()):
+            still.append(name)
+    if still and len(still) < len(names):
+        moving = ", ".join(name for name in names if name not in still)
+        remarks.append(f"{moving} left out: this laser moves on the robot (--scan TOPIC takes it)")
+        return still
+    return names
+
+
+def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
+    """Why these cannot be taken for different lasers of one robot; empty where they can."""
+    frames = {name: seen.scans[name].frame for name in names}
+    bases = {name: _base_above(seen, frame) for name, frame in frames.items()}
+    told = set(bases.values())
+    if "" not in told and len(told) > 1:
+        return f"there are lasers of several robots ({', '.join(f'{name} on {base}' for name, base in bases.items())})"
+    if len({_namespace(name) for name in names}) > 1 and "" in told:
+        return "there are lasers in several namespaces, maybe of several robots"
+    if "" in told:
+        missing = next(name for name, base in bases.items() if not base)
+        return f"there are several lasers, and the mounting of {missing} ({frames[missing]}) is unknown (no transform)"
+    if len(set(frames.values())) < len(names):
+        return f"several topics have scans of one laser ({', '.join(sorted(set(frames.values())))})"
+    return ""
+
+
+def _odometry_topic(
+    source: BagSource, seen: Survey, options: LogOptions, scans: tuple[str, ...], remarks: list[str]
+) -> str:
+    if options.odometry_topic:
+        name = "/" + options.odometry_topic.removeprefix("/")
+        if name not in seen.odometry:
+            there = ", ".join(seen.odometry) or "none"
+            raise InputError(source.path, f"expected odometry (nav_msgs/Odometry) on {name}; topics of it: {there}")
+        return name
+    if options.odometry_frame:
+        return ""
+    names = [name for name in sorted(seen.odometry) if not _TRUTH.search(name)]
+    left = [name for name in sorted(seen.odometry) if name not in names]
+    if left:
+        remarks.append(f"{', '.join(left)} not used: by its name it is ground truth (--odom TOPIC takes it)")
+    if len(names) > 1:
+        spaces = {_namespace(name) for name in scans}
+        names = [name for name in names if _namespace(name) in spaces] or names
+    if len(names) > 1:
+        names = [name for name in names if _agrees(seen, name)] or names
+    if len(names) > 1:
+        problem = f"there are several odometries: choose with --odom TOPIC among {', '.join(names)}"
+        raise InputError(source.path, problem)
+    return names[0] if names else ""
+
+
+def _agrees(seen: Survey, name: str) -> bool:
+    """Whether the transforms agree with the poses of this topic."""
+    topic = seen.odometry[name]
+    link = seen.links.get((topic.frame, topic.child_frame))
+    if link is None:
+        children = [ends for ends in seen.links if ends[0] == topic.frame]
+        link = seen.links[children[0]] if len(children) == 1 and not topic.child_frame else None
+    if link is None or not link.samples or not topic.samples:
+        return False
+    stamps = np.array([stamp_ns for stamp_ns, _ in sorted(link.samples)], dtype=np.float64)
+    places = np.array([pose[:2] for _, pose in sorted(link.samples)])
+    inside = [(stamp, pose) for stamp, pose in topic.samples if stamps[0] <= stamp <= stamps[-1]]
+    if not inside:
+        return False
+    at = [float(stamp) for stamp, _ in inside]
+    told = np.column_stack([np.interp(at, stamps, places[:, axis]) for axis in (0, 1)])
+    return bool(np.median(np.hypot(*(told - [pose[:2] for _, pose in inside]).T)) < _AGREES_M)
+
+
+def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:
+    """Parent frame of the odometry in the transforms: above the lasers, or else the only one there is."""
+    for frames in above:
+        for frame in frames[1:]:
+            if _ODOMETRY_FRAME.search(_last(frame)):
+                return frame
+    found = {parent for parent, _ in seen.links if _ODOMETRY_FRAME.search(_last(parent))}
+    return found.pop() if len(found) == 1 else ""
+
+
+def _below(seen: Survey, odometry_frame: str, above: list[list[str]]) -> str:
+    """The base: what the odometry frame is the parent of, between it and a laser if there is one."""
+    if not odometry_frame:
+        return ""
+    for frames in above:
+        if odometry_frame in frames[1:]:
+            return frames[frames.index(odometry_frame) - 1]
+    children = [child for parent, child in seen.links if parent == odometry_frame]
+    named = [child for base in _BASES for child in children if _last(child) == base]
+    return (named or children or [""])[0]
+
+
+def _base_above(seen: Survey, frame: str) -> str:
+    """The base that a laser is mounted on, by the transforms; empty if unknown."""
+    frames = seen.ancestors(frame)
+    if len(frames) == 1:
+        return ""
+    for place, name in enumerate(frames):
+        if place and _ABOVE_BASE.search(_last(name)):
+            return frames[place - 1]
+    named = [name for name in frames if _last(name) in _BASES]
+    return (named or frames)[-1]
+
+
+def _check_joined(path: Path, seen: Survey, target: str, source: str) -> None:
+    """Refuse a chain of transforms with a hole."""
+    if seen.way(target, source) is not None:
+        return
+    trees = [" <- ".join(reversed(seen.ancestors(frame))) for frame in (target, source)]
+    problem = f"no transform joins the frames {target} and {source} (there are the chains {trees[0]} and {trees[1]})"
+    raise InputError(path, f"{problem}: choose with --base-frame, --odom-frame, or --no-odometry")
+
+
+def _last(name: str) -> str:
+    return name.rpartition("/")[2]
+
+
+def _namespace(topic: str) -> str:
+    """First part of a topic's name, if it has several."""
+    first, _, rest = topic.strip("/").partition("/")
+    return first if rest else ""

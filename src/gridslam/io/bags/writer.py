@@ -2,29 +2,49 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import secrets
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from gridslam.errors import ArgumentError, OutputError
-from gridslam.io.bags.messages import BagMessage, BagMessages
+from gridslam.geometry import se2, se3
+from gridslam.io.bags.encoder import MessageEncoder, Values
 from gridslam.io.measurement import Measurement
-
-if TYPE_CHECKING:  # rosbags is imported where a bag is written, and nowhere else
-    from rosbags.interfaces import Connection
+from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = ["write_bag"]
 
-_Bag: TypeAlias = tuple[Mapping[str, Any], Callable[[BagMessage, int], None]]
-"""Classes of the messages, and what takes a message and the time of its recording in ns."""
-
 _FILES = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite3"}
 _ROS2_VERSION: Final = 8  # of the metadata: the later 9 is not read by ROS 2 before Jazzy
+_ALWAYS = QosTime(0, 0)
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, _ALWAYS, _ALWAYS,
+    QosLiveliness.AUTOMATIC, _ALWAYS, False,
+)  # fmt: skip
+
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_SCAN = "sensor_msgs/msg/LaserScan"
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_TOPIC = re.compile(r"(/[A-Za-z]\w*)+", re.ASCII)
+_ODOM = "odom"
+_BASE = "base_link"
+_EVEN_RAD = 1e-5
+_EVEN_S = 1e-6
+_MOST_GEOMETRIES = 256
+_UNKNOWN = np.zeros(36)
+_NOTHING = np.array([0.0, np.inf, np.nan], dtype=np.float32)  # by status
+_TINY = np.finfo(np.float32).tiny
 
 
 def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
@@ -64,14 +84,10 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
     aside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
     try:
         aside.mkdir()
-        if kind == "ros1":
-            written = aside / "bag"
-            _write(_ros1(written), measurements, numbered=True)
-        else:
-            written = aside / target.stem if target.suffix in _FILES else aside / target.name
-            _write(_ros2(written, kind), measurements, numbered=False)
-            if target.suffix in _FILES:
-                written /= written.name + target.suffix
+        written = aside / (target.stem if target.suffix in _FILES else target.name)
+        _write(written, kind, measurements)
+        if kind != "ros1" and target.suffix in _FILES:
+            written /= written.name + target.suffix
         os.replace(written, target)
     except (OSError, sqlite3.Error) as error:
         raise OutputError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
@@ -79,61 +95,175 @@ def write_bag(path: str | Path, measurements: Iterable[Measurement]) -> None:
         shutil.rmtree(aside, ignore_errors=True)
 
 
-def _write(opened: AbstractContextManager[_Bag], measurements: Iterable[Measurement], *, numbered: bool) -> None:
+def _write(path: Path, kind: str, measurements: Iterable[Measurement]) -> None:
     """Write all messages in the log's order, at times of recording that ascend strictly."""
+    is_ros1 = kind == "ros1"
+    encoder = MessageEncoder(is_ros1=is_ros1)
+    messages = _Messages(encoder)
+    connections: dict[str, Connection] = {}
     recorded_ns = 0  # ROS 1 has no message at time 0
-    with opened as (types, write):
-        messages = BagMessages(types, numbered=numbered)
+    bag: Any = (
+        rosbag1.Writer(path)
+        if is_ros1
+        else rosbag2.Writer(path, version=_ROS2_VERSION, storage_plugin=rosbag2.StoragePlugin[kind.upper()])
+    )
+    with bag:
         for measurement in measurements:
-            for message in messages.of(measurement):
-                recorded_ns = max(recorded_ns + 1, message.stamp_ns)
-                write(message, recorded_ns)
+            for topic, message_type, stamp_ns, values in messages.of(measurement):
+                if topic not in connections:
+                    latched = topic == "/tf_static"
+                    options: dict[str, Any] = (
+                        {"callerid": "/gridslam", "latching": 1 if latched else None}
+                        if is_ros1
+                        else {"offered_qos_profiles": [_LATCHED] if latched else []}
+                    )
+                    connections[topic] = bag.add_connection(topic, message_type, typestore=encoder.store, **options)
+                recorded_ns = max(recorded_ns + 1, stamp_ns)
+                bag.write(connections[topic], recorded_ns, encoder.encode(message_type, *values))
         if not recorded_ns:
             raise ArgumentError("measurements", "at least one scan", "none")
 
 
-@contextmanager
-def _ros1(path: Path) -> Iterator[_Bag]:
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+class _Message(NamedTuple):
+    """One message: its topic, its type, its header's stamp in ns, and the values of its fields."""
 
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage"))
-    connections: dict[str, Connection] = {}
-    with Writer(path) as bag:
-
-        def write(message: BagMessage, recorded_ns: int) -> None:
-            topic, kind, _, content = message
-            if topic not in connections:
-                latching = 1 if topic == "/tf_static" else None
-                connections[topic] = bag.add_connection(
-                    topic, kind, typestore=store, callerid="/gridslam", latching=latching
-                )
-            bag.write(connections[topic], recorded_ns, store.serialize_ros1(content, kind))
-
-        yield store.types, write
+    topic: str
+    type: str
+    stamp_ns: int
+    values: Values
 
 
-@contextmanager
-def _ros2(path: Path, storage: str) -> Iterator[_Bag]:
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
+class _Sensor(NamedTuple):
+    """Topic and frame of a laser, and its mounting (4, 4)."""
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    always = QosTime(0, 0)
-    latched = Qos(
-        QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, always, always,
-        QosLiveliness.AUTOMATIC, always, False,
-    )  # fmt: skip
-    connections: dict[str, Connection] = {}
-    with Writer(path, version=_ROS2_VERSION, storage_plugin=StoragePlugin[storage.upper()]) as bag:
+    topic: str
+    frame: str
+    mounting: FloatArray
 
-        def write(message: BagMessage, recorded_ns: int) -> None:
-            topic, kind, _, content = message
-            if topic not in connections:
-                qos = [latched] if topic == "/tf_static" else []
-                connections[topic] = bag.add_connection(topic, kind, typestore=store, offered_qos_profiles=qos)
-            bag.write(connections[topic], recorded_ns, store.serialize_cdr(content, kind))
 
-        yield store.types, write
+@final
+class _Messages:
+    """Converts measurements to messages, one after another; see `write_bag`."""
+
+    def __init__(self, encoder: MessageEncoder) -> None:
+        self._header = encoder.header
+        self._odometry: Odometry | None = None
+        self._sensors: dict[str, _Sensor] = {}
+        self._times: tuple[FloatArray | None, float] = None, 0.0
+        self._geometries: dict[int, tuple[ScanGeometry, float, float]] = {}
+
+    def of(self, measurement: Measurement) -> Iterator[_Message]:
+        """Messages of one measurement, in the order in which a robot would send them."""
+        odometry, scan = measurement
+        if odometry is not None and not _same(odometry, self._odometry):
+            stamp_ns = odometry.stamp_ns
+            pose = _in_space(odometry.pose)
+            header = self._header("/odom", stamp_ns, _ODOM)
+            twist = _twist(self._odometry, odometry)
+            yield _Message("/odom", _ODOMETRY, stamp_ns, (header, _BASE, (pose, _UNKNOWN), (twist, _UNKNOWN)))
+            yield _Message("/tf", _TRANSFORMS, stamp_ns, ([(self._header("/tf", stamp_ns, _ODOM), _BASE, pose)],))
+            self._odometry = odometry
+        if scan.sensor not in self._sensors:
+            self._sensors[scan.sensor] = self._new_sensor(scan)
+            yield _Message("/tf_static", _TRANSFORMS, scan.stamp_ns, (self._mountings(scan.stamp_ns),))
+        sensor = self._sensors[scan.sensor]
+        yield _Message(sensor.topic, _SCAN, scan.stamp_ns, self._scan(scan, sensor))
+
+    def _mountings(self, stamp_ns: int) -> list[Values]:
+        """All mountings known so far: who comes late is given the last message alone."""
+        by_frame = {sensor.frame: sensor.mounting for sensor in self._sensors.values() if sensor.frame != _BASE}
+        return [
+            (self._header("/tf_static", stamp_ns, _BASE), frame, se3.to_quaternion(mounting))
+            for frame, mounting in by_frame.items()
+        ]
+
+    def _new_sensor(self, scan: LaserScan) -> _Sensor:
+        """Choose topic and frame: the log's own names where ROS can have them and nothing else does."""
+        topics = {"/odom", "/tf", "/tf_static", *(sensor.topic for sensor in self._sensors.values())}
+        topic = scan.sensor
+        if not _TOPIC.fullmatch(topic):
+            topic = "/scan_" + re.sub(r"\W", "_", topic, flags=re.ASCII) if self._sensors else "/scan"
+        mounting = scan.geometry.base_from_laser
+        frames = {sensor.frame: sensor.mounting for sensor in self._sensors.values()}
+        frames |= {_ODOM: np.zeros((4, 4)), _BASE: np.eye(4)}
+        frame = scan.frame.lstrip("/") or "laser"
+        while topic in topics:
+            topic += "_2"
+        while frame in frames and not np.allclose(frames[frame], mounting, rtol=0, atol=1e-6):
+            frame += "_2"
+        return _Sensor(topic, frame, mounting)
+
+    def _scan(self, scan: LaserScan, sensor: _Sensor) -> Values:
+        angle_min, step = self._angles(scan, sensor)
+        if scan.beam_times_s is not self._times[0]:  # scans of a laser often share them
+            self._times = scan.beam_times_s, _time_increment_s(scan.beam_times_s)
+        header = self._header(sensor.topic, scan.stamp_ns, sensor.frame)
+        angles = angle_min, angle_min + step * max(len(scan) - 1, 0), step
+        times = self._times[1], self._times[1] * len(scan)
+        return header, *angles, *times, scan.range_min_m, scan.range_max_m, _ranges(scan), ()
+
+    def _angles(self, scan: LaserScan, sensor: _Sensor) -> tuple[float, float]:
+        """First bearing and step of a scan, looked at once for each geometry."""
+        geometry = scan.geometry
+        known = self._geometries.get(id(geometry))
+        if known is None:
+            if not np.allclose(geometry.base_from_laser, sensor.mounting, rtol=0, atol=1e-6):
+                got = geometry.base_from_laser.tolist()
+                raise ArgumentError("base_from_laser", f"one mounting for all scans of '{scan.sensor}'", got)
+            if len(self._geometries) >= _MOST_GEOMETRIES:
+                self._geometries.clear()
+            known = self._geometries[id(geometry)] = geometry, *_even("bearings", geometry.bearings, _EVEN_RAD)
+        return known[1], known[2]
+
+
+def _same(a: Odometry, b: Odometry | None) -> bool:
+    return b is not None and (a is b or (a.stamp_ns == b.stamp_ns and bool((a.pose == b.pose).all())))
+
+
+def _in_space(pose: FloatArray) -> Values:
+    """Translation (3,) and quaternion xyzw (4,) of a planar pose."""
+    x, y, theta = pose.tolist()
+    return (x, y, 0.0), (0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
+
+
+def _twist(before: Odometry | None, now: Odometry) -> Values:
+    """Mean linear and angular velocity (3,) since the last odometry, in the base frame; 0 if unknown."""
+    vx = vy = omega = 0.0
+    if before is not None and now.stamp_ns > before.stamp_ns:
+        seconds = (now.stamp_ns - before.stamp_ns) / 1e9
+        vx, vy, omega = (se2.log(se2.between(before.pose, now.pose)) / seconds).tolist()
+    return (vx, vy, 0.0), (0.0, 0.0, omega)
+
+
+def _even(name: str, values: FloatArray, tolerance: float) -> tuple[float, float]:
+    """First value and step of evenly spread ones."""
+    if len(values) < 2:
+        return float(values.sum()), 0.0
+    step = float(values[-1] - values[0]) / (len(values) - 1)
+    if not (np.abs(values - values[0] - step * np.arange(len(values))) <= tolerance).all():
+        raise ArgumentError(name, "evenly spread beams, which is all that a message can represent", values)
+    return float(values[0]), step
+
+
+def _time_increment_s(times: FloatArray | None) -> float:
+    if times is None:
+        return 0.0
+    first, step = _even("beam_times_s", times, _EVEN_S)
+    if abs(first) > _EVEN_S or step < 0:
+        raise ArgumentError("beam_times_s", "times that grow from 0 at the first beam", times)
+    return step
+
+
+def _ranges(scan: LaserScan) -> NDArray[np.float32]:
+    """Ranges as a message has them: NO_RETURN is infinite, INVALID is NaN."""
+    hit = scan.status == BeamStatus.HIT
+    hits = scan.ranges[hit]
+    nearest, farthest = hits.min(initial=np.inf), hits.max(initial=0.0)
+    if hits.size and not (nearest > 0 and scan.range_min_m <= nearest and farthest < scan.range_max_m):
+        limits = f"hits from {scan.range_min_m:g} m on and below {scan.range_max_m:g} m"
+        raise ArgumentError("ranges", limits, (float(nearest), float(farthest)))
+    ranges = _NOTHING[scan.status]
+    # Rounding to single precision must not turn a hit into "no return" or "invalid".
+    below = np.nextafter(np.float32(scan.range_max_m), np.float32(0))
+    ranges[hit] = hits.astype(np.float32).clip(_TINY, below)
+    return ranges

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,15 +43,6 @@ class PoseMessage(NamedTuple):
     pose: FloatArray
     covariance: FloatArray
 
-    def fill(self, sent: Any) -> None:  # noqa: ANN401
-        """Fill a geometry_msgs/PoseWithCovariance of any message library."""
-        x, y, theta = self.pose.tolist()
-        position, turn = sent.pose.position, sent.pose.orientation
-        position.x, position.y, turn.z, turn.w = x, y, math.sin(0.5 * theta), math.cos(0.5 * theta)
-        full = np.zeros((6, 6))
-        full[np.ix_((0, 1, 5), (0, 1, 5))] = self.covariance
-        sent.covariance = full.ravel().tolist()
-
 
 class CloudMessage(NamedTuple):
     """Poses (N, 3) of the particles in `frame`."""
@@ -64,8 +54,9 @@ class CloudMessage(NamedTuple):
     def data(self) -> bytes:
         """Return the bytes of the poses as geometry_msgs/Pose, little-endian: x, y, z in m, quaternion x, y, z, w."""
         rows = np.zeros((len(self.poses), 7), "<f8")
-        rows[:, :2], half = self.poses[:, :2], 0.5 * self.poses[:, 2]
-        rows[:, 5], rows[:, 6] = np.sin(half), np.cos(half)
+        rows[:, :2] = self.poses[:, :2]
+        rows[:, 5] = np.sin(0.5 * self.poses[:, 2])
+        rows[:, 6] = np.cos(0.5 * self.poses[:, 2])
         return rows.tobytes()
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.api.result import MapResult
+from gridslam.api.mapping import MapResult, finish_mapping
 from gridslam.config import Configuration, build
 from gridslam.doctor.repair import Repair
 from gridslam.errors import ArgumentError, OutputError
@@ -30,9 +30,8 @@ from gridslam.localization import (
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan
-from gridslam.slam.full_slam.full_slam import full_slam
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.types import FloatArray, LaserScan, Odometry, StepReport, Trajectory
+from gridslam.types import FloatArray, LaserScan, Odometry, StepReport
 
 __all__ = ["InitialPose", "Localization", "LocalizationSession", "Session", "SessionCopy"]
 
@@ -208,41 +207,21 @@ class SessionCopy:
 
     def _compute_result(self) -> MapResult:
         """Compute the full result, as `gridslam map` does at the end of a log."""
-        config = self.configuration
-        trajectory = self.trajectory
         record = RecordWriter()
         for report, seconds in self.keys:
             record.add(report, seconds)
         self.stopwatch.resume()
-        state = GridFastSlamState.from_arrays(self.state, config.mapper, self.threads)
-        full = full_slam(
-            state,
-            trajectory.keys,
-            trajectory.key_from_base,
-            config.mapper,
-            config.loop_closure,
-            config.final_refinement,
-        )
-        self.stopwatch.lap("final refinement")
-        online = trajectory.online_trajectory()
-        return MapResult(
-            trajectory=Trajectory(online.stamps_ns, full.poses),
-            covariances=full.covariances,
-            online_trajectory=online,
-            tiled_map=full.tiled_map,
-            graph=full.graph,
-            loop_summary=full.loop_summary,
-            key_stamps_ns=online.stamps_ns[np.flatnonzero(np.diff(trajectory.keys, prepend=-1))],
-            state=state,
-            maps_bytes=state.maps.nbytes,
-            statistics=self.statistics.summary(),
-            log=self.log,
-            configuration=config,
+        return finish_mapping(
+            GridFastSlamState.from_arrays(self.state, self.configuration.mapper, self.threads),
+            self.trajectory,
+            self.statistics,
+            record,
+            self.configuration,
             seed=self.seed,
             threads=self.threads,
+            log=self.log,
             source=Path(next(iter(self.log.scans))) if self.record is None else self.record,
             digest="" if self.record is None else compute_digest(self.record),
-            record=record,
-            stopwatch=self.stopwatch,
             repair=Repair(),
+            stopwatch=self.stopwatch,
         )

@@ -1,7 +1,6 @@
 """The node in ROS 1 by rospy: a drop-in replacement for slam_gmapping.
 
-Scans and transforms are decoded from their bytes, which is fast for large scans and works with any version of NumPy.
-The cells of the map are sent without a copy into Python objects.
+Messages pass through rospy as bytes, which is fast for large scans and maps and works with any version of NumPy.
 
 Source: the interface of slam_gmapping, http://wiki.ros.org/gmapping.
 """
@@ -14,22 +13,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
-from typing import Any, final
+from typing import IO, Any, final
 
 from gridslam.errors import ConfigurationError, GridslamError
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, kind_of, wire_of_ros1
-from gridslam.ros.node.messages import (
-    CloudMessage,
-    Diagnostics,
-    GridMessage,
-    Level,
-    Outputs,
-    PoseMessage,
-    StampedTransform,
-)  # fmt: skip
+from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import GMAPPING_DEFAULTS, NODE_DEFAULTS, node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
-from gridslam.ros.ros1.messages import cloud_class, grid_class, response_class
 
 __all__ = ["NODE_NAME", "Ros1Transport", "check_ros1_arguments", "run_ros1"]
 
@@ -45,16 +37,16 @@ def _name(topic: str) -> str:
 
 @final
 class Ros1Transport:
-    """Publishers, subscribers and services of the node, after `rospy.init_node`; its own `Outputs`."""
+    """Publishers, subscribers and services of the node, after `rospy.init_node`."""
 
     global_localization = "global_localization"
 
     def __init__(self) -> None:
-        self.outputs: Outputs = self
         self._rospy = _import("rospy")
-        self._grid_class = grid_class(_import("nav_msgs/OccupancyGrid"))
-        self._cloud_class = cloud_class(_import("geometry_msgs/PoseArray"))
+        self._encoder = MessageEncoder(is_ros1=True)
         self._publishers: dict[str, Any] = {}
+        name = self._rospy.get_name().lstrip("/")
+        self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, name)
 
     def connect(self, refuse: Callable[[str, str], None]) -> None:
         """Create the publishers; `refuse` is called with kind and problem of what cannot be received."""
@@ -98,13 +90,24 @@ class Ros1Transport:
     def advertise_map(self, service: str, serve: Callable[[], GridMessage | None]) -> None:
         """Offer the map by a service, which fails where there is none."""
         service_class = _import("nav_msgs/GetMap", "srv")
-        answer_class = response_class(service_class._response_class)
+
+        base: Any = service_class._response_class
+
+        class Answer(base):  # type: ignore[misc]
+            """Response that is encoded already: a list of a million cells would cost 50 ms."""
+
+            encoded = b""
+
+            def serialize(self, buff: IO[bytes]) -> None:
+                buff.write(self.encoded)
 
         def answer(request: Any) -> Any:  # noqa: ANN401
             latest = serve()
             if latest is None:
                 raise self._rospy.ServiceException("there is no map yet")
-            return answer_class(map=self._grid(latest))
+            response = Answer()
+            response.encoded = self._encoder.encode(TOPICS["map"], *grid_values(self._encoder, service, latest))
+            return response
 
         self._rospy.Service(service, service_class, answer)
 
@@ -117,77 +120,18 @@ class Ros1Transport:
         """Shut down."""
         self._rospy.signal_shutdown("done")
 
-    def now_ns(self) -> int:
-        """Return the current time, simulated or not, ns."""
+    def _now_ns(self) -> int:
         return int(self._rospy.Time.now().to_nsec())
 
-    def map(self, message: GridMessage) -> None:
-        """Publish the map and its metadata, latched."""
-        grid = self._grid(message)
-        self._publish("map_metadata", grid.info)
-        self._publish("map", grid)
-
-    def transform(self, message: StampedTransform) -> None:
-        """Publish on /tf."""
-        sent = _import("geometry_msgs/TransformStamped")()
-        self._stamp(sent.header, message.stamp_ns, message.parent)
-        sent.child_frame_id = message.child
-        x, y, z, *xyzw = message.pose
-        sent.transform.translation = _import("geometry_msgs/Vector3")(x, y, z)
-        sent.transform.rotation = _import("geometry_msgs/Quaternion")(*xyzw)
-        self._publish("/tf", _import(TOPICS["/tf"])([sent]))
-
-    def pose(self, message: PoseMessage) -> None:
-        """Publish on ~pose."""
-        sent = _import(TOPICS["~/pose"])()
-        self._stamp(sent.header, message.stamp_ns, message.frame)
-        message.fill(sent.pose)
-        self._publish("~/pose", sent)
-
-    def entropy(self, nats: float) -> None:
-        """Publish on ~entropy."""
-        self._publish("~/entropy", _import(TOPICS["~/entropy"])(nats))
-
-    def particles(self, message: CloudMessage) -> None:
-        """Publish on particlecloud."""
-        cloud = self._cloud_class()
-        self._stamp(cloud.header, message.stamp_ns, message.frame)
-        cloud.count = len(message.poses)
-        cloud.data = message.data()
-        self._publish("particlecloud", cloud)
-
-    def diagnostics(self, message: Diagnostics) -> None:
-        """Publish on /diagnostics."""
-        pair = _import("diagnostic_msgs/KeyValue")
-        values = [pair(name, value) for name, value in message.values.items()]
-        name = f"{self._rospy.get_name().lstrip('/')}: SLAM"
-        status = _import("diagnostic_msgs/DiagnosticStatus")(int(message.level), name, message.summary, "", values)
-        sent = _import(TOPICS["/diagnostics"])(status=[status])
-        sent.header.stamp = self._rospy.Time.now()
-        self._publish("/diagnostics", sent)
-
-    def log(self, level: Level, text: str) -> None:
+    def _log(self, level: Level, text: str) -> None:
         """Log to the console and /rosout."""
         rospy = self._rospy
         {Level.OK: rospy.loginfo, Level.WARN: rospy.logwarn, Level.ERROR: rospy.logerr}[level]("%s", text)
         sys.stdout.flush()  # rospy does not flush
 
-    def _grid(self, message: GridMessage) -> Any:  # noqa: ANN401
-        grid = self._grid_class()
-        self._stamp(grid.header, message.stamp_ns, message.frame)
-        grid.info.map_load_time = grid.header.stamp
-        grid.info.resolution = message.resolution_m
-        grid.info.height, grid.info.width = message.cells.shape
-        grid.info.origin.position.x, grid.info.origin.position.y = message.origin
-        grid.info.origin.orientation.w = 1.0
-        grid.cells = message.cells.tobytes()
-        return grid
-
-    def _stamp(self, header: Any, stamp_ns: int, frame: str) -> None:  # noqa: ANN401
-        header.stamp = self._rospy.Time(*divmod(stamp_ns, 1_000_000_000))
-        header.frame_id = frame
-
-    def _publish(self, topic: str, message: Any) -> None:  # noqa: ANN401
+    def _publish(self, topic: str, data: bytes) -> None:
+        message = self._rospy.AnyMsg()
+        message._buff = data
         try:
             if not self._rospy.is_shutdown():
                 self._publishers[topic].publish(message)

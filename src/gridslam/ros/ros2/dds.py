@@ -1,6 +1,6 @@
 """ROS 2 topics by Cyclone DDS, without ROS.
 
-`gridslam.ros.ros2.cdr` encodes and decodes the messages; the library only transports their bytes. It calls `serialize`
+rosbags encodes and decodes the messages; the library only transports their bytes. It calls `serialize`
 and `deserialize` of a topic's message class, and these classes return the bytes unchanged: a grid of 1000 x 1000 cells
 costs half a millisecond instead of a hundred for a list. Other versions of the library, which may not call these
 methods, receive messages as objects and encode them themselves.
@@ -16,16 +16,38 @@ from typing import Any, Final, TypeAlias, final
 from xml.sax.saxutils import quoteattr
 
 from gridslam.errors import ConfigurationError
-from gridslam.ros.ros2.cdr import parse_fields
+from gridslam.io.bags.encoder import MessageEncoder
 
-__all__ = ["DdsParticipant", "Handler"]
+__all__ = ["DdsParticipant", "Handler", "service_encoder"]
 
 _KNOWN = "11."
 _POLL_NS = 200_000_000
 _MAX_MESSAGES = 64
+_POLICIES: Final[Mapping[int, str]] = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}
+
+_REQUEST_HEADER = "uint64 guid\nint64 sequence\n"  # that rmw_cyclonedds prepends to requests and replies
+_EMPTY = "uint8 structure_needs_at_least_one_member"
+_SERVICES: Final[Mapping[str, str]] = {
+    "nav_msgs/GetMap_Request": _EMPTY,
+    "nav_msgs/GetMap_Response": "nav_msgs/OccupancyGrid map",
+    "std_srvs/Empty_Request": _EMPTY,
+    "std_srvs/Empty_Response": _EMPTY,
+    "std_srvs/SetBool_Request": "bool data",
+    "std_srvs/SetBool_Response": "bool success\nstring message",
+    "std_srvs/Trigger_Request": _EMPTY,
+    "std_srvs/Trigger_Response": "bool success\nstring message",
+}
 
 Handler: TypeAlias = Callable[[bytes, str], None]
 """Called with the bytes of a message and a name of its sender."""
+
+
+def service_encoder() -> MessageEncoder:
+    """Return an encoder that knows the requests and replies of the node's services, too."""
+    encoder = MessageEncoder(is_ros1=False)
+    for name, definition in _SERVICES.items():
+        encoder.define(name, _REQUEST_HEADER + definition)
+    return encoder
 
 
 def _library() -> Any:  # noqa: ANN401
@@ -53,6 +75,11 @@ class DdsParticipant:
         Called with an incompatibility of another program, so that nothing passes: "quality of service" or "message
         type", the topic, and a description.
 
+    Attributes
+    ----------
+    encoder : MessageEncoder
+        Of the messages, requests and replies.
+
     Raises
     ------
     ConfigurationError
@@ -66,6 +93,7 @@ class DdsParticipant:
         on_mismatch: Callable[[str, str, str], None] = lambda *unused: None,
     ) -> None:
         self._dds = dds = _library()
+        self.encoder = service_encoder()
         self._on_mismatch = on_mismatch
         self._carries_bytes = importlib.metadata.version("cyclonedds").startswith(_KNOWN)
         self._types: dict[str, Any] = {}
@@ -97,7 +125,8 @@ class DdsParticipant:
         depth: int = 10,
     ) -> None:  # fmt: skip
         """Add a handler for the bytes of each message on a DDS topic, before `start`."""
-        dds, qos = self._dds, self._qos(reliable=reliable, latched=latched, depth=depth)
+        dds = self._dds
+        qos = self._qos(reliable=reliable, latched=latched, depth=depth)
         listener = dds.core.Listener(
             on_requested_incompatible_qos=lambda reader, status: self._mismatch(topic, "publisher offers less", status)
         )
@@ -159,36 +188,36 @@ class DdsParticipant:
         kind = f"{message_type}*"
         if kind not in self._types:
             carrier = self._types[kind] = self._struct(message_type)
-            carrier.serialize, carrier.deserialize = _to_bytes, classmethod(_from_bytes)
-            carrier.deserialize_key = carrier.deserialize
+            carrier.serialize = _to_bytes
+            carrier.deserialize = carrier.deserialize_key = classmethod(_from_bytes)
         return self._types[kind]
 
     def _struct(self, message_type: str) -> Any:  # noqa: ANN401
         """Return the library's class of a type, with its name and fields."""
-        types, fields = self._dds.idl.types, {}
-        for kind, length, name in parse_fields(message_type):
+        types = self._dds.idl.types
+        fields = {}
+        for name, kind, length in self.encoder.fields(message_type):
             one = self._element(kind)
             if length is not None:
                 one = types.array[one, length] if length else types.sequence[one]
             fields[name] = one
-        package, name = message_type.split("/")
+        package, *_, name = message_type.split("/")
         space = "srv" if name.endswith(("_Request", "_Response")) else "msg"
-        typename = f"{package}.{space}.dds_.{name}_"
-        return self._dds.idl.make_idl_struct(f"{name}_", typename, fields)
+        return self._dds.idl.make_idl_struct(f"{name}_", f"{package}.{space}.dds_.{name}_", fields)
 
     def _element(self, kind: str) -> Any:  # noqa: ANN401
-        if kind in _PLAIN:
-            return _PLAIN[kind]
-        if "/" not in kind:
-            return getattr(self._dds.idl.types, kind)
         if kind not in self._types:
-            self._types[kind] = self._struct(kind)
+            types = self._dds.idl.types
+            plain = {"string": str, "bool": bool, "byte": types.uint8}
+            self._types[kind] = self._struct(kind) if "/" in kind else plain.get(kind) or getattr(types, kind)
         return self._types[kind]
 
     def _qos(self, *, reliable: bool, latched: bool, depth: int) -> Any:  # noqa: ANN401
-        policy, duration = self._dds.qos.Policy, self._dds.util.duration
+        policy = self._dds.qos.Policy
         return self._dds.qos.Qos(
-            policy.Reliability.Reliable(duration(milliseconds=100)) if reliable else policy.Reliability.BestEffort,
+            policy.Reliability.Reliable(self._dds.util.duration(milliseconds=100))
+            if reliable
+            else policy.Reliability.BestEffort,
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             policy.History.KeepLast(depth),
             policy.DataRepresentation(use_cdrv0_representation=True),
@@ -204,11 +233,6 @@ def _from_bytes(cls: Any, /, data: bytes, *unused: object, **options: object) ->
     message = object.__new__(cls)
     message.cdr = data
     return message
-
-
-_POLICIES: Final[Mapping[int, str]] = {2: "durability", 4: "deadline", 8: "liveliness", 11: "reliability"}
-
-_PLAIN: Final[Mapping[str, Any]] = {"string": str, "bool": bool}
 
 
 def _configuration(interfaces: Sequence[str]) -> str:

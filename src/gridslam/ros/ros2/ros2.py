@@ -15,12 +15,13 @@ from functools import partial
 from typing import Any, final
 
 from gridslam.errors import ConfigurationError
+from gridslam.io.bags.encoder import MessageEncoder
 from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
 from gridslam.ros.node.core import NodeCore
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.outputs import EncodedOutputs
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener, import_ros
-from gridslam.ros.ros2.outputs import Ros2Outputs
 
 __all__ = ["NODE_NAME", "Ros2Transport", "run_ros2"]
 
@@ -45,7 +46,8 @@ class Ros2Transport:
         self._qos = _import("rclpy.qos")
         self._apart = _import("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
         self._publishers: dict[str, Any] = {}
-        self.outputs: Outputs = Ros2Outputs(self._publish, self._now_ns, self._log, node.get_name())
+        encoder = MessageEncoder(is_ros1=False)
+        self.outputs: Outputs = EncodedOutputs(encoder, self._publish, self._now_ns, self._log, node.get_name())
 
     def connect(self, refuse: Callable[[str, str], None]) -> None:
         """Create the publishers; rclpy itself refuses what cannot be received."""

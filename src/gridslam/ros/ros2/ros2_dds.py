@@ -10,20 +10,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any, final
 
+import numpy as np
+
 from gridslam.errors import ConfigurationError
-from gridslam.io.bags.ros_messages import Wire, wire_of_cdr
+from gridslam.io.bags.ros_messages import MessageError, Wire, wire_of_cdr
 from gridslam.ros.node.messages import GridMessage, Level, Outputs
+from gridslam.ros.node.outputs import EncodedOutputs, grid_values
 from gridslam.ros.node.parameters import node_parameters
 from gridslam.ros.node.transport import LATCHED, POLL_S, TOPICS, Handler, RosNode, ViewerOpener
 from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
-from gridslam.ros.ros2.cdr import decode_message, encode_message
 from gridslam.ros.ros2.dds import DdsParticipant
-from gridslam.ros.ros2.outputs import Ros2Outputs, grid_values
 
 __all__ = ["DdsTransport", "run_dds"]
 
 _LEVELS = {Level.OK: "INFO", Level.WARN: "WARN", Level.ERROR: "ERROR"}
-_EMPTY_GRID = (((0, 0), ""), ((0, 0), 0.0, 0, 0, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))), b"")
+_EMPTY_GRID = GridMessage(0, "", 0.0, (0.0, 0.0), np.zeros((0, 0), np.int8))
 
 
 @final
@@ -50,10 +51,11 @@ class DdsTransport:
         self, arguments: RosArguments, *, domain: int = 0, interfaces: Sequence[str] = (), simulated: bool = False
     ) -> None:
         self._refuse: Callable[[str, str], None] = lambda kind, problem: None
-        self.outputs: Outputs = Ros2Outputs(self._publish, self._now_ns, self._log, arguments.node)
         self._arguments = arguments
         self._clock_ns: int | None = 0 if simulated else None
         self._participant = DdsParticipant(domain, interfaces, self._on_mismatch)
+        self._encoder = self._participant.encoder
+        self.outputs: Outputs = EncodedOutputs(self._encoder, self._publish, self._now_ns, self._log, arguments.node)
         if arguments.ignored:
             self._log(Level.WARN, f"arguments that are ignored, as there is no ROS: {', '.join(arguments.ignored)}")
         self._writers = {topic: f"rt{self.resolve(topic)}" for topic in TOPICS}
@@ -89,18 +91,19 @@ class DdsTransport:
 
         def answer(guid: int, sequence: int, value: Any) -> None:  # noqa: ANN401
             fields = serve(value) or (0,)  # a structure without fields has one all the same
-            self._participant.publish(reply, encode_message(f"{kind}_Response", (guid, sequence, *fields)))
+            self._participant.publish(reply, self._encoder.encode(f"{kind}_Response", guid, sequence, *fields))
 
         def on_request(data: bytes, publisher: str) -> None:
             try:
-                request = decode_message(f"{kind}_Request", data)
-            except ValueError as error:
+                request = self._encoder.decode(f"{kind}_Request", data)
+            except MessageError as error:
                 self._refuse("request", f"{name}: {error}")
                 return
+            values = request.guid, request.sequence, getattr(request, "data", None)
             if slow:
-                threading.Thread(target=answer, args=tuple(request), daemon=True).start()
+                threading.Thread(target=answer, args=values, daemon=True).start()
             else:
-                answer(*request)
+                answer(*values)
 
         self._participant.add_reader(f"rq{name}Request", f"{kind}_Request", on_request)
 
@@ -108,8 +111,7 @@ class DdsTransport:
         """Offer the map by a service; without a map the response is empty."""
 
         def serve_values(request: Any) -> Sequence[Any]:  # noqa: ANN401
-            latest = serve()
-            return (_EMPTY_GRID if latest is None else grid_values(latest),)
+            return (grid_values(self._encoder, service, serve() or _EMPTY_GRID),)
 
         self.advertise(service, "nav_msgs/GetMap", serve_values)
 
@@ -137,11 +139,11 @@ class DdsTransport:
 
     def _on_clock(self, data: bytes, publisher: str) -> None:
         try:
-            seconds, nanoseconds = decode_message("rosgraph_msgs/Clock", data)
-        except ValueError as error:
+            clock = self._encoder.decode("rosgraph_msgs/Clock", data).clock
+        except MessageError as error:
             self._refuse("message", f"{self.resolve('/clock')}: {error}")
         else:
-            self._clock_ns = seconds * 1_000_000_000 + nanoseconds
+            self._clock_ns = clock.sec * 1_000_000_000 + clock.nanosec
 
 
 def _is_local(environment: Mapping[str, str]) -> bool:

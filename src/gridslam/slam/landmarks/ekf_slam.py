@@ -94,7 +94,9 @@ class EkfSlam:
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the confirmed landmarks."""
-        return state.landmark_map(self.existence.log_odds_confirmed)
+        kept = state.evidence >= self.existence.log_odds_confirmed
+        covariances = state.position_covariances[kept]
+        return LandmarkMap(state.names[kept], state.positions[kept], covariances, state.observations[kept])
 
     def _predict(self, state: EkfSlamState, motion: MotionSampler) -> None:
         """Tables 10.1 and 10.2, lines 2 to 5: only the pose moves, and the odometry's errors with it."""
@@ -253,12 +255,6 @@ class EkfSlamState:
         count = np.arange(len(self.names))
         of_landmarks = self.covariance[self.first :, self.first :].reshape(len(count), 2, len(count), 2)
         return np.asarray(of_landmarks[count, :, count])
-
-    def landmark_map(self, least_evidence: float) -> LandmarkMap:
-        """Return the landmarks whose log odds are at least so great."""
-        kept = self.evidence >= least_evidence
-        covariances = self.position_covariances[kept]
-        return LandmarkMap(self.names[kept], self.positions[kept], covariances, self.observations[kept])
 
     def append(self, name: int, position: FloatArray, with_others: FloatArray, own: FloatArray) -> None:
         """Add a landmark at the end.

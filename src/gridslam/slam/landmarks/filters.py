@@ -85,8 +85,6 @@ class Innovation:
 
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
-        if chosen.all():
-            return self
         return Innovation(
             self.rows[chosen], self.columns[chosen], self.residuals[chosen], self.covariances[chosen],
             self.by_pose[chosen], self.by_landmark[chosen],

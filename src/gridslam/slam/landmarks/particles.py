@@ -241,9 +241,10 @@ class LandmarkParticles:
         weights = np.exp(self.log_weights)
         covariance = weighted_covariance(self.poses, weights)
         covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
-        told = [self._name(place) for place in places[best].tolist()]
-        n_eff = effective_sample_size(self.log_weights)
-        return LandmarkReport(self.poses[best].copy(), covariance, np.array(told, np.int64), n_eff)
+        columns = places[best]
+        names = self.names[columns]  # below 0 where columns have no signatures
+        told = np.where((columns >= 0) & (names >= 0), names, columns)
+        return LandmarkReport(self.poses[best].copy(), covariance, told, effective_sample_size(self.log_weights))
 
     def take(self) -> LandmarkParticles:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
@@ -271,10 +272,6 @@ class LandmarkParticles:
         moved = transform_covariances(levers, self.local_frame_covariances[:, None])[..., :2, :2]
         turned = transform_covariances(self.positions_by_bias, self.state_covariances[:, None, 3:, 3:])
         return self.covariances + turned + self.landmark_in_local_frame[..., None, None] * moved
-
-    def _name(self, column: int) -> int:
-        """Name of the landmark in a column; what is no column stays what it is."""
-        return int(self.names[column]) if column >= 0 and self.names[column] >= 0 else column
 
     def _grow(self) -> None:
         """Add free columns."""

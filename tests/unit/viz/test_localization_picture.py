@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gridslam.types import Trajectory
-from gridslam.viz.localization_picture import LOST, draw_localization
-from gridslam.viz.palette import CLOSURE
+from gridslam.viz.canvas import CLOSURE, LOST
+from gridslam.viz.picture import draw_localization
 from support.localization_world import drive, flat_map
 
 

@@ -1,0 +1,146 @@
+"""gridslam doctor, convert and dataset: what there is to do with logs besides mapping them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import click
+
+from gridslam.api.conversion import Conversion, convert_log, infer_format
+from gridslam.cli.output import open_output, print_result, reading_progress, warn
+from gridslam.doctor import CheckedLog, Diagnosis, Finding, Severity, diagnose
+from gridslam.doctor.report import document, markdown, picture_name, text
+from gridslam.errors import ArgumentError
+from gridslam.io.datasets import DATASETS, fetch_dataset, find_dataset
+from gridslam.io.log import Log, LogOptions, open_log
+from gridslam.io.output import OutputFolder
+
+__all__ = [
+    "CONVERSION_SCHEMA", "DATASETS_SCHEMA", "EXIT_FOUND_ERRORS", "check_log", "convert", "doctor_log", "get_dataset",
+    "list_datasets",
+]  # fmt: skip
+
+CONVERSION_SCHEMA = "gridslam.conversion/1"
+DATASETS_SCHEMA = "gridslam.datasets/1"
+
+EXIT_FOUND_ERRORS = 3
+"""Exit status if a fault makes the map unusable."""
+
+
+def doctor_log(log: Path, out: Path | None, options: LogOptions, as_json: bool) -> int:
+    """Diagnose a log, print the findings, and write the report and its figures if a folder is given."""
+    source = open_log(log, options)
+    if out is None:
+        diagnosis = _diagnose_with_progress(source, not as_json)
+    else:
+        with open_output(out) as folder:
+            diagnosis = _diagnose_with_progress(source, not as_json)
+            _write_report(diagnosis, folder)
+    report = [] if out is None else [f"report: {out / 'report.md'}"]
+    print_result(document(diagnosis), [*text(diagnosis), *report], as_json)
+    return EXIT_FOUND_ERRORS if diagnosis.worst is Severity.ERROR else 0
+
+
+def check_log(log: Log, options: LogOptions) -> CheckedLog:
+    """Wrap a log so that faults in its first minute are reported on stderr, one line each, while it is read.
+
+    That there is no odometry is no news to who asked for it.
+    """
+    reported = {"no_odometry"} if options.no_odometry else set()
+
+    def print_findings(found: tuple[Finding, ...]) -> None:
+        for finding in found:
+            if finding.code not in reported:
+                reported.add(finding.code)  # the log may be read twice
+                warn(f"{log.path}: {finding.code}: {finding.message} {finding.remedy}".rstrip())
+
+    return CheckedLog(log, print_findings)
+
+
+def _diagnose_with_progress(source: Log, shown: bool) -> Diagnosis:
+    with reading_progress(lambda: source.statistics, shown=shown) as on_progress:
+        return diagnose(source, on_progress=on_progress)
+
+
+def _write_report(diagnosis: Diagnosis, folder: OutputFolder) -> None:
+    from gridslam.viz.chart import draw_chart
+
+    folder.write_json("report.json", document(diagnosis))
+    folder.file("report.md").write_text("\n".join(markdown(diagnosis)) + "\n", encoding="utf-8")
+    for number, finding in enumerate(diagnosis.findings, 1):
+        name = picture_name(number, finding)
+        if name is not None and finding.figure is not None:
+            lines = [finding.message, *([finding.remedy] if finding.remedy else [])]
+            draw_chart(finding.figure, caption=lines).save(folder.file(name), optimize=True)
+
+
+def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: bool) -> None:
+    """Convert a log and report the data that the target format cannot represent."""
+    _check_target(log, out, to)
+    source = open_log(log, options)
+    with (
+        open_output(out.parent) as folder,
+        reading_progress(lambda: source.statistics, shown=not as_json) as on_progress,
+    ):
+        conversion = replace(convert_log(source, folder.file(out.name), to=to, on_progress=on_progress), out=out)
+    form = conversion.format.value
+    read = conversion.log
+    if read.truncated:
+        warn(f"{log}: the log is truncated after {read.scan_count} scans")
+    if conversion.lost:
+        warn(f"{out}: lost in the format {form}: {_describe_lost(conversion)}")
+    content = {
+        "schema": CONVERSION_SCHEMA, "log": str(log), "out": str(out), "format": form, "scans": read.scan_count,
+        "written": conversion.scans, "duration_s": read.duration_s, "lost": conversion.lost,
+        "truncated": read.truncated,
+    }  # fmt: skip
+    summary = [
+        f"{log}: {read.scan_count} scans, {read.duration_s:.0f} s",
+        f"{out}: {conversion.scans} {'poses' if form == 'tum' else 'scans'} in the format {form}",
+    ]
+    print_result(content, summary, as_json)
+
+
+def _check_target(log: Path, out: Path, to: str | None) -> None:
+    """Refuse an OUT that is no name for a new log."""
+    if not out.name or out.is_dir():
+        raise click.ClickException(f"{out}: expected the name of a new log, got an existing folder")
+    if out.exists() and log.exists() and out.samefile(log):
+        raise click.ClickException(f"{out}: expected a name other than the input log")
+    try:
+        infer_format(out, to)
+    except ArgumentError as error:
+        raise click.ClickException(f"{error}; or set the format with --to") from None
+
+
+def _describe_lost(conversion: Conversion) -> str:
+    """What was lost; in how many scans, where it was not in all."""
+    read = conversion.log.scan_count
+    return ", ".join(
+        what if count >= min(read, conversion.scans) else f"{what} ({count} of {read})"
+        for what, count in conversion.lost.items()
+    )
+
+
+def list_datasets(as_json: bool) -> None:
+    """List the available datasets."""
+    lines = (
+        f"{dataset.name:10} {dataset.size / 1e6:.1f} MB  {dataset.about}\n"
+        f"{'':10} {dataset.credit}\n{'':10} {dataset.licence}"
+        for dataset in DATASETS
+    )
+    print_result({"schema": DATASETS_SCHEMA, "datasets": [asdict(dataset) for dataset in DATASETS]}, lines, as_json)
+
+
+def get_dataset(name: str, out: Path, url: str | None, as_json: bool) -> None:
+    """Download a dataset, and print its credit."""
+    try:
+        dataset = find_dataset(name)
+    except ArgumentError as error:
+        raise click.ClickException(str(error).replace("name", "NAME", 1)) from None
+    if out.exists() and not out.is_dir():
+        raise click.ClickException(f"{out}: expected a folder to write to, got a file")
+    file = fetch_dataset(name, out, url=url)
+    summary = [f"{file}: {dataset.about}", f"credit: {dataset.credit}", f"licence: {dataset.licence}"]
+    print_result({"schema": DATASETS_SCHEMA, "datasets": [asdict(dataset)], "path": str(file)}, summary, as_json)
