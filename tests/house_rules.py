@@ -50,10 +50,6 @@ NUMPY = {
 
 ALLOWED = {
     ("errors.py", "pathlib"): "the type of the path that an error names",
-    (
-        "slam/loop_closure/loop_closure.py",
-        "threading",
-    ): "imports aside, computes nothing",
     ("kernels/__init__.py", "os"): "an environment variable chooses the NumPy twins, before anything is computed",
 }
 

@@ -11,7 +11,7 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.errors import ArgumentError
+from gridslam.serialization import read_array
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 from gridslam.types import FloatArray, IntArray, SkipReason, StepReport, Trajectory
@@ -58,15 +58,15 @@ class TrajectoryRecorder:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> TrajectoryRecorder:
         """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self = cls()
-        count = len(arrays.get("stamps_ns", ()))
+        sizes: dict[str, int] = {}
         for name, kept, shape in (
-            ("stamps_ns", self._stamps_ns, (count,)),
-            ("keys", self._keys, (count,)),
-            ("online", self._online, (count, 3)),
-            ("key_from_base", self._key_from_base, (count, 3)),
+            ("stamps_ns", self._stamps_ns, ("scans",)),
+            ("keys", self._keys, ("scans",)),
+            ("online", self._online, ("scans", 3)),
+            ("key_from_base", self._key_from_base, ("scans", 3)),
         ):
-            _append_array(kept, arrays, name, shape)
-        self._steps = self._keys[-1] + 1 if count else 0
+            kept.frombytes(read_array(arrays, name, kept.typecode, shape, sizes).tobytes())
+        self._steps = self._keys[-1] + 1 if self._keys else 0
         return self
 
     @property
@@ -185,11 +185,10 @@ class StatisticsRecorder:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> StatisticsRecorder:
         """Restore from the arrays of `to_arrays`; raises ArgumentError for other arrays."""
         self = cls()
-        counts = array("q")
-        _append_array(self._seconds, arrays, "seconds", (-1,))
-        _append_array(self._is_key, arrays, "is_key", (len(self._seconds),))
-        _append_array(self._n_eff, arrays, "n_eff", (sum(self._is_key),))
-        _append_array(counts, arrays, "counts", (4 + len(SkipReason),))
+        self._seconds.frombytes(read_array(arrays, "seconds", np.float64, (None,)).tobytes())
+        self._is_key.frombytes(read_array(arrays, "is_key", np.int8, (len(self._seconds),)).tobytes())
+        self._n_eff.frombytes(read_array(arrays, "n_eff", np.float64, (sum(self._is_key),)).tobytes())
+        counts = read_array(arrays, "counts", np.int64, (4 + len(SkipReason),)).tolist()
         self._resamplings, self._lost, self._degenerate, self._corrections, *skipped = counts
         self._skipped = Counter({reason: n for reason, n in zip(SkipReason, skipped, strict=True) if n})
         return self
@@ -212,17 +211,6 @@ class StatisticsRecorder:
             latency=Latency.of(seconds),
             key_latency=Latency.of(seconds[is_key]),
         )
-
-
-def _append_array(kept: array[Any], arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...]) -> None:
-    """Append the array of that name to `kept`; -1 in `shape` means any length."""
-    given = arrays.get(name)
-    if given is None:
-        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-    fits = given.ndim == len(shape) and all(want in (-1, got) for want, got in zip(shape, given.shape, strict=True))
-    if given.dtype != np.dtype(kept.typecode) or not fits:
-        raise ArgumentError(name, f"{np.dtype(kept.typecode)} {shape} (-1: any)", f"{given.dtype} {given.shape}")
-    kept.frombytes(np.ascontiguousarray(given).tobytes())
 
 
 def _as_integers(values: array[int]) -> IntArray:

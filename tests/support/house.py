@@ -13,6 +13,7 @@ PACKAGE = ROOT / "src" / "gridslam"
 RANKS = {
     "errors": 0,
     "arguments": 1,
+    "serialization": 1,
     "geometry": 1,
     "scan": 2,
     "types": 3,

@@ -42,8 +42,8 @@ from gridslam.slam.landmarks.local_frame import FastSlam2WithLocalFrames
 from gridslam.slam.landmarks.odometry_bias import FastSlam2WithOdometryBias
 from gridslam.slam.landmarks.particles import smooth_trajectory
 from gridslam.slam.landmarks.report import LandmarkMap, LandmarkReport
-from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, IntArray, MotionModel, Trajectory
 
 if TYPE_CHECKING:

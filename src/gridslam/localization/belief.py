@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +53,8 @@ class PoseEstimate(NamedTuple):
         Weight of the cluster: the belief's probability that the robot is within 1 m and 0.5 rad of the pose.
     """
 
-    pose: FloatArray
-    covariance: FloatArray
+    pose: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3]
     mass: float
 
 
@@ -129,8 +129,8 @@ def propagate_covariance(covariance: FloatArray, way: FloatArray, noise: FloatAr
 class PoseHypotheses(NamedTuple):
     """Poses (K, 3) in the map, and the log-odds (K,) of each relative to the reported one."""
 
-    poses: FloatArray
-    log_odds: FloatArray
+    poses: Annotated[FloatArray, "K", 3]
+    log_odds: Annotated[FloatArray, "K"]
 
     @property
     def odds(self) -> float:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, Protocol, final
+from typing import Annotated, Any, Protocol, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridslam.arguments import freeze
+from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
 from gridslam.localization.recovery import InlierRatioAverages
+from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
 
 __all__ = ["LocalizationObserver", "LocalizationReport", "LocalizationSkip", "MonteCarloState", "validate_poses"]
@@ -111,17 +112,17 @@ class MonteCarloState:
         How many there were.
     """
 
-    poses: FloatArray
-    log_weights: FloatArray
+    poses: Annotated[FloatArray, "N", 3]
+    log_weights: Annotated[FloatArray, "N"]
     averages: InlierRatioAverages
     estimate: PoseEstimate
     driven_since_found_m: float = 0.0
     hypotheses: PoseHypotheses = NO_HYPOTHESES
     inlier_ratio: float = 0.0
-    odometry: FloatArray | None = None
+    odometry: Annotated[FloatArray, 3] | None = None
     last: Odometry | None = None
     updates: int = 0
-    consumed: bool = False
+    consumed: bool = field(default=False, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
         """Return one line."""
@@ -134,38 +135,12 @@ class MonteCarloState:
         """Plain arrays, from which `from_arrays` restores a state with identical results."""
         if self.consumed:
             raise ConsumedStateError
-        numbers = {name: np.array(getattr(self, name)) for name in _NUMBERS}
-        optional = {"odometry": self.odometry, "last.pose": None if self.last is None else self.last.pose}
-        return {
-            "poses": self.poses, "log_weights": self.log_weights, "averages": np.array(self.averages),
-            "estimate.pose": self.estimate.pose, "estimate.covariance": self.estimate.covariance,
-            "estimate.mass": np.array(self.estimate.mass), "hypotheses.poses": self.hypotheses.poses,
-            "hypotheses.log_odds": self.hypotheses.log_odds, **numbers,
-            "last.stamp_ns": np.array(0 if self.last is None else self.last.stamp_ns, np.int64),
-            **{name: array for name, array in optional.items() if array is not None},
-        }  # fmt: skip
+        return serialization.to_arrays(self)
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> MonteCarloState:
         """Rebuild a state; ArgumentError if an array is missing or has an inconsistent shape."""
-
-        def take(name: str, *shape: int | None) -> FloatArray:
-            if name not in arrays:
-                raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-            return freeze(arrays[name], np.float64, shape, name)
-
-        poses = take("poses", None, 3)
-        hypotheses = take("hypotheses.poses", None, 3)
-        driven_since_found_m, inlier_ratio, updates = (float(take(name)) for name in _NUMBERS)
-        estimate = PoseEstimate(
-            take("estimate.pose", 3), take("estimate.covariance", 3, 3), float(take("estimate.mass"))
-        )
-        last = Odometry.at(int(arrays["last.stamp_ns"]), take("last.pose", 3)) if "last.pose" in arrays else None
-        return cls(
-            poses, take("log_weights", len(poses)), InlierRatioAverages(*take("averages", 2).tolist()), estimate,
-            driven_since_found_m, PoseHypotheses(hypotheses, take("hypotheses.log_odds", len(hypotheses))),
-            inlier_ratio, take("odometry", 3) if "odometry" in arrays else None, last, int(updates),
-        )  # fmt: skip
+        return serialization.from_arrays(cls, arrays)
 
     def odometry_at_update(self, first: Odometry) -> FloatArray:
         """Odometry's pose (3,) at the last update; that of the `first` scan with odometry before there was any."""
@@ -204,9 +179,6 @@ class MonteCarloState:
         if self.consumed:
             raise ConsumedStateError
         return replace(self)
-
-
-_NUMBERS = ("driven_since_found_m", "inlier_ratio", "updates")
 
 
 class LocalizationObserver(Protocol):

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
-from gridslam.matching.gauss_newton import GaussNewton
+from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
 from gridslam.types import Beams, FloatArray, Match
 
 __all__ = ["Correlative"]
@@ -67,6 +67,6 @@ class Correlative:
     ) -> FloatArray:
         tried = guess + offsets
         distances = maps.distances(np.full(len(tried), row, np.int32), tried, ends)
-        agreement = (1 / (1 + np.square(distances / np.float32(self.refine.cauchy_m)))).sum(axis=1)
+        agreement = cauchy_weights(distances, self.refine.cauchy_m).sum(axis=1)
         best: FloatArray = tried[int(agreement.argmax())]
         return best

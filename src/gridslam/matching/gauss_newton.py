@@ -6,14 +6,23 @@ import math
 from typing import final
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.se2 import transform_points
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.types import BeamEnds, FloatArray, Match
 
-__all__ = ["EVALUATE_ONLY", "MIN_INFORMATION", "GaussNewton", "degenerate_direction"]
+__all__ = [
+    "EVALUATE_ONLY",
+    "MIN_INFORMATION",
+    "GaussNewton",
+    "cauchy_weights",
+    "degenerate_direction",
+    "weigh_known_beams",
+]
 
 MIN_INFORMATION = 0.02
 """Minimum eigenvalue of the position information per inlier beam of a non-degenerate match."""
@@ -92,3 +101,17 @@ def degenerate_direction(information: FloatArray, score: float, least: float = M
         return None
     angle = 0.5 * math.atan2(2 * b, a - c)  # of the strongest direction
     return np.array([-math.sin(angle), math.cos(angle)])
+
+
+def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:
+    """Cauchy weights (...), in [0, 1], of distances (...) in m to the nearest obstacle; half at `scale_m`."""
+    weights: NDArray[np.float32] = 1 / (1 + np.square(distances / scale_m))
+    return weights
+
+
+def weigh_known_beams(
+    maps: TileMaps, row: Int32Array, pose: FloatArray, ends: FloatArray, scale_m: float
+) -> NDArray[np.float32]:
+    """Cauchy weights (K,) of those of the ends of beams (B, 2), seen from a pose (3,), that lie in known cells."""
+    known = maps.is_known(int(row[0]), transform_points(pose, ends))
+    return cauchy_weights(maps.distances(row, pose[None], ends)[0, known], scale_m)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridslam.arguments import require_array
 from gridslam.errors import ArgumentError
+from gridslam.serialization import read_array
 from gridslam.types import FloatArray, IntArray
 
 __all__ = ["Ancestry"]
@@ -155,15 +155,15 @@ class Ancestry:
 
         Raises ArgumentError if the arrays are not such a state: a wrong shape or type, or a node that is nobody's past.
         """
-        trunk = _checked(arrays, "trunk", np.float64, (None, 3))
-        counts = _checked(arrays, "counts", np.int64, (None,))
+        trunk = read_array(arrays, "trunk", np.float64, (None, 3))
+        counts = read_array(arrays, "counts", np.int64, (None,))
         if (counts < 1).any():
             raise ArgumentError("counts", "at least one node a step", counts.min())
         ends = np.cumsum(counts)
         nodes = int(counts.sum())
-        poses = _checked(arrays, "poses", np.float64, (nodes, 3))
-        parents = _checked(arrays, "parents", np.int64, (nodes,))
-        leaves = _checked(arrays, "leaves", np.int64, (None,))
+        poses = read_array(arrays, "poses", np.float64, (nodes, 3))
+        parents = read_array(arrays, "parents", np.int64, (nodes,))
+        leaves = read_array(arrays, "leaves", np.int64, (None,))
         levels = [_Level(poses[e - k : e], parents[e - k : e]) for k, e in zip(counts, ends, strict=True)]
         places = [*(level.parents for level in levels), leaves]
         for count, used in zip([1, *counts], places, strict=True):
@@ -208,11 +208,3 @@ class Ancestry:
             past[:, len(trunk) + k] = poses[places]
             places = parents[places]
         return past
-
-
-def _checked(arrays: Mapping[str, NDArray[Any]], name: str, dtype: type, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """Copy one array of the schema; None in `shape` means any length."""
-    if name not in arrays:
-        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
-    require_array(name, arrays[name], dtype, shape)
-    return arrays[name].copy()

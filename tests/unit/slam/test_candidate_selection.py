@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.candidate_selection import Candidate, CandidateSelection
+from gridslam.slam.full_slam.global_scan_refinement import Candidate, CandidateSelection
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
@@ -37,8 +37,9 @@ class Judge:
 
 def selection(likelihoods):
     judge = Judge(likelihoods)
-    held, all_ = CandidateSelection(judge), [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
-    told = [held.add(one) for one in all_]
+    all_ = [candidate(f"closed {k}", float(k)) for k in range(len(likelihoods))]
+    held = CandidateSelection(judge, all_[0])
+    told = [likelihoods[0], *(held.add(one) for one in all_[1:])]
     return held, judge, all_, told
 
 
@@ -67,9 +68,10 @@ def test_each_candidate_is_scored_once_by_its_poses_and_all_scores_are_kept():
 def test_the_best_and_its_map_belong_together_after_every_candidate():
     likelihoods = np.random.default_rng(0).integers(-20, 0, 40).astype(float).tolist()
     judge = Judge(likelihoods)
-    held = CandidateSelection(judge)
+    held = CandidateSelection(judge, candidate("closed 0", 0.0))
     for k in range(40):
-        held.add(candidate(f"closed {k}", float(k)))
+        if k:
+            held.add(candidate(f"closed {k}", float(k)))
         place = int(np.argmax(likelihoods[: k + 1]))  # the first of equals
         assert held.best.name == f"closed {place}"
         assert held.maps is judge.maps[place]

@@ -11,8 +11,6 @@ from gridslam.geometry.se2 import between
 from gridslam.slam.loop_closure.constraints import (
     Constraint,
     ConstraintSource,
-    constraints_from_arrays,
-    constraints_to_arrays,
 )
 from gridslam.types import Match
 
@@ -70,33 +68,3 @@ def test_along_an_open_direction_the_guess_is_kept_and_nothing_is_weighed(axis_r
     assert constraint.information[2, 2] == pytest.approx(500 / SIGMA_M**2 + FLOOR)
     assert np.linalg.eigvalsh(constraint.information)[0] > 0.99 * FLOOR
     np.testing.assert_array_equal(pose, [1.3, 1.9, heading])
-
-
-@pytest.mark.parametrize("count", [0, 1, 5])
-def test_arrays_hold_every_constraint(count):
-    rng = np.random.default_rng(count)
-    constraints = [
-        Constraint(
-            k, 50 + k, rng.normal(size=3), rng.normal(size=(3, 3)), ConstraintSource(k % 3), determined=bool(k % 2)
-        )
-        for k in range(count)
-    ]
-    read = constraints_from_arrays(constraints_to_arrays(constraints))
-    assert len(read) == count
-    for one, other in zip(read, constraints, strict=True):
-        assert (one.from_, one.to, one.source, one.determined) == (
-            other.from_, other.to, other.source, other.determined
-        )  # fmt: skip
-        assert type(one.determined) is bool
-        np.testing.assert_array_equal(one.measurement, other.measurement)
-        np.testing.assert_array_equal(one.information, other.information)
-    again = constraints_to_arrays(read)
-    for name, array in constraints_to_arrays(constraints).items():
-        assert (again[name].dtype, again[name].tobytes()) == (array.dtype, array.tobytes())
-
-
-def test_a_missing_array_is_told():
-    arrays = constraints_to_arrays([])
-    del arrays["information"]
-    with pytest.raises(KeyError, match="information"):
-        constraints_from_arrays(arrays)

@@ -8,7 +8,7 @@ import pytest
 from gridslam.errors import ArgumentError
 from gridslam.geometry.se2 import between
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
-from gridslam.slam.pose_graph.initial import initial_guess
+from gridslam.slam.pose_graph.linear import initial_guess
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from support.random_graphs import random_graph
 

@@ -12,8 +12,8 @@ from gridslam.models.landmark import LandmarkObservations, LandmarkStep, RangeBe
 from gridslam.models.motion import DiffusionMotion
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
 from gridslam.slam.landmarks.graph_slam import LandmarkGraph, LandmarkGraphSlam
-from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
+from gridslam.slam.pose_graph.robust import CauchyEstimator
 from support.landmark_world import MOTION, drive, ring
 
 SENSOR = RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02)

@@ -11,8 +11,8 @@ from closure_worlds import Drive, deceptive, returns
 from gridslam.geometry.se2 import between
 from gridslam.slam.loop_closure.constraints import ConstraintSource
 from gridslam.slam.loop_closure.drift_model import DriftModel
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP
 from support import hall
 
 LAP = 95

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import compose
-from gridslam.slam.full_slam.full_trajectory import full_trajectory, path_fractions
-from gridslam.slam.full_slam.pose_covariances import drift_covariances, scan_covariances
+from gridslam.slam.full_slam.full_trajectory import drift_covariances, full_trajectory, path_fractions, scan_covariances
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph

@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.serialization import from_arrays, to_arrays
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import BLIND_SIGMA_M, BLIND_SIGMA_RAD, KeyGraph
-from gridslam.slam.loop_closure.place_checks import collect_recent_points
+from gridslam.slam.loop_closure.key_graph import (
+    BLIND_SIGMA_M,
+    BLIND_SIGMA_RAD,
+    KEY_SCANS_PER_SUBMAP,
+    KeyGraph,
+    anchor_of,
+)
+from gridslam.slam.loop_closure.place_matching import collect_recent_points
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of
 from gridslam.slam.loop_closure.submaps import key_scans_of
 from gridslam.types import StoredScan
 
@@ -155,7 +161,7 @@ def test_pieces_outlast_arrays_snapshots_and_corrections():
     whole = [[*range(14), *range(30, 40)], list(range(14, 30))]
     kept = graph.snapshot()
     graph.correct(compose(np.array([3.0, 2.0, 0.5]), np.array(graph.poses)))
-    read = KeyGraph.from_arrays(graph.to_arrays())
+    read = from_arrays(KeyGraph, to_arrays(graph))
     for one in (graph, kept, read):
         assert told(one) == whole
         assert one.select_without_gap(np.arange(10, 20), 15).tolist() == list(range(14, 20))

@@ -10,6 +10,7 @@ import pytest
 from gridslam.geometry.se2 import between, compose
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import DiffusionMotion
+from gridslam.serialization import to_arrays
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, World, simulate
 from gridslam.sim.floor_plan import furniture, join, room, wall
 from gridslam.slam import OdometryTracker, Tracker
@@ -314,7 +315,7 @@ def test_memory_stays_bounded(perfect):
 def test_a_snapshot_is_apart(perfect):
     _, _, state = track(Tracker(), perfect, perfect.measurements[:40])
     kept = state.snapshot()
-    before = {name: array.tobytes() for name, array in kept.to_arrays().items()}
+    before = {name: array.tobytes() for name, array in to_arrays(kept).items()}
     for odometry, scan in perfect.measurements[40:90]:
         Tracker().step(state, odometry, scan.stamp_ns, scan.beams(0.05, 30.0))
-    assert {name: array.tobytes() for name, array in kept.to_arrays().items()} == before
+    assert {name: array.tobytes() for name, array in to_arrays(kept).items()} == before

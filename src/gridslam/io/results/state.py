@@ -19,12 +19,13 @@ from gridslam.io.results.record import read_arrays
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
 from gridslam.localization.state import MonteCarloState
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
+from gridslam.serialization import select_part
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
 
 __all__ = ["SavedLocalization", "SavedRun", "read_localization", "read_state", "write_localization", "write_state"]
 
 _RUN_SCHEMA = "gridslam.saved_run/4"
-_LOCALIZATION_SCHEMA = "gridslam.saved_localization/2"
+_LOCALIZATION_SCHEMA = "gridslam.saved_localization/3"
 _GENERATORS = {"PCG64": np.random.PCG64, "PCG64DXSM": np.random.PCG64DXSM}
 """Bit generators whose state is plain integers; the first is that of `numpy.random.default_rng`."""
 _Arrays: TypeAlias = Mapping[str, NDArray[Any]]
@@ -114,10 +115,10 @@ def read_state(path: str | Path, threads: int = 1) -> SavedRun:
         configuration = loads(_text(arrays, "configuration"))
         return SavedRun(
             configuration,
-            GridFastSlamState.from_arrays(_part(arrays, "state"), configuration.mapper, threads),
+            GridFastSlamState.from_arrays(select_part(arrays, "state"), configuration.mapper, threads),
             _load_generator(_text(arrays, "generator")),
-            TrajectoryRecorder.from_arrays(_part(arrays, "trajectory")),
-            StatisticsRecorder.from_arrays(_part(arrays, "statistics")),
+            TrajectoryRecorder.from_arrays(select_part(arrays, "trajectory")),
+            StatisticsRecorder.from_arrays(select_part(arrays, "statistics")),
         )
     except (ArgumentError, ConfigurationError) as error:
         raise InputError(path, f"expected a saved run: {error}") from None
@@ -151,7 +152,7 @@ def read_localization(path: str | Path) -> SavedLocalization:
     try:
         return SavedLocalization(
             replace_parameters(MonteCarloConfiguration(), json.loads(_text(arrays, "configuration"))),
-            MonteCarloState.from_arrays(_part(arrays, "state")),
+            MonteCarloState.from_arrays(select_part(arrays, "state")),
             _load_generator(_text(arrays, "generator")),
         )
     except (ArgumentError, ConfigurationError, KeyError, ValueError) as error:
@@ -166,10 +167,6 @@ def _write(
     arrays |= {name: np.array(text) for name, text in texts.items()}
     with write_atomically(path) as aside, aside.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # none is named allow_pickle
-
-
-def _part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
-    return {name[len(part) + 1 :]: array for name, array in arrays.items() if name.startswith(f"{part}.")}
 
 
 def _text(arrays: _Arrays, name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
@@ -15,18 +15,26 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid, thin_points
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.full_slam.alignment_hypotheses import AlignmentHypothesis, SearchHit, group_hits
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScorer
-from gridslam.slam.loop_closure import place_checks as checks
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
-from gridslam.slam.loop_closure.key_graph import KeyGraph, SubmapDistance
-from gridslam.slam.loop_closure.place_recognition_parameters import PlaceRecognitionParameters
+from gridslam.slam.loop_closure.key_graph import (
+    KEY_SCANS_PER_SUBMAP,
+    KeyGraph,
+    SubmapDistance,
+    anchor_of,
+    first_key_scan,
+)
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.submaps import ROW, build_map
-from gridslam.types import FloatArray, IntArray
+from gridslam.types import BeamEnds, FloatArray, IntArray
 
 __all__ = ["ComponentAlignment"]
+
+_CONSISTENT_M = 0.3
+_CONSISTENT_M_PER_KEY_SCAN = 0.01
+_CONSISTENT_RAD = 0.06
+"""Hits are consistent if the tracked motion leads from one to the other this closely."""
 
 _LOOSE = np.full((1, 3, 3), 1e-6) * np.eye(3)
 
@@ -101,7 +109,7 @@ class ComponentAlignment:
         self,
         closure_state: LoopClosureState,
         mapper: OccupancyGridMapping,
-        places: PlaceRecognitionParameters,
+        places: PlaceMatching,
         scorer: TrajectoryScorer,
         on_progress: Callable[[], None],
     ) -> list[Constraint]:
@@ -121,7 +129,8 @@ class ComponentAlignment:
             Called once for each pair of components.
         """
         graph = closure_state.graph
-        labels, poses = graph.label_rigid_components(), np.array(graph.poses)
+        labels = graph.label_rigid_components()
+        poses = np.array(graph.poses)
         components = [np.flatnonzero(labels == label) for label in np.unique(labels)]
         searches = [self._nearest_submaps(graph, keys, components[:k]) for k, keys in enumerate(components)]
         stride = -(-sum(len(ways) for of_older in searches for ways in of_older) // self.max_searches)
@@ -132,15 +141,16 @@ class ComponentAlignment:
                 if not ways:
                     continue
                 on_progress()
-                near = self._select_key_scans(graph, old, ways)
+                guesses = {key: compose(graph.poses[first_key_scan(way.submap)], way.pose) for key, way in ways.items()}
+                near = self._select_key_scans(poses, old, np.array(list(guesses.values())))
                 maps = build_map(mapper, closure_state.scans, near, poses[near])
-                searched = dict(list(ways.items())[::stride])
-                best = self._select_alignment(closure_state, places, scorer, maps, keys, searched)
+                alignment = _Alignment(self, closure_state, places, scorer, keys, near, maps)
+                best = alignment.select_hypothesis({key: (guesses[key], ways[key]) for key in list(ways)[::stride]})
                 if best is None:
                     continue
                 own = own or Pyramid.of(build_map(mapper, closure_state.scans, keys, poses[keys]), 0)
-                if not self._is_self_similar(closure_state, places, own, keys):
-                    constraints = self._make_constraints(closure_state, places, maps, keys, near, best)
+                if not alignment.is_self_similar(own):
+                    constraints = alignment.match_constraints(best)
                     found += constraints if len(constraints) >= self.min_constraints else []
         return found
 
@@ -160,149 +170,189 @@ class ComponentAlignment:
                     of_old[key] = min(near, key=lambda n: float(np.hypot(*n.pose[:2])) / max(n.sigma_m, 1e-6))
         return ways
 
-    def _select_key_scans(self, graph: KeyGraph, old: IntArray, ways: dict[int, SubmapDistance]) -> IntArray:
-        """Key scans of an older component within reach of the searched ones."""
-        guesses = np.array([self._guess(graph, way) for way in ways.values()])
-        poses = np.array([graph.poses[key] for key in old.tolist()])
-        away = np.hypot(*(poses[:, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    def _select_key_scans(self, poses: FloatArray, old: IntArray, guesses: FloatArray) -> IntArray:
+        """Key scans of an older component within reach of the guesses (K, 3) of the searched ones."""
+        away = np.hypot(*(poses[old, None, :2] - guesses[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
         near: IntArray = old[away < 2 * self.search.window_m]
         return near
 
-    def _guess(self, graph: KeyGraph, way: SubmapDistance) -> FloatArray:
-        return compose(graph.poses[first_key_scan(way.submap)], way.pose)
 
-    def _select_alignment(
-        self,
-        closure_state: LoopClosureState,
-        places: PlaceRecognitionParameters,
-        scorer: TrajectoryScorer,
-        maps: TileMaps,
-        keys: IntArray,
-        ways: dict[int, SubmapDistance],
-    ) -> AlignmentHypothesis | None:
-        """Return the best hypothesis if it is accepted."""
-        groups = group_hits(closure_state.graph, self._search_hits(closure_state, places, Pyramid.of(maps, 0), ways))
+@final
+@dataclass(frozen=True, slots=True)
+class _SearchHit:
+    """Pose (3,) at which a search found a key scan in the map of another component.
+
+    `score` is that of the search, `plausible` whether the drift permits the pose, `distinct` whether no other pose
+    scored nearly as high.
+    """
+
+    key: int
+    pose: FloatArray
+    score: float
+    plausible: bool
+    distinct: bool
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Hypothesis:
+    """A component tracked through the map of another one from the best of the hits that agree.
+
+    `poses` (K, 3) are those of all its key scans, `log_likelihood` is theirs; `distinct_hits` had no other place that
+    fits nearly as well.
+    """
+
+    poses: FloatArray
+    log_likelihood: float
+    plausible: bool
+    distinct_hits: int
+
+    def distance_m(self, other: _Hypothesis) -> float:
+        """Median distance of the key scans from where another hypothesis has them."""
+        return float(np.median(np.hypot(*(self.poses - other.poses)[:, :2].T)))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Alignment:
+    """Alignment of a component with the map of an older one.
+
+    Attributes
+    ----------
+    keys, old_keys : (K,), (L,) int64
+        Key scans of the component; those of the older one that are in the map.
+    maps : TileMaps
+        The map of the older one.
+    """
+
+    parameters: ComponentAlignment
+    closure_state: LoopClosureState
+    places: PlaceMatching
+    scorer: TrajectoryScorer
+    keys: IntArray
+    old_keys: IntArray
+    maps: TileMaps
+
+    def select_hypothesis(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> _Hypothesis | None:
+        """Return the best hypothesis if it is accepted; `ways` are guess and nearest submap by key scan."""
+        parameters = self.parameters
+        groups = _group_hits(self.closure_state.graph, self._search_hits(ways))
         groups.sort(key=lambda group: -sum(hit.score for hit in group))
-        groups = groups[: self.max_hypotheses]
-        hypotheses = [self._track_component(closure_state, scorer, maps, keys, group) for group in groups]
+        hypotheses = [self._track_component(group) for group in groups[: parameters.max_hypotheses]]
         hypotheses.sort(key=lambda hypothesis: -hypothesis.log_likelihood)
-        if not hypotheses or hypotheses[0].log_likelihood < self.min_log_likelihood or not hypotheses[0].plausible:
+        best = hypotheses[0] if hypotheses else None
+        if best is None or best.log_likelihood < parameters.min_log_likelihood or not best.plausible:
             return None
-        best = hypotheses[0]
-        others = (other.log_likelihood for other in hypotheses[1:] if best.distance_m(other) >= self.merge_m)
-        ratio = self.distinct_ambiguity_ratio if best.distinct_hits >= self.min_constraints else self.ambiguity_ratio
+        others = (other.log_likelihood for other in hypotheses[1:] if best.distance_m(other) >= parameters.merge_m)
+        is_distinct = best.distinct_hits >= parameters.min_constraints
+        ratio = parameters.distinct_ambiguity_ratio if is_distinct else parameters.ambiguity_ratio
         return best if max(others, default=0.0) <= ratio * best.log_likelihood else None
 
-    def _search_hits(
-        self,
-        closure_state: LoopClosureState,
-        places: PlaceRecognitionParameters,
-        pyramid: Pyramid,
-        ways: dict[int, SubmapDistance],
-    ) -> list[SearchHit]:
+    def _search_hits(self, ways: dict[int, tuple[FloatArray, SubmapDistance]]) -> list[_SearchHit]:
         """Search key scans; keep the best place of each and the next best one."""
+        search = self.parameters.search
+        margin = self.places.ambiguity_covariance(search.gate_sigmas)
+        pyramid = Pyramid.of(self.maps, 0)
         hits = []
-        beyond = np.square(
-            np.diag([places.ambiguity_window_m, places.ambiguity_window_m, places.ambiguity_window_rad])
-            / self.search.gate_sigmas
-        )
-        for key, way in ways.items():
-            guess = self._guess(closure_state.graph, way)
-            found = self.search.search(
-                pyramid, guess, way.covariance + beyond, self._collect_points(closure_state, places, key)
-            )
+        for key, (guess, way) in ways.items():
+            found = search.search(pyramid, guess, way.covariance + margin, self._collect_points(key))
             if found is None:
                 continue
-            distinct = found.runner_up_score <= places.ambiguity_ratio * found.score
-            two = (found.pose, found.score, distinct), (found.runner_up_pose, found.runner_up_score, False)
+            is_distinct = found.runner_up_score <= self.places.ambiguity_ratio * found.score
+            two = (found.pose, found.score, is_distinct), (found.runner_up_pose, found.runner_up_score, False)
             for pose, score, distinct in two:
                 if pose is not None:
-                    missed = np.append((pose - guess)[:2], between(guess, pose)[2])
-                    hits.append(SearchHit(key, pose, score, places.is_within_gate(way.covariance, missed), distinct))
+                    innovation = np.append((pose - guess)[:2], between(guess, pose)[2])
+                    plausible = self.places.is_within_gate(way.covariance, innovation)
+                    hits.append(_SearchHit(key, pose, score, plausible, distinct))
         return hits
 
-    def _collect_points(
-        self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, key: int
-    ) -> FloatArray:
-        return thin_points(
-            checks.collect_recent_points(closure_state, key, places.query_key_scans), self.search.max_points
-        )
+    def _collect_points(self, key: int) -> FloatArray:
+        points = collect_recent_points(self.closure_state, key, self.places.query_key_scans)
+        return thin_points(points, self.parameters.search.max_points)
 
-    def _track_component(
-        self,
-        closure_state: LoopClosureState,
-        scorer: TrajectoryScorer,
-        maps: TileMaps,
-        keys: IntArray,
-        group: list[SearchHit],
-    ) -> AlignmentHypothesis:
-        """Track a component through a map from the best hit to both of its ends, correcting where a scan matches."""
+    def _track_component(self, group: list[_SearchHit]) -> _Hypothesis:
+        """Track a component through the map from the best hit to both of its ends, correcting where a scan matches."""
+        graph = self.closure_state.graph
         begin = max(group, key=lambda hit: hit.score)
-        poses, log_likelihood, at = np.empty((len(keys), 3)), 0.0, int(np.searchsorted(keys, begin.key))
-        for way in (range(at, len(keys)), range(at - 1, -1, -1)):
-            pose, last = begin.pose, begin.key
+        poses = np.empty((len(self.keys), 3))
+        log_likelihood = 0.0
+        at = int(np.searchsorted(self.keys, begin.key))
+        for way in (range(at, len(self.keys)), range(at - 1, -1, -1)):
+            pose = begin.pose
+            last = begin.key
             for index in way:
-                key = int(keys[index])
-                guess = compose(pose, between(closure_state.graph.tracked[last], closure_state.graph.tracked[key]))
-                spread = np.array(closure_state.graph.variances[max(key, last)]) + _MATCH_VARIANCES
-                pose = self._match_key_scan(closure_state, maps, key, guess, spread)
+                key = int(self.keys[index])
+                beams = self.closure_state.scans.key(key)
+                guess = compose(pose, between(graph.tracked[last], graph.tracked[key]))
+                pose = self._match_key_scan(beams, guess, np.array(graph.variances[max(key, last)]) + _MATCH_VARIANCES)
                 poses[index] = pose
                 last = key
-                if len(closure_state.scans.key(key)) >= self.matcher.min_beams:
-                    log_likelihood += scorer.score_scan(maps, pose, closure_state.scans.key(key).ends)
-        return AlignmentHypothesis(
-            poses, log_likelihood, any(hit.plausible for hit in group), sum(hit.distinct for hit in group)
-        )
+                if len(beams) >= self.parameters.matcher.min_beams:
+                    log_likelihood += self.scorer.score_scan(self.maps, pose, beams.ends)
+        plausible = any(hit.plausible for hit in group)
+        return _Hypothesis(poses, log_likelihood, plausible, sum(hit.distinct for hit in group))
 
-    def _match_key_scan(
-        self, closure_state: LoopClosureState, maps: TileMaps, key: int, guess: FloatArray, spread: FloatArray
-    ) -> FloatArray:
+    def _match_key_scan(self, beams: BeamEnds, guess: FloatArray, variances: FloatArray) -> FloatArray:
         """Pose (3,) of a key scan matched near a guess; the guess if it sees little of the map or moves too far."""
-        beams = closure_state.scans.key(key)
-        overlap = np.mean(maps.is_known(0, transform_points(guess, beams.ends))) if len(beams) else 0.0
-        if len(beams) < self.matcher.min_beams or overlap < _MIN_OVERLAP:
+        if len(beams) < self.parameters.matcher.min_beams:
             return guess
-        match = self.matcher(maps, ROW, guess[None], _LOOSE, beams)
+        if np.mean(self.maps.is_known(0, transform_points(guess, beams.ends))) < _MIN_OVERLAP:
+            return guess
+        match = self.parameters.matcher(self.maps, ROW, guess[None], _LOOSE, beams)
         x, y, turn = between(guess, match.poses[0]).tolist()
-        within = (x * x + y * y) / spread[0] + turn * turn / spread[1] < self.tracking_gate_sigmas**2
-        return match.poses[0] if within else guess
+        squared = (x * x + y * y) / variances[0] + turn * turn / variances[1]
+        return match.poses[0] if squared < self.parameters.tracking_gate_sigmas**2 else guess
 
-    def _is_self_similar(
-        self, closure_state: LoopClosureState, places: PlaceRecognitionParameters, own: Pyramid, keys: IntArray
-    ) -> bool:
+    def is_self_similar(self, own: Pyramid) -> bool:
         """Whether a component also matches its own map elsewhere (self-similarity)."""
-        within = replace(self.search, window_m=self.search.window_m / 2, window_rad=0.35)
+        search = self.parameters.search
+        within = replace(search, window_m=search.window_m / 2, window_rad=0.35)
+        keys = self.keys
         ratios = []
-        for key in keys[min(places.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
-            found = within.search(
-                own, closure_state.graph.poses[key], None, self._collect_points(closure_state, places, key)
-            )
+        for key in keys[min(self.places.query_key_scans, len(keys)) - 1 :: max(len(keys) // 8, 1)].tolist():
+            found = within.search(own, self.closure_state.graph.poses[key], None, self._collect_points(key))
             ratios.append(0.0 if found is None else found.runner_up_score / found.score)
-        return float(np.quantile(ratios, 0.75)) >= self.self_similarity_ratio
+        return float(np.quantile(ratios, 0.75)) >= self.parameters.self_similarity_ratio
 
-    def _make_constraints(
-        self,
-        closure_state: LoopClosureState,
-        places: PlaceRecognitionParameters,
-        maps: TileMaps,
-        keys: IntArray,
-        old: IntArray,
-        best: AlignmentHypothesis,
-    ) -> list[Constraint]:
+    def match_constraints(self, best: _Hypothesis) -> list[Constraint]:
         """Constraints from key scans of an aligned component to the nearest submaps of the other."""
-        graph, lenient, found = closure_state.graph, replace(places, inlier_ratio=self.inlier_ratio), list[Constraint]()
-        submaps = np.unique(old // KEY_SCANS_PER_SUBMAP)
-        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, old)]
-        anchors = np.array([graph.poses[anchor_of(submap)] for submap in submaps.tolist()]).reshape(-1, 3)
-        for index in range(0, len(keys), self.search_interval):
-            key, pose = int(keys[index]), best.poses[index]
-            if not len(submaps) or len(closure_state.scans.key(key)) < self.matcher.min_beams:
+        closure_state = self.closure_state
+        lenient = replace(self.places, inlier_ratio=self.parameters.inlier_ratio)
+        submaps = np.unique(self.old_keys // KEY_SCANS_PER_SUBMAP)
+        submaps = submaps[np.isin(anchor_of(0) + submaps * KEY_SCANS_PER_SUBMAP, self.old_keys)]
+        if not len(submaps):
+            return []
+        anchors = np.array([closure_state.graph.poses[anchor_of(submap)] for submap in submaps.tolist()])
+        found = []
+        for index in range(0, len(self.keys), self.parameters.search_interval):
+            key = int(self.keys[index])
+            pose = best.poses[index]
+            if len(closure_state.scans.key(key)) < self.parameters.matcher.min_beams:
                 continue
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
-            seen, anchor, submap = between(anchors[nearest], pose), anchors[nearest], int(submaps[nearest])
-            constraint = lenient.match_to(
-                maps, anchor, closure_state, key, submap, seen, places.certain_sigma_m, ConstraintSource.RECOGNIZED
-            )
+            anchor = anchors[nearest]
+            constraint = lenient.match(
+                closure_state, self.maps, key, int(submaps[nearest]), between(anchor, pose),
+                self.places.certain_sigma_m, ConstraintSource.RECOGNIZED, anchor,
+            )  # fmt: skip
             if isinstance(constraint, Constraint) and constraint.determined:
                 found.append(constraint)
         return found
+
+
+def _group_hits(graph: KeyGraph, hits: list[_SearchHit]) -> list[list[_SearchHit]]:
+    """Group hits that are consistent with the tracked motion."""
+    groups: list[list[_SearchHit]] = []
+    for hit in hits:
+        for group in groups:
+            last = group[-1]
+            moved = between(graph.tracked[last.key], graph.tracked[hit.key])
+            x, y, turn = between(compose(last.pose, moved), hit.pose).tolist()
+            reach_m = _CONSISTENT_M + _CONSISTENT_M_PER_KEY_SCAN * (hit.key - last.key)
+            if np.hypot(x, y) < reach_m and abs(turn) < _CONSISTENT_RAD:
+                group.append(hit)
+                break
+        else:
+            groups.append([hit])
+    return groups

@@ -11,17 +11,17 @@ from typing import final
 import numpy as np
 
 from gridslam.geometry.se2 import between
-from gridslam.grid.tiles import TiledGrid, TileMaps
+from gridslam.grid.tiles import TiledGrid
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.full_slam.full_trajectory import full_trajectory
+from gridslam.slam.full_slam.full_trajectory import drift_covariances, full_trajectory, scan_covariances
 from gridslam.slam.full_slam.global_scan_refinement import GlobalScanRefinement, RefinementResult
-from gridslam.slam.full_slam.pose_covariances import drift_covariances, scan_covariances
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore
 from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.constraints import ConstraintSource, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.pose_graph.marginals import marginal_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.slam.pose_graph.robust import scale_information
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
@@ -71,7 +71,8 @@ class LoopClosureSummary:
 
     def __repr__(self) -> str:
         """Return one line."""
-        closures, revisits = len(self.closures), len(self.tracked_revisits)
+        closures = len(self.closures)
+        revisits = len(self.tracked_revisits)
         return f"LoopClosureSummary({closures} closures, {revisits} tracked revisits, selected: {self.selected})"
 
 
@@ -129,30 +130,23 @@ def full_slam(
         Called periodically during the final refinement.
     """
     closure = loop_closure or LoopClosure()
-    trajectory = state.ancestry.trajectory(state.best)
+    trajectory = state.best_trajectory()
     if state.closure_state is None:
         graph = _build_odometry_graph(trajectory, keys, key_from_base, closure.drift)
-        poses, key_covariances = full_trajectory(trajectory, keys, key_from_base), drift_covariances(graph)
-        maps: TileMaps = state.maps
-        row, loops = state.best, None
+        poses = full_trajectory(trajectory, keys, key_from_base)
+        tiled_map = state.maps.tiled(state.best)
+        loops = None
     else:
         closure_state = state.closure_state.snapshot()  # the final refinement modifies it
         refined = final_refinement(closure_state, trajectory, keys, key_from_base, mapper, closure, on_progress)
         graph = scale_information(refined.best.graph, refined.best.weights)
-        poses, maps, row = refined.poses, refined.maps, 0
-        key_covariances = _marginals(graph)
+        poses = refined.poses
+        tiled_map = refined.maps.tiled(0)
         loops = _summarize(state.closure_state, closure_state, refined, trajectory)
+    has_loops = len(graph.edges) >= len(graph.poses)
+    key_covariances = marginal_covariances(graph) if has_loops else drift_covariances(graph)
     covariances = scan_covariances(graph, key_covariances, keys, key_from_base, closure.drift)
-    return FullSlam(poses, covariances, graph, maps.tiled(row), loops)
-
-
-def _marginals(graph: PoseGraph) -> FloatArray:
-    """Covariances (T, 3, 3); without loop-closure constraints they are accumulated directly."""
-    if len(graph.edges) < len(graph.poses):
-        return drift_covariances(graph)
-    from gridslam.slam.pose_graph.marginals import marginal_covariances
-
-    return marginal_covariances(graph)
+    return FullSlam(poses, covariances, graph, tiled_map, loops)
 
 
 def _build_odometry_graph(
@@ -171,28 +165,19 @@ def _summarize(
     driven: LoopClosureState, closure_state: LoopClosureState, refined: RefinementResult, trajectory: FloatArray
 ) -> LoopClosureSummary:
     """Summarize online loop closure and the final refinement."""
-    closures = [
-        constraint
-        for constraint in refined.best.accepted_constraints
-        if constraint.source is ConstraintSource.RECOGNIZED
-    ]
-    recognized = len(refined.best.recognized_constraints)
+    best = refined.best
+    closures = key_scan_pairs(c for c in best.accepted_constraints if c.source is ConstraintSource.RECOGNIZED)
+    online = driven.graph.constraints
+    recognized = len(best.recognized_constraints)
     return LoopClosureSummary(
-        closures=_key_scan_pairs(closures),
-        tracked_revisits=_key_scan_pairs(
-            [constraint for constraint in driven.graph.constraints if constraint.source is ConstraintSource.TRACKED]
-        ),
+        closures=closures,
+        tracked_revisits=key_scan_pairs(c for c in online if c.source is ConstraintSource.TRACKED),
         removed=recognized - len(closures),
         rejected=closure_state.rejected,
-        constraints=Counter(constraint.source for constraint in driven.graph.constraints),
-        refinement_constraints=len(refined.best.constraints) - recognized,
-        chi2=scale_information(refined.best.graph, refined.best.weights).chi2(),
-        max_correction_m=float(np.hypot(*(refined.best.graph.poses - trajectory)[:, :2].T).max()),
+        constraints=Counter(constraint.source for constraint in online),
+        refinement_constraints=len(best.constraints) - recognized,
+        chi2=scale_information(best.graph, best.weights).chi2(),
+        max_correction_m=float(np.hypot(*(best.graph.poses - trajectory)[:, :2].T).max()),
         candidates=refined.scores,
-        selected=refined.best.name,
+        selected=best.name,
     )
-
-
-def _key_scan_pairs(constraints: list[Constraint]) -> IntArray:
-    """Pairs of key scans (K, 2) connected by constraints."""
-    return np.array([(constraint.from_, constraint.to) for constraint in constraints], np.int64).reshape(-1, 2)

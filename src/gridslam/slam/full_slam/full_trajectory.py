@@ -1,14 +1,18 @@
-"""The full-SLAM answer: a pose for every scan from the poses at the key scans and the tracked motion between them."""
+"""Poses and covariances of all scans from those of the key scans and the tracked motion between them."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
+from gridslam.slam.loop_closure.drift_model import DriftModel, compute_moments, propagate_covariances
+from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["full_trajectory", "path_fractions"]
+__all__ = ["drift_covariances", "full_trajectory", "path_fractions", "scan_covariances"]
 
 
 def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatArray) -> FloatArray:
@@ -49,6 +53,58 @@ def path_fractions(keys: IntArray, key_from_base: FloatArray) -> FloatArray:
     whole = np.append(np.maximum(np.diff(starts), 1e-12), 1.0)
     fraction: FloatArray = (driven - starts[keys]) / whole[keys]
     return fraction
+
+
+def drift_covariances(graph: PoseGraph) -> FloatArray:
+    """Covariances (T, 3, 3) of poses that only increments join, one from each pose to the next.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The first T - 1 measurements are the increments; their information is diagonal, the same in x and in y.
+    """
+    variances = np.concatenate([np.zeros((1, 2)), _variances(graph)])
+    return propagate_covariances(graph.poses, np.cumsum(compute_moments(graph.poses, variances), axis=0))
+
+
+def scan_covariances(
+    graph: PoseGraph, key_covariances: FloatArray, keys: IntArray, key_from_base: FloatArray, drift: DriftModel
+) -> FloatArray:
+    """Covariances (N, 3, 3) of all scans; an upper bound where they are not key scans.
+
+    Between two key scans tracking is a Brownian bridge over the share s of the way, of variance s (1 - s) times the
+    increment's; what both ends err by is interpolated, which is no less than what any correlation of them leaves.
+    After the last key scan tracking drifts.
+
+    Parameters
+    ----------
+    graph : PoseGraph
+        The T key scans; its first T - 1 measurements are the increments.
+    key_covariances : (T, 3, 3) float64
+        Covariances of the key scans.
+    keys, key_from_base : (N,) int64, (N, 3) float64
+        As for `full_trajectory`.
+    drift : DriftModel
+        How uncertain tracking is.
+    """
+    fraction = path_fractions(keys, key_from_base)[:, None, None]
+    bridge = np.zeros_like(key_covariances)
+    bridge[:-1, [0, 1, 2], [0, 1, 2]] = _variances(graph)[:, [0, 0, 1]]
+    nearer = key_covariances[keys]
+    farther = key_covariances[np.minimum(keys + 1, len(key_covariances) - 1)]
+    found: FloatArray = nearer + fraction * (farther - nearer) + fraction * (1 - fraction) * bridge[keys]
+    last = int(np.searchsorted(keys, len(key_covariances) - 1))
+    found[last:] = key_covariances[-1]
+    for scan in range(last + 1, len(keys)):
+        dx, dy, turn = key_from_base[scan].tolist()
+        position, heading = drift.variances(math.hypot(dx, dy), abs(turn))
+        found[scan] += np.diag([position, position, heading])
+    return found
+
+
+def _variances(graph: PoseGraph) -> FloatArray:
+    """Variances (T - 1, 2) of the increments' position and heading."""
+    return 1 / graph.information[: len(graph.poses) - 1][:, [0, 2], [0, 2]]
 
 
 def _find_later_key_scans(keys: IntArray) -> IntArray:

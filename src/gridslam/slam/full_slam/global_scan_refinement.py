@@ -14,21 +14,90 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.full_slam.candidate_selection import Candidate, CandidateSelection
 from gridslam.slam.full_slam.component_alignment import ComponentAlignment
 from gridslam.slam.full_slam.full_trajectory import full_trajectory
 from gridslam.slam.full_slam.key_scan_matching import KeyScanMatching
 from gridslam.slam.full_slam.trajectory_score import TrajectoryScore, TrajectoryScorer
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.loop_closure import LoopClosure
 from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
 from gridslam.slam.loop_closure.submaps import ROW
-from gridslam.slam.pose_graph.cauchy import CauchyEstimator
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
+from gridslam.slam.pose_graph.robust import CauchyEstimator
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GlobalScanRefinement", "RefinementResult"]
+__all__ = ["Candidate", "CandidateSelection", "GlobalScanRefinement", "RefinementResult"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A candidate trajectory.
+
+    Attributes
+    ----------
+    name : str
+        Where it comes from: "filter", the best particle's past; "refined", that past matched jointly; "constraints",
+        what the constraints found while the robot drove make of the tracked motion; "closed 1", "closed 2", ..., with
+        places that were found in a search of the whole log.
+    graph : PoseGraph
+        Key scans and what was measured between them; its poses (T, 3) are the trajectory.
+    constraints : list of Constraint
+        The last measurements in the graph: matches of key scans to submaps of another time.
+    weights : (M,) float64
+        Weight of each measurement in the robust estimate.
+    """
+
+    name: str
+    graph: PoseGraph
+    constraints: list[Constraint]
+    weights: FloatArray
+
+    @property
+    def increments(self) -> FloatArray:
+        """Measured motion (T - 1, 3) between the key scans."""
+        return self.graph.measurements[: len(self.graph.poses) - 1]
+
+    @property
+    def recognized_constraints(self) -> list[Constraint]:
+        """Constraints found by place recognition."""
+        return [constraint for constraint in self.constraints if constraint.source is ConstraintSource.RECOGNIZED]
+
+    @property
+    def accepted_constraints(self) -> list[Constraint]:
+        """Constraints accepted by the robust estimate."""
+        weights = self.weights[len(self.weights) - len(self.constraints) :].tolist()
+        return [constraint for constraint, weight in zip(self.constraints, weights, strict=True) if weight >= 0.5]
+
+
+@final
+class CandidateSelection:
+    """The best of the candidates so far, its map, and the scores of all by name.
+
+    Parameters
+    ----------
+    score : callable
+        Gets poses (T, 3), gives their score and the map drawn from them.
+    first : Candidate
+        The first candidate.
+    """
+
+    def __init__(self, score: Callable[[FloatArray], tuple[TrajectoryScore, TileMaps]], first: Candidate) -> None:
+        self._score = score
+        self.best = first
+        first_score, self.maps = score(first.graph.poses)
+        self.scores = {first.name: first_score}
+
+    def add(self, candidate: Candidate) -> float:
+        """Compare a candidate with the best so far, which remains the best where both are equal; log likelihood."""
+        score, maps = self._score(candidate.graph.poses)
+        if score.log_likelihood > self.scores[self.best.name].log_likelihood:
+            self.best = candidate
+            self.maps = maps
+        self.scores[candidate.name] = score
+        return score.log_likelihood
 
 
 @final
@@ -121,10 +190,6 @@ class GlobalScanRefinement:
     robust: CauchyEstimator = CauchyEstimator()
     score: TrajectoryScorer = TrajectoryScorer()
 
-    @property
-    def _solver(self) -> GraphSlam:
-        return GraphSlam(first_guess="given", robust=self.robust)
-
     def __call__(
         self,
         closure_state: LoopClosureState,
@@ -140,7 +205,7 @@ class GlobalScanRefinement:
         Parameters
         ----------
         closure_state
-            Scans, and which places were recognized.
+            Scans, and which places were recognized; modified.
         trajectory : (T, 3) float64
             Of the key scans, as the filter has it.
         keys, key_from_base : (N,) int64, (N, 3) float64
@@ -150,135 +215,176 @@ class GlobalScanRefinement:
         on_progress
             Progress callback; may raise to interrupt.
         """
-        graph, scans = closure_state.graph, closure_state.scans
-        selection = CandidateSelection(lambda poses: self.score(graph, scans, poses, mapper, on_progress))
-        candidates = list(self._candidates(closure_state, trajectory, closure, mapper, on_progress))
-        for candidate in candidates:
-            selection.add(candidate)
-        begins = [selection.best, *(c for c in candidates if c.name == "constraints" and c is not selection.best)]
-        for begin in begins:
-            self._search(selection, begin, closure_state, closure, mapper, on_progress)
+        refinement = _Refinement(self, closure_state, mapper, closure, on_progress)
+        selection = refinement.select(trajectory)
         bent = full_trajectory(selection.best.graph.poses, keys, key_from_base)
-        poses = self._match_scans(closure_state, bent, selection.maps, on_progress)
+        poses = refinement.match_scans(bent, selection.maps)
         return RefinementResult(selection.best, poses, selection.maps, selection.scores)
 
-    def _search(
-        self, selection: CandidateSelection, begin: Candidate, closure_state: LoopClosureState, closure: LoopClosure,
-        mapper: OccupancyGridMapping, on_progress: Callable[[], None],
-    ) -> None:  # fmt: skip
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Refinement:
+    """One run of the refinement; it goes from candidate to candidate in the key graph of its state."""
+
+    parameters: GlobalScanRefinement
+    closure_state: LoopClosureState
+    mapper: OccupancyGridMapping
+    closure: LoopClosure
+    on_progress: Callable[[], None]
+
+    @property
+    def graph(self) -> KeyGraph:
+        """The key graph."""
+        return self.closure_state.graph
+
+    def select(self, trajectory: FloatArray) -> CandidateSelection:
+        """Compare the candidates, beginning with the trajectory (T, 3) of the filter."""
+        score = self.parameters.score
+        first, *others = self._candidates(trajectory)
+        selection = CandidateSelection(
+            lambda poses: score(self.graph, self.closure_state.scans, poses, self.mapper, self.on_progress), first
+        )
+        for candidate in others:
+            selection.add(candidate)
+        begins = [selection.best, *(c for c in others if c.name == "constraints" and c is not selection.best)]
+        for begin in begins:
+            self._search(selection, begin)
+        return selection
+
+    def _search(self, selection: CandidateSelection, begin: Candidate) -> None:
         """Repeatedly search the whole log for revisits, starting from a candidate, as long as the score improves."""
-        best, reached = begin, selection.scores[begin.name].log_likelihood
-        for _ in range(self.max_searches):
+        best = begin
+        reached = selection.scores[begin.name].log_likelihood
+        for _ in range(self.parameters.max_searches):
             name = f"closed {sum(name.startswith('closed') for name in selection.scores) + 1}"
-            found = self._add_closures(name, best, closure_state, closure, mapper, on_progress)
+            found = self._add_closures(name, best)
             if found is None or (score := selection.add(found)) < reached:
                 return
-            best, reached = found, score
+            best = found
+            reached = score
 
-    def _add_closures(
-        self, name: str, begin: Candidate, closure_state: LoopClosureState, closure: LoopClosure,
-        mapper: OccupancyGridMapping, on_progress: Callable[[], None],
-    ) -> Candidate | None:  # fmt: skip
+    def _add_closures(self, name: str, begin: Candidate) -> Candidate | None:
         """Add newly found closures to a candidate; None if there are none.
 
         Robust least squares over all of them rejects the outliers.
         """
-        known = closure_state.graph
-        known.constraints = begin.accepted_constraints
+        parameters = self.parameters
+        closure_state = self.closure_state
+        self.graph.constraints = begin.accepted_constraints
         closure_state.correct(begin.graph.poses)
         recognition = replace(
-            closure.recognition, ambiguity_ratio=self.ambiguity_ratio, min_confirmations=self.min_confirmations
+            self.closure.recognition,
+            ambiguity_ratio=parameters.ambiguity_ratio,
+            min_confirmations=parameters.min_confirmations,
         )
-        new = recognition.search_whole_log(closure_state, mapper, begin.accepted_constraints, on_progress)
-        new += self.component_alignment(closure_state, mapper, closure.recognition, self.score, on_progress)
+        new = recognition.search_whole_log(closure_state, self.mapper, begin.accepted_constraints, self.on_progress)
+        new += parameters.component_alignment(
+            closure_state, self.mapper, self.closure.recognition, parameters.score, self.on_progress
+        )
         if not new:
             return None
-        known.constraints = [*new, *begin.constraints]
-        solver = replace(closure.solver, first_guess="either")  # a wide loop is not reached from where the poses are
-        solution = solver.solve(known.graph(begin.increments))
-        true = solution.weights[len(begin.increments) :][: len(new)] >= 0.5
-        recognized = [constraint for constraint, is_true in zip(new, true.tolist(), strict=True) if is_true]
+        self.graph.constraints = [*new, *begin.constraints]
+        solver = replace(self.closure.solver, first_guess="either")  # a wide loop is not reached from where poses are
+        solution = solver.solve(self.graph.graph(begin.increments))
+        weights = solution.weights[len(begin.increments) :].tolist()
+        recognized = [constraint for constraint, weight in zip(new, weights, strict=False) if weight >= 0.5]
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += len(new) - len(recognized)
         if not recognized:
             return None
         recognized += begin.recognized_constraints
-        known.poses, known.constraints = list(solution.poses), recognized
-        constraints = [*recognized, *self.key_scans(closure_state, solution.poses, mapper, on_progress)]
-        return self._refine(name, closure_state, recognized, constraints, begin.increments, mapper, on_progress)
+        self.graph.constraints = recognized
+        constraints = self._match_key_scans(recognized, solution.poses)
+        return self._refine(name, solution.poses, recognized, begin.increments, constraints)
 
-    def _candidates(
-        self,
-        closure_state: LoopClosureState,
-        trajectory: FloatArray,
-        closure: LoopClosure,
-        mapper: OccupancyGridMapping,
-        on_progress: Callable[[], None],
-    ) -> Iterator[Candidate]:
+    def _candidates(self, trajectory: FloatArray) -> Iterator[Candidate]:
         """Yield the trajectory of the filter, and then those computed from it and from the online constraints."""
-        known, found = closure_state.graph, closure_state.graph.constraints
+        found = self.graph.constraints
         recognized = [constraint for constraint in found if constraint.source is ConstraintSource.RECOGNIZED]
-        tracked = self._increments(closure_state, trajectory)
-        constraints = [*recognized, *self.key_scans(closure_state, trajectory, mapper, on_progress)]
-        known.poses, known.constraints = list(trajectory), constraints
-        graph = known.graph(between(trajectory[:-1], trajectory[1:]))
-        yield Candidate("filter", graph, constraints, self.robust.weights(graph))
+        tracked = self._increments(trajectory)
+        constraints = self._match_key_scans(recognized, trajectory)
+        graph = self._graph(trajectory, constraints, between(trajectory[:-1], trajectory[1:]))
+        yield Candidate("filter", graph, constraints, self.parameters.robust.weights(graph))
         as_tracked = (graph.measurements[: len(tracked)] == tracked).all()
         if not (constraints or found) or (as_tracked and self._is_converged(graph, len(constraints))):
             return
-        yield self._refine("refined", closure_state, recognized, constraints, tracked, mapper, on_progress)
-        known.poses, known.constraints = list(trajectory), found
-        start = closure.solver.solve(known.graph(tracked)).poses
-        if np.hypot(*(start - trajectory)[:, :2].T).max() > self.distinct_candidate_m:
-            known.poses = list(start)
-            constraints = [*recognized, *self.key_scans(closure_state, start, mapper, on_progress)]
-            yield self._refine("constraints", closure_state, recognized, constraints, tracked, mapper, on_progress)
+        yield self._refine("refined", trajectory, recognized, tracked, constraints)
+        start = self.closure.solver.solve(self._graph(trajectory, found, tracked)).poses
+        if _max_distance_m(start, trajectory) > self.parameters.distinct_candidate_m:
+            constraints = self._match_key_scans(recognized, start)
+            yield self._refine("constraints", start, recognized, tracked, constraints)
 
     def _is_converged(self, graph: PoseGraph, constraints: int) -> bool:
         """Whether nearly all constraints are already satisfied, so that optimization would only average noise."""
         missed = graph.errors()[len(graph.edges) - constraints :, :2]
-        near = np.hypot(missed[:, 0], missed[:, 1]) < self.converged_m
-        return constraints > 0 and float(np.mean(near)) > self.converged_ratio
+        near = np.hypot(missed[:, 0], missed[:, 1]) < self.parameters.converged_m
+        return constraints > 0 and float(np.mean(near)) > self.parameters.converged_ratio
 
     def _refine(
-        self, name: str, closure_state: LoopClosureState, recognized: list[Constraint], constraints: list[Constraint],
-        increments: FloatArray, mapper: OccupancyGridMapping, on_progress: Callable[[], None],
-    ) -> Candidate:  # fmt: skip
-        """Alternate optimization and matching: constraints are recomputed at each solution of the graph."""
-        known = closure_state.graph
-        for last in range(self.max_rounds - 1, -1, -1):
-            before, known.constraints = np.array(known.poses), constraints
-            graph = known.graph(increments)
-            solution = self._solver.solve(graph)
-            known.poses = list(solution.poses)
-            if not last or np.hypot(*(solution.poses - before)[:, :2].T).max() < self.stop_m:
+        self,
+        name: str,
+        poses: FloatArray,
+        recognized: list[Constraint],
+        increments: FloatArray,
+        constraints: list[Constraint],
+    ) -> Candidate:
+        """Alternate optimization and matching, from poses (T, 3) and the constraints matched there."""
+        parameters = self.parameters
+        solver = GraphSlam(first_guess="given", robust=parameters.robust)
+        for remaining in range(parameters.max_rounds - 1, -1, -1):
+            graph = self._graph(poses, constraints, increments)
+            solution = solver.solve(graph)
+            moved_m = _max_distance_m(solution.poses, poses)
+            poses = solution.poses
+            if not remaining or moved_m < parameters.stop_m:
                 break
-            constraints = [*recognized, *self.key_scans(closure_state, solution.poses, mapper, on_progress)]
-        return Candidate(name, graph.with_poses(solution.poses), constraints, solution.weights)
+            constraints = self._match_key_scans(recognized, poses)
+        return Candidate(name, graph.with_poses(poses), constraints, solution.weights)
 
-    def _increments(self, closure_state: LoopClosureState, trajectory: FloatArray) -> FloatArray:
+    def _match_key_scans(self, recognized: list[Constraint], poses: FloatArray) -> list[Constraint]:
+        """Recognized constraints, and those from matching key scans at poses (T, 3) to the submaps about them."""
+        return [
+            *recognized,
+            *self.parameters.key_scans(self.closure_state, poses, self.mapper, self.on_progress),
+        ]
+
+    def _graph(self, poses: FloatArray, constraints: list[Constraint], increments: FloatArray) -> PoseGraph:
+        """The pose graph of poses (T, 3), increments (T - 1, 3) and constraints, which the key graph takes over."""
+        self.graph.poses = list(poses)
+        self.graph.constraints = constraints
+        return self.graph.graph(increments)
+
+    def _increments(self, trajectory: FloatArray) -> FloatArray:
         """Increments (T - 1, 3) of the filter; tracked increments where scan matching moved it off the track."""
-        tracked = np.array(closure_state.graph.tracked)
-        moved, driven = between(tracked[:-1], tracked[1:]), between(trajectory[:-1], trajectory[1:])
+        tracked = np.array(self.graph.tracked)
+        moved = between(tracked[:-1], tracked[1:])
+        driven = between(trajectory[:-1], trajectory[1:])
         missed = between(moved, driven)
-        jumped = (np.hypot(missed[:, 0], missed[:, 1]) > self.map_jump_m) | (np.abs(missed[:, 2]) > self.map_jump_rad)
+        is_far = np.hypot(missed[:, 0], missed[:, 1]) > self.parameters.map_jump_m
+        jumped = is_far | (np.abs(missed[:, 2]) > self.parameters.map_jump_rad)
         return np.where(jumped[:, None], moved, driven)
 
-    def _match_scans(
-        self, closure_state: LoopClosureState, poses: FloatArray, maps: TileMaps, on_progress: Callable[[], None]
-    ) -> FloatArray:
+    def match_scans(self, poses: FloatArray, maps: TileMaps) -> FloatArray:
         """Match every scan to the final map; a scan without stored beams moves with its predecessor."""
-        matched, last = poses.copy(), 0
-        prior = self.scan_prior_information * np.eye(3)[None]
+        parameters = self.parameters
+        matched = poses.copy()
+        last = 0
+        prior = parameters.scan_prior_information * np.eye(3)[None]
         for scan in range(len(poses)):
-            beams = closure_state.scans[scan]
-            if len(beams) < self.matcher.min_beams:
+            beams = self.closure_state.scans[scan]
+            if len(beams) < parameters.matcher.min_beams:
                 matched[scan] = compose(matched[last], between(poses[last], poses[scan]))
                 continue
             last = scan
             if scan % 256 == 0:
-                on_progress()
-            match = self.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)
-            moved = np.hypot(*(match.poses[0] - poses[scan])[:2])
-            if match.score[0] >= self.scan_inlier_ratio * len(beams) and moved <= self.scan_max_correction_m:
+                self.on_progress()
+            match = parameters.matcher(maps, ROW, poses[scan : scan + 1], prior, beams)
+            is_inlier = match.score[0] >= parameters.scan_inlier_ratio * len(beams)
+            if is_inlier and _max_distance_m(match.poses, poses[scan : scan + 1]) <= parameters.scan_max_correction_m:
                 matched[scan] = match.poses[0]
         return matched
+
+
+def _max_distance_m(poses: FloatArray, others: FloatArray) -> float:
+    """Greatest distance between poses (T, 3) and others."""
+    return float(np.hypot(*(poses - others)[:, :2].T).max())

@@ -14,8 +14,8 @@ from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information
+from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.slam.loop_closure.state import LoopClosureState
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
 from gridslam.types import FloatArray
 
@@ -95,19 +95,16 @@ class KeyScanMatching:
         """For each submap the key scans to match to it."""
         from scipy.spatial import cKDTree  # imported lazily: only needed for loop closure
 
-        submaps, components = closure_state.graph.complete_submaps, closure_state.graph.label_rigid_components()
-        wanted: list[list[int]] = [[] for _ in range(submaps)]
-        tree, complete = cKDTree(poses[:, :2]), submaps * KEY_SCANS_PER_SUBMAP
-        for key, near in enumerate(tree.query_ball_point(poses[:, :2], self.max_distance_m)):
-            submap = submap_of(key)
-            others = np.array(
-                [k for k in near if k < complete and abs(submap_of(k) - submap) > _RECENT_SUBMAPS],
-                np.int64,
-            )
-            others = others[components[others] == components[key]]
-            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * np.abs(
-                wrap(poses[others, 2] - poses[key, 2])
-            )
+        graph = closure_state.graph
+        components = graph.label_rigid_components()
+        wanted: list[list[int]] = [[] for _ in range(graph.complete_submaps)]
+        complete = graph.complete_submaps * KEY_SCANS_PER_SUBMAP
+        for key, near in enumerate(cKDTree(poses[:, :2]).query_ball_point(poses[:, :2], self.max_distance_m)):
+            others = np.array([k for k in near if k < complete], np.int64)
+            is_recent = np.abs(others // KEY_SCANS_PER_SUBMAP - submap_of(key)) <= _RECENT_SUBMAPS
+            others = others[~is_recent & (components[others] == components[key])]
+            turned = np.abs(wrap(poses[others, 2] - poses[key, 2]))
+            away = np.hypot(*(poses[others, :2] - poses[key, :2]).T) + 0.5 * turned
             nearest = dict.fromkeys((others[np.lexsort((others, away))] // KEY_SCANS_PER_SUBMAP).tolist())
             for submap in list(nearest)[: self.max_submaps]:
                 wanted[submap].append(key)

@@ -11,9 +11,10 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
-from gridslam.geometry.se2 import between, transform_points
+from gridslam.geometry.se2 import between
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.gauss_newton import weigh_known_beams
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
 from gridslam.slam.loop_closure.submaps import ROW
@@ -93,8 +94,11 @@ class TrajectoryScorer:
     ) -> tuple[TrajectoryScore, TileMaps]:
         """Score poses (T, 3) of the key scans; returns the map of all of them, too."""
         tracked = np.array(graph.tracked)
-        way, maps, inserted = path_lengths(tracked), mapper.empty(1), 0
-        agreeing, beams = 0.0, 0
+        way = path_lengths(tracked)
+        maps = mapper.empty(1)
+        inserted = 0
+        agreeing = 0.0
+        beams = 0
         for key, (pose, passed) in enumerate(zip(poses, way.tolist(), strict=True)):
             while way[inserted] < passed - self.same_visit_distance:
                 maps.update(ROW, poses[inserted][None], scans.key(inserted))
@@ -112,25 +116,21 @@ class TrajectoryScorer:
 
     def score_scan(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> float:
         """Log likelihood (nats) of ends of beams (B, 2) seen from a pose (3,), given the one map of `maps`."""
-        agreeing, beams = self._agreement(maps, pose, ends)
-        return self._log_likelihood(agreeing, beams)
+        return self._log_likelihood(*self._agreement(maps, pose, ends))
 
     def _log_likelihood(self, agreeing: float, beams: int) -> float:
         return self.tempering * (agreeing - self.neutral * beams)
 
     def _agreement(self, maps: TileMaps, pose: FloatArray, ends: FloatArray) -> tuple[float, int]:
         """Sum of the agreement of those beams that end in what the map knows, and their number."""
-        known = maps.is_known(0, transform_points(pose, ends))
-        count = int(known.sum())
-        if not count:
-            return 0.0, 0
-        away = maps.distances(ROW, pose[None], ends)[0, known]
-        return float(np.sum(1 / (1 + np.square(away / self.scale_m)), dtype=np.float64)), count
+        weights = weigh_known_beams(maps, ROW, pose, ends, self.scale_m)
+        return float(weights.sum(dtype=np.float64)), len(weights)
 
     def _motion(self, tracked: FloatArray, variances: FloatArray, poses: FloatArray) -> float:
         """Tempered log likelihood of the tracked increments, by a Cauchy density, up to a constant."""
         missed = between(between(tracked[:-1], tracked[1:]), between(poses[:-1], poses[1:]))
-        position, heading = np.square(missed[:, :2]).sum(axis=1), np.square(missed[:, 2])
+        position = np.square(missed[:, :2]).sum(axis=1)
+        heading = np.square(missed[:, 2])
         squared = position / variances[1:, 0] + heading / variances[1:, 1]
         return -self.motion_tempering * float(np.log1p(squared / self.motion_sigma**2).sum())
 

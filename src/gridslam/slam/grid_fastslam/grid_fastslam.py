@@ -153,7 +153,7 @@ class GridFastSlam:
         )  # fmt: skip
         state.covariance = self.reports.spread(state)
         if self.loop_closure is not None:
-            self.loop_closure.init(state, beams)
+            state.closure_state = self.loop_closure.init(state, beams)
         return state, self.reports.first_scan(state, scan, effective_sample_size(state.log_weights))
 
     def step(

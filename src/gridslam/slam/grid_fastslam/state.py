@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, final
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Annotated, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gridslam import serialization
 from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.particles.ancestry import Ancestry
+from gridslam.serialization import NOT_SAVED
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.tracking.tracker import TrackerState
 from gridslam.types import FloatArray, IntArray, describe_pose
 
 __all__ = ["STATE_SCHEMA", "GridFastSlamState"]
 
-STATE_SCHEMA = "gridslam.state/7"
+STATE_SCHEMA = "gridslam.state/8"
 
 
 @final
@@ -56,24 +59,25 @@ class GridFastSlamState:
     """
 
     tracker: TrackerState
-    key_pose: FloatArray
-    sensor_key_poses: dict[str, FloatArray]
-    poses: FloatArray
-    log_weights: FloatArray
-    log_ancestry: FloatArray
-    covariance: FloatArray
+    key_pose: Annotated[FloatArray, 3]
+    sensor_key_poses: dict[str, Annotated[FloatArray, 3]]
+    poses: Annotated[FloatArray, "N", 3]
+    log_weights: Annotated[FloatArray, "N"]
+    log_ancestry: Annotated[FloatArray, "N"]
+    covariance: Annotated[FloatArray, 3, 3]
     maps: TileMaps
     ancestry: Ancestry
     lost: bool = False
     closure_state: LoopClosureState | None = None
-    odometry_covariance: FloatArray | None = None
-    consumed: bool = False
+    odometry_covariance: Annotated[FloatArray, 3, 3] | None = None
+    consumed: bool = field(default=False, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
         """Return one line."""
         if self.consumed:
             return "GridFastSlamState(consumed)"
-        best, lost = describe_pose(self.poses[self.best]), ", lost" if self.lost else ""
+        best = describe_pose(self.poses[self.best])
+        lost = ", lost" if self.lost else ""
         return f"GridFastSlamState({len(self.poses)} particles, the best at {best}{lost})"
 
     @property
@@ -81,14 +85,22 @@ class GridFastSlamState:
         """Index of the particle of greatest log weight accumulated along its ancestry."""
         return int(self.log_ancestry.argmax())
 
+    @property
+    def best_pose(self) -> FloatArray:
+        """Pose (3,) of the best particle at the last key scan, map frame."""
+        pose: FloatArray = self.poses[self.best]
+        return pose
+
+    def best_trajectory(self) -> FloatArray:
+        """Poses (T, 3) of the best particle at all key scans."""
+        return self.ancestry.trajectory(self.best)
+
     def take(self) -> GridFastSlamState:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
         self._check()
+        owner = replace(self)
         self.consumed = True
-        return GridFastSlamState(
-            self.tracker, self.key_pose, self.sensor_key_poses, self.poses, self.log_weights, self.log_ancestry,
-            self.covariance, self.maps, self.ancestry, self.lost, self.closure_state, self.odometry_covariance,
-        )  # fmt: skip
+        return owner
 
     def move(self, poses: FloatArray, key_pose: FloatArray, sensor: str) -> None:
         """Move the particles to `poses` (N, 3); `key_pose` (3,) is the tracker's, at a key scan of `sensor`."""
@@ -115,8 +127,10 @@ class GridFastSlamState:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
         count = len(self.poses)
         self.poses = np.repeat(trajectory[-1:], count, axis=0)
-        self.maps, self.ancestry = maps.snapshot(np.zeros(count, np.int64)), Ancestry.from_trajectory(trajectory, count)
-        self.log_weights, self.log_ancestry = np.full(count, -np.log(count)), np.zeros(count)
+        self.maps = maps.snapshot(np.zeros(count, np.int64))
+        self.ancestry = Ancestry.from_trajectory(trajectory, count)
+        self.log_weights = np.full(count, -np.log(count))
+        self.log_ancestry = np.zeros(count)
 
     def snapshot(self) -> GridFastSlamState:
         """Keep this state for later, at the cost of its tables: maps are copied only where either side writes."""
@@ -132,17 +146,7 @@ class GridFastSlamState:
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays under the schema `STATE_SCHEMA`; `from_arrays` continues with identical results."""
         self._check()
-        own = {name: getattr(self, name) for name in _ARRAYS}
-        own["sensor_key_poses"] = np.array(list(self.sensor_key_poses.values()))
-        if self.odometry_covariance is not None:
-            own["odometry_covariance"] = self.odometry_covariance
-        own["sensors"] = np.array(list(self.sensor_key_poses), np.str_)
-        parts = [("tracker", self.tracker.to_arrays()), ("maps", self.maps.to_arrays())]
-        parts.append(("ancestry", self.ancestry.to_arrays()))
-        if self.closure_state is not None:
-            parts.append(("closure_state", self.closure_state.to_arrays()))
-        nested = {f"{name}.{key}": array for name, arrays in parts for key, array in arrays.items()}
-        return {"schema": np.array(STATE_SCHEMA), "lost": np.array(self.lost), **own, **nested}
+        return {"schema": np.array(STATE_SCHEMA), **serialization.to_arrays(self)}
 
     @classmethod
     def from_arrays(
@@ -152,29 +156,10 @@ class GridFastSlamState:
         schema = str(arrays.get("schema", "none"))
         if schema != STATE_SCHEMA:
             raise ArgumentError("arrays", f"a state of schema {STATE_SCHEMA}", schema)
-
-        def part(prefix: str) -> dict[str, NDArray[Any]]:
-            return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
-
-        try:
-            own: dict[str, Any] = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
-            own["odometry_covariance"] = arrays.get("odometry_covariance")
-            closure_state = part("closure_state")
-            return cls(
-                tracker=TrackerState.from_arrays(part("tracker"), mapper),
-                sensor_key_poses=dict(zip(arrays["sensors"].tolist(), arrays["sensor_key_poses"], strict=True)),
-                maps=mapper.restore(part("maps"), threads),
-                ancestry=Ancestry.from_arrays(part("ancestry")),
-                lost=bool(arrays["lost"]),
-                closure_state=LoopClosureState.from_arrays(closure_state, mapper, threads) if closure_state else None,
-                **own,
-            )
-        except KeyError as missing:
-            raise ArgumentError("arrays", f"an array {missing}", "none") from None
+        state = serialization.from_arrays(cls, arrays, {TileMaps: partial(mapper.restore, threads=threads)})
+        state.tracker.maps.threads = 1  # two maps are faster without
+        return state
 
     def _check(self) -> None:
         if self.consumed:
             raise ConsumedStateError
-
-
-_ARRAYS = ("key_pose", "poses", "log_weights", "log_ancestry", "covariance")

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import IntEnum
-from typing import Any, NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridslam.geometry.se2 import between
+from gridslam.geometry.se2 import between, compose_jacobians
 from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
-from gridslam.types import BeamEnds, FloatArray, Match
+from gridslam.types import BeamEnds, FloatArray, IntArray, Match
 
 __all__ = [
     "Constraint",
     "ConstraintSource",
-    "constraints_from_arrays",
-    "constraints_to_arrays",
+    "key_scan_pairs",
     "recompute_information",
     "transform_match",
 ]
@@ -57,10 +54,15 @@ class Constraint(NamedTuple):
 
     from_: int
     to: int
-    measurement: FloatArray
-    information: FloatArray
+    measurement: Annotated[FloatArray, 3]
+    information: Annotated[FloatArray, 3, 3]
     source: ConstraintSource
     determined: bool
+
+    @property
+    def pair(self) -> tuple[int, int]:
+        """Both key scans."""
+        return self.from_, self.to
 
     @classmethod
     def from_match(
@@ -86,16 +88,15 @@ class Constraint(NamedTuple):
         least : float
             Minimum eigenvalue of the position information per inlier beam of a non-degenerate match.
         """
-        pose, information = match.poses[0].copy(), match.information[0] / sigma_m**2
+        pose = match.poses[0].copy()
+        information = match.information[0] / sigma_m**2
         weak = degenerate_direction(match.information[0], float(match.score[0]), least)
         if weak is not None:
             pose[:2] -= weak * float(weak @ (pose - guess)[:2])
             across = np.eye(3)
             across[:2, :2] -= np.outer(weak, weak)
             information = across @ information @ across
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return cls(from_, to, pose, rotation.T @ information @ rotation + _FLOOR, source, weak is None)
+        return cls(from_, to, pose, _rotate(information, pose) + _FLOOR, source, weak is None)
 
 
 def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: BeamEnds) -> Match:
@@ -110,23 +111,16 @@ def recompute_information(match: Match, maps: TileMaps, row: Int32Array, beams: 
 
 def transform_match(frame: FloatArray, match: Match) -> Match:
     """The same match, poses and information, in a frame that is at pose (3,) in the map's."""
-    c, s = math.cos(frame[2]), math.sin(frame[2])
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return replace(match, poses=between(frame, match.poses), information=rotation.T @ match.information @ rotation)
+    return replace(match, poses=between(frame, match.poses), information=_rotate(match.information, frame))
 
 
-def constraints_to_arrays(constraints: Sequence[Constraint]) -> dict[str, NDArray[Any]]:
-    """Plain arrays: `ends` (K, 4) int64 (from, to, source, determined), `measurements` and `information`."""
-    return {
-        "ends": np.array([(t.from_, t.to, t.source, t.determined) for t in constraints], np.int64).reshape(-1, 4),
-        "measurements": np.array([t.measurement for t in constraints], np.float64).reshape(-1, 3),
-        "information": np.array([t.information for t in constraints], np.float64).reshape(-1, 3, 3),
-    }
+def key_scan_pairs(constraints: Iterable[Constraint]) -> IntArray:
+    """Pairs of key scans (K, 2) that constraints connect: from, to."""
+    return np.array([constraint.pair for constraint in constraints], np.int64).reshape(-1, 2)
 
 
-def constraints_from_arrays(arrays: Mapping[str, NDArray[Any]]) -> list[Constraint]:
-    """Rebuild from `constraints_to_arrays`; raises KeyError where an array is missing."""
-    rows = zip(arrays["ends"].tolist(), arrays["measurements"], arrays["information"], strict=True)
-    return [
-        Constraint(a, b, z, omega, ConstraintSource(source), bool(known)) for (a, b, source, known), z, omega in rows
-    ]
+def _rotate(information: FloatArray, frame: FloatArray) -> FloatArray:
+    """Information (..., 3, 3) in the axes of a frame at pose (3,)."""
+    _, rotation = compose_jacobians(frame, frame)
+    rotated: FloatArray = rotation.T @ information @ rotation
+    return rotated

@@ -1,37 +1,71 @@
-"""The pose graph of a run: key scans, odometry constraints and loop-closure constraints."""
+"""The pose graph of a run: key scans in submaps, odometry constraints and loop-closure constraints."""
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Mapping
-from typing import Any, final
+from dataclasses import dataclass, field, fields
+from itertools import accumulate, pairwise
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, compose, inverse
-from gridslam.slam.loop_closure.constraints import (
-    Constraint,
-    ConstraintSource,
-    constraints_from_arrays,
-    constraints_to_arrays,
-)
-from gridslam.slam.loop_closure.submap_distance import Moments, SubmapDistance, compute_moments, propagate_covariances
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, first_key_scan, submap_of
+from gridslam.serialization import NOT_SAVED
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, key_scan_pairs
+from gridslam.slam.loop_closure.drift_model import compute_moments, propagate_covariances
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["KeyGraph", "SubmapDistance"]
+__all__ = ["KEY_SCANS_PER_SUBMAP", "KeyGraph", "SubmapDistance", "anchor_of", "first_key_scan", "submap_of"]
+
+KEY_SCANS_PER_SUBMAP = 10
+"""Key scans of a submap: about 5 m of driving."""
+
+BLIND_SIGMA_M = 0.5
+BLIND_SIGMA_RAD = 0.1
+"""Standard deviations above which an increment is regarded as a gap."""
+
+_Moments = tuple[float, ...]
+"""Sums of the result of `compute_moments` along a path."""
 
 _Crossing = tuple[int, FloatArray] | None
 """Submap at which a constraint starts, and pose of its first key scan relative to that of the target submap."""
 
 
-BLIND_SIGMA_M, BLIND_SIGMA_RAD = 0.5, 0.1
-"""Standard deviations above which an increment is regarded as a gap."""
+def submap_of(key: int) -> int:
+    """Index of the submap that a key scan belongs to."""
+    return key // KEY_SCANS_PER_SUBMAP
+
+
+def first_key_scan(submap: int) -> int:
+    """Index of the first key scan of a submap."""
+    return submap * KEY_SCANS_PER_SUBMAP
+
+
+def anchor_of(submap: int) -> int:
+    """The key scan in whose frame a submap is."""
+    return first_key_scan(submap) + KEY_SCANS_PER_SUBMAP // 2
 
 
 @final
+class SubmapDistance(NamedTuple):
+    """A submap with the relative pose of a key scan along the least uncertain path."""
+
+    submap: int
+    pose: FloatArray  # (3,)
+    covariance: FloatArray  # (3, 3), map frame
+
+    @property
+    def sigma_m(self) -> float:
+        """Greatest standard deviation of the position."""
+        (xx, xy, _), (_, yy, _), _ = self.covariance.tolist()
+        return math.sqrt(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy))
+
+
+@final
+@dataclass(slots=True, eq=False)
 class KeyGraph:
     """Key scans 0 .. T - 1, the constraints between them, and the uncertainty of relative poses.
 
@@ -39,22 +73,39 @@ class KeyGraph:
     upper bound of what all ways together would leave. Heading errors are kept with where they happened, so that the
     bound has the shape of a drift: long across the way, short along it.
 
+    Attributes
+    ----------
+    tracked : list of (3,) float64
+        Poses in the tracker's frame.
+    poses : list of (3,) float64
+        Poses in the map frame: as solved last, and as tracked since.
+    variances : list of (float, float), m^2 and rad^2
+        Of the increment that leads to each key scan.
+    constraints : list of Constraint
+        Matches of key scans to older submaps.
+
     Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
-    __slots__ = ("_gap_counts", "_links", "_steps", "_sums", "constraints", "poses", "tracked", "variances")
+    tracked: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
+    poses: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)
+    variances: Annotated[list[tuple[float, float]], "T"] = field(default_factory=list)
+    constraints: list[Constraint] = field(default_factory=list)
+    # number of gaps in the laser data up to each key scan
+    _gap_counts: list[int] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # (7,) each, moments of the variances up to each key scan
+    _sums: list[FloatArray] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # from each submap's first key scan to the next one's
+    _steps: list[_Moments] = field(init=False, default_factory=list, metadata=NOT_SAVED)
+    # submap -> submap -> relative pose (3,) and moments (7,) of the most certain constraint
+    _links: dict[int, dict[int, tuple[FloatArray, _Moments]]] = field(
+        init=False, default_factory=dict, metadata=NOT_SAVED
+    )
 
-    def __init__(self) -> None:
-        """Begin without any key scan."""
-        self.tracked: list[FloatArray] = []  # (3,) each, in the tracker's frame
-        self.poses: list[FloatArray] = []  # (3,) each, map frame: as solved last, and as tracked since
-        self.variances: list[tuple[float, float]] = []  # m^2 and rad^2 of the increment that leads to each
-        self.constraints: list[Constraint] = []
-        self._gap_counts: list[int] = []  # number of gaps in the laser data up to each key scan
-        self._sums: list[FloatArray] = []  # (7,) each, moments of the variances up to each
-        self._steps: list[Moments] = []  # from each submap's first key scan to the next one's
-        # block -> block -> relative pose (3,) and moments (7,) of the most certain constraint
-        self._links: dict[int, dict[int, tuple[FloatArray, Moments]]] = {}
+    def __post_init__(self) -> None:
+        """Derive the moments."""
+        if self.poses:
+            self.correct(np.array(self.poses))
 
     def __len__(self) -> int:
         """Return the number of key scans."""
@@ -70,10 +121,7 @@ class KeyGraph:
         self.tracked.append(tracked)
         self.poses.append(pose)
         self.variances.append(variances)
-        self._count_gaps()
-        moments = compute_moments(np.array([pose]), np.array([variances]))[0]
-        self._sums.append(moments + self._sums[-1] if self._sums else moments)
-        self._add_steps()
+        self._derive()
 
     def add(self, constraint: Constraint) -> None:
         """Add a measurement between two key scans."""
@@ -83,9 +131,9 @@ class KeyGraph:
     def correct(self, poses: FloatArray) -> None:
         """Set all poses (T, 3)."""
         self.poses = list(poses)
-        self._sums = list(np.cumsum(compute_moments(poses, np.array(self.variances)), axis=0))
-        self._links, self._steps = {}, []
-        self._add_steps()
+        for derived in (self._gap_counts, self._sums, self._steps, self._links):
+            derived.clear()
+        self._derive()
         for constraint in self.constraints:
             self._add_link(constraint)
 
@@ -123,19 +171,21 @@ class KeyGraph:
 
     def _search_shortest_paths(
         self, key: int, limit_m: float, most: int, last: int = -1
-    ) -> dict[int, tuple[Moments, FloatArray]]:
-        """Moments of the most certain ways to submaps, and the key scan as the tracker had it if they were certain.
+    ) -> dict[int, tuple[_Moments, FloatArray]]:
+        """_Moments of the most certain ways to submaps, and the key scan as the tracker had it if they were certain.
 
         In the order of `find_nearby_submaps`; the search ends at submap `last`, too.
         """
-        here, tracked = submap_of(key), self.tracked
+        here = submap_of(key)
+        tracked = self.tracked
         x, y, _ = self.poses[key].tolist()
-        away, limit = x * x + y * y, limit_m**2
-        start: Moments = tuple((self._sums[key] - self._sums[first_key_scan(here)]).tolist())
-        queue = list[tuple[float, int, int, Moments, FloatArray, _Crossing]]()
+        away = x * x + y * y
+        limit = limit_m**2
+        start: _Moments = tuple((self._sums[key] - self._sums[first_key_scan(here)]).tolist())
+        queue = list[tuple[float, int, int, _Moments, FloatArray, _Crossing]]()
         queue.append((0.0, 0, here, start, tracked[key], None))
         pushed = 0  # keeps the order of equals
-        done = dict[int, tuple[Moments, FloatArray]]()
+        done = dict[int, tuple[_Moments, FloatArray]]()
         least = dict[int, float]()
         while queue and len(done) < most and last not in done:
             cost, _, submap, moments, end, crossing = heapq.heappop(queue)
@@ -162,7 +212,7 @@ class KeyGraph:
                     heapq.heappush(queue, (spread, pushed, other, total, end, way))
         return done
 
-    def _distances_to(self, key: int, ways: Mapping[int, tuple[Moments, FloatArray]]) -> list[SubmapDistance]:
+    def _distances_to(self, key: int, ways: Mapping[int, tuple[_Moments, FloatArray]]) -> list[SubmapDistance]:
         """Where a key scan is as seen from submaps, by the ways there."""
         firsts = np.array([self.tracked[first_key_scan(submap)] for submap in ways])
         poses = between(firsts, np.array([end for _, end in ways.values()]))
@@ -180,7 +230,8 @@ class KeyGraph:
         roots = np.arange(labels[-1] + 1)
         for constraint in self.constraints:
             if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY:
-                a, b = roots[labels[constraint.from_]], roots[labels[constraint.to]]
+                a = roots[labels[constraint.from_]]
+                b = roots[labels[constraint.to]]
                 if a != b:
                     roots[roots == max(a, b)] = min(a, b)
         components: IntArray = roots[labels]
@@ -199,17 +250,17 @@ class KeyGraph:
 
         The increments are the tracked ones if not given. `keys` and `constraints` limit the graph to the first of each.
         """
-        poses, tracked = np.array(self.poses[:keys]), np.array(self.tracked[:keys])
-        count, known = len(poses), self.constraints[:constraints]
+        poses = np.array(self.poses[:keys])
+        tracked = np.array(self.tracked[:keys])
+        count = len(poses)
+        known = self.constraints[:constraints]
         steps = np.zeros((count - 1, 3, 3))
-        spread = np.array(self.variances[1:count]).reshape(-1, 2)
-        steps[:, 0, 0] = steps[:, 1, 1] = 1 / spread[:, 0]
-        steps[:, 2, 2] = 1 / spread[:, 1]
+        steps[:, [0, 1, 2], [0, 1, 2]] = 1 / np.array(self.variances[1:count]).reshape(-1, 2)[:, [0, 0, 1]]
         chain = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
         measurements = np.array([t.measurement for t in known]).reshape(-1, 3)
         return PoseGraph(
             poses,
-            np.concatenate([chain, np.array([(t.from_, t.to) for t in known], np.int64).reshape(-1, 2)]),
+            np.concatenate([chain, key_scan_pairs(known)]),
             np.concatenate([between(tracked[:-1], tracked[1:]) if increments is None else increments, measurements]),
             np.concatenate([steps, np.array([t.information for t in known]).reshape(-1, 3, 3)]),
             np.arange(count - 1 + len(known)) < count - 1,
@@ -218,42 +269,14 @@ class KeyGraph:
     def snapshot(self) -> KeyGraph:
         """Keep a copy for later; what never changes is shared."""
         twin = KeyGraph()
-        for name in ("tracked", "poses", "variances", "constraints", "_gap_counts", "_sums", "_steps"):
-            setattr(twin, name, getattr(self, name).copy())
+        for own in fields(self):
+            setattr(twin, own.name, getattr(self, own.name).copy())
         twin._links = {submap: links.copy() for submap, links in self._links.items()}
         return twin
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` goes on as this one would."""
-        constraints = self.constraints
-        return {
-            "tracked": np.array(self.tracked, np.float64).reshape(-1, 3),
-            "poses": np.array(self.poses, np.float64).reshape(-1, 3),
-            "variances": np.array(self.variances, np.float64).reshape(-1, 2),
-            "sums": np.array(self._sums, np.float64).reshape(-1, 7),
-            **{f"constraints.{name}": array for name, array in constraints_to_arrays(constraints).items()},
-            "linked": np.array([(a, b) for a, links in self._links.items() for b in links], np.int64).reshape(-1, 2),
-            "links": np.array([[*p, *m] for ls in self._links.values() for p, m in ls.values()]).reshape(-1, 10),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> KeyGraph:
-        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        self = cls()
-        self.tracked, self.poses, self._sums = (list(arrays[name]) for name in ("tracked", "poses", "sums"))
-        self.variances = [(float(a), float(b)) for a, b in arrays["variances"]]
-        self._count_gaps()
-        self._add_steps()
-        self.constraints = constraints_from_arrays(
-            {n.removeprefix("constraints."): a for n, a in arrays.items() if n.startswith("constraints.")}
-        )
-        for (a, b), moments in zip(arrays["linked"].tolist(), arrays["links"], strict=True):
-            self._links.setdefault(a, {})[b] = moments[:3], tuple(moments[3:].tolist())
-        return self
-
-    def _neighbours(self, submap: int) -> list[tuple[int, FloatArray | None, Moments]]:
+    def _neighbours(self, submap: int) -> list[tuple[int, FloatArray | None, _Moments]]:
         """Submaps one step away: this one's first key scan seen from theirs, None if as tracked, and the moments."""
-        found: list[tuple[int, FloatArray | None, Moments]] = []
+        found: list[tuple[int, FloatArray | None, _Moments]] = []
         if submap in self._links:
             found += [(other, there, more) for other, (there, more) in self._links[submap].items()]
         if submap:
@@ -262,31 +285,29 @@ class KeyGraph:
             found.append((submap + 1, None, self._steps[submap]))
         return found
 
-    def _count_gaps(self) -> None:
-        """Count the gaps in the laser data up to the new key scans."""
-        for position, heading in self.variances[len(self._gap_counts) :]:
-            before = self._gap_counts[-1] if self._gap_counts else 0
-            self._gap_counts.append(before + (position > BLIND_SIGMA_M**2 or heading > BLIND_SIGMA_RAD**2))
-
-    def _add_steps(self) -> None:
-        """Note the moments of the ways from each submap's first key scan to the next one's, where they are new."""
-        sums = self._sums
-        for first in range(
-            len(self._steps) * KEY_SCANS_PER_SUBMAP, len(sums) - KEY_SCANS_PER_SUBMAP, KEY_SCANS_PER_SUBMAP
-        ):
-            self._steps.append(tuple((sums[first + KEY_SCANS_PER_SUBMAP] - sums[first]).tolist()))
+    def _derive(self) -> None:
+        """Extend to the newest key scan what follows from the poses and the variances."""
+        first = len(self._sums)
+        variances = np.array(self.variances[first:])
+        gaps = [int(gap) for gap in np.any(variances > [BLIND_SIGMA_M**2, BLIND_SIGMA_RAD**2], axis=1)]
+        self._gap_counts[-1:] = accumulate(self._gap_counts[-1:] + gaps)
+        moments = compute_moments(np.array(self.poses[first:]), variances)
+        self._sums[-1:] = accumulate(self._sums[-1:] + list(moments))
+        new = self._sums[first_key_scan(len(self._steps)) :: KEY_SCANS_PER_SUBMAP]
+        self._steps += [tuple((after - before).tolist()) for before, after in pairwise(new)]
 
     def _add_link(self, constraint: Constraint) -> None:
         """Add the link of a constraint between two submaps if it is the most certain so far."""
         if not constraint.determined:
             return
-        a, b = submap_of(constraint.from_), submap_of(constraint.to)
+        a = submap_of(constraint.from_)
+        b = submap_of(constraint.to)
         within = sum(
             self._sums[k] - self._sums[first_key_scan(submap_of(k))] for k in (constraint.from_, constraint.to)
         )
         xx, yy, heading = np.linalg.inv(constraint.information).diagonal().tolist()
         own = compute_moments(self.poses[constraint.to][None], np.array([[0.5 * (xx + yy), heading]]))[0]
-        moments: Moments = tuple((within + own).tolist())
+        moments: _Moments = tuple((within + own).tolist())
         known = self._links.get(a, {}).get(b)
         if known is None or moments[0] + moments[1] < known[1][0] + known[1][1]:
             to_anchor = between(self.tracked[first_key_scan(a)], self.tracked[constraint.from_])

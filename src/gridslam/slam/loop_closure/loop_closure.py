@@ -4,28 +4,49 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from threading import Thread
-from typing import final
+from typing import Protocol, final
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose
+from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.grid_fastslam.state import GridFastSlamState
-from gridslam.slam.loop_closure.constraints import Constraint
+from gridslam.slam.loop_closure.constraints import Constraint, key_scan_pairs
 from gridslam.slam.loop_closure.drift_model import DriftModel
 from gridslam.slam.loop_closure.place_recognition import PlaceRecognition
 from gridslam.slam.loop_closure.state import Correction, LoopClosureState, PendingConstraints, RejectionReason
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP
 from gridslam.slam.loop_closure.submaps import insert_key_scans
+from gridslam.slam.pose_graph.descent import advance
 from gridslam.slam.pose_graph.graph_slam import GraphSlam
-from gridslam.slam.pose_graph.incremental import advance
 from gridslam.slam.pose_graph.robust import GraduatedNonConvexity
-from gridslam.types import BeamEnds, StepReport
+from gridslam.slam.tracking.state import TrackerState
+from gridslam.types import BeamEnds, FloatArray, StepReport
 
-__all__ = ["LoopClosure"]
+__all__ = ["FilterState", "LoopClosure"]
+
+
+class FilterState(Protocol):
+    """What loop closure needs of a particle filter."""
+
+    @property
+    def tracker(self) -> TrackerState:
+        """The tracker's state."""
+
+    @property
+    def key_pose(self) -> FloatArray:
+        """The tracker's pose (3,) at the last key scan."""
+
+    @property
+    def best_pose(self) -> FloatArray:
+        """Pose (3,) of the best particle at the last key scan, map frame."""
+
+    def best_trajectory(self) -> FloatArray:
+        """Poses (T, 3) of the best particle at all key scans."""
+
+    def replace_trajectory(self, trajectory: FloatArray, maps: TileMaps) -> None:
+        """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""
 
 
 @final
@@ -68,16 +89,17 @@ class LoopClosure:
     scans_per_step: int = Field(default=60, ge=2)
     poses_per_scan: int = Field(default=8000, ge=1)
 
-    def init(self, state: GridFastSlamState, beams: BeamEnds) -> None:
+    def init(self, state: FilterState, beams: BeamEnds) -> LoopClosureState:
         """Begin with the filter's first scan."""
-        state.closure_state = closure_state = LoopClosureState()
+        closure_state = LoopClosureState()
         closure_state.scans.append(beams, state.tracker.pose, is_key=True)
-        closure_state.online_poses.append(state.poses[state.best])
-        closure_state.graph.extend(state.key_pose, state.poses[state.best], self.drift.variances(0.0, 0.0))
+        closure_state.online_poses.append(state.best_pose)
+        closure_state.graph.extend(state.key_pose, state.best_pose, self.drift.variances(0.0, 0.0))
+        return closure_state
 
     def __call__(
         self,
-        state: GridFastSlamState,
+        state: FilterState,
         closure_state: LoopClosureState,
         report: StepReport,
         beams: BeamEnds,
@@ -89,13 +111,12 @@ class LoopClosure:
         pending = closure_state.pending_constraints
         constraints = [] if pending is None else self._solve_pending(closure_state, pending, mapper, threads)
         if report.skipped is not None:
-            return replace(report, closures=_key_scan_pairs(constraints)) if constraints else report
+            closures = tuple(constraint.pair for constraint in constraints)
+            return replace(report, closures=closures) if closures else report
         self._add_key_scan(closure_state, state)
-        if len(closure_state.graph) == KEY_SCANS_PER_SUBMAP:  # long before the first search
-            Thread(target=self.solver.import_solver).start()
         found = self.recognition(closure_state, mapper)
         is_busy = closure_state.pending_constraints is not None or closure_state.correction is not None
-        if found and not is_busy and self._contradicts_filter(closure_state, found, state):
+        if found and not is_busy and self._contradict_filter(found, state.best_trajectory()):
             closure_state.pending_constraints = PendingConstraints(
                 len(closure_state.graph), len(closure_state.graph.constraints), len(found)
             )
@@ -103,28 +124,26 @@ class LoopClosure:
             constraints = constraints + found
         correction = closure_state.correction
         corrected = correction is not None and self._build_corrected_map(closure_state, correction, state)
-        return replace(report, pose=state.poses[state.best], closures=_key_scan_pairs(constraints), corrected=corrected)
+        closures = tuple(constraint.pair for constraint in constraints)
+        return replace(report, pose=state.best_pose, closures=closures, corrected=corrected)
 
-    def _add_key_scan(self, closure_state: LoopClosureState, state: GridFastSlamState) -> None:
+    def _add_key_scan(self, closure_state: LoopClosureState, state: FilterState) -> None:
         """Add the newest key scan, where it was tracked to."""
         graph = closure_state.graph
         moved = between(graph.tracked[-1], state.key_pose)
-        position, heading = self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2])))
-        rejected = state.tracker.rejected_match_m2, state.tracker.rejected_match_rad2
-        before = closure_state.rejected_match_variances
+        variances = np.array(self.drift.variances(math.hypot(moved[0], moved[1]), abs(float(moved[2]))))
+        tracker = state.tracker
+        rejected = (tracker.rejected_match_m2, tracker.rejected_match_rad2)
+        since = np.subtract(rejected, closure_state.rejected_match_variances)
         closure_state.rejected_match_variances = rejected
-        times = self.drift.rejected_match_sigmas**2
-        spread = position + times * (rejected[0] - before[0]), heading + times * (rejected[1] - before[1])
-        graph.extend(state.key_pose, compose(graph.poses[-1], moved), spread)
-        closure_state.online_poses.append(state.poses[state.best])
+        position, heading = (variances + self.drift.rejected_match_sigmas**2 * since).tolist()
+        graph.extend(state.key_pose, compose(graph.poses[-1], moved), (position, heading))
+        closure_state.online_poses.append(state.best_pose)
 
-    def _contradicts_filter(
-        self, closure_state: LoopClosureState, constraints: list[Constraint], state: GridFastSlamState
-    ) -> bool:
-        """Whether the best particle violates the new constraints."""
-        trajectory = state.ancestry.trajectory(state.best)
-        ends = np.array([(constraint.from_, constraint.to) for constraint in constraints])
-        has = between(trajectory[ends[:, 0]], trajectory[ends[:, 1]])
+    def _contradict_filter(self, constraints: list[Constraint], trajectory: FloatArray) -> bool:
+        """Whether the trajectory (T, 3) of the best particle violates the new constraints."""
+        from_, to = key_scan_pairs(constraints).T
+        has = between(trajectory[from_], trajectory[to])
         missed = between(has, np.array([constraint.measurement for constraint in constraints]))
         far = np.hypot(missed[:, 0], missed[:, 1]) > self.disagree_m
         return bool((far | (np.abs(missed[:, 2]) > self.disagree_rad)).any())
@@ -154,10 +173,8 @@ class LoopClosure:
         closure_state.pending_constraints = None
         poses = graph.extend_with_tracked(solution.poses)
         new = slice(pending.constraints - pending.new, pending.constraints)
-        true = solution.weights[-pending.new :] >= 0.5
-        constraints = [
-            constraint for constraint, is_true in zip(graph.constraints[new], true.tolist(), strict=True) if is_true
-        ]
+        weights = solution.weights[-pending.new :].tolist()
+        constraints = [c for c, weight in zip(graph.constraints[new], weights, strict=True) if weight >= 0.5]
         closure_state.rejected[RejectionReason.IMPLAUSIBLE] += pending.new - len(constraints)
         if 2 * len(constraints) <= pending.new:  # most of the new constraints were rejected
             constraints = []
@@ -167,15 +184,13 @@ class LoopClosure:
         closure_state.correct(poses)
         return constraints
 
-    def _build_corrected_map(
-        self, closure_state: LoopClosureState, correction: Correction, state: GridFastSlamState
-    ) -> bool:
+    def _build_corrected_map(self, closure_state: LoopClosureState, correction: Correction, state: FilterState) -> bool:
         """Continue to rebuild the map and merge it when complete; return whether it was merged."""
-        correction.poses = poses = closure_state.graph.extend_with_tracked(correction.poses)
-        last = min(correction.inserted + self.scans_per_step, len(poses))
-        insert_key_scans(
-            correction.maps, closure_state.scans, range(correction.inserted, last), poses[correction.inserted : last]
-        )
+        poses = closure_state.graph.extend_with_tracked(correction.poses)
+        correction.poses = poses
+        first = correction.inserted
+        last = min(first + self.scans_per_step, len(poses))
+        insert_key_scans(correction.maps, closure_state.scans, range(first, last), poses[first:last])
         correction.inserted = last
         if last < len(poses):
             return False
@@ -184,7 +199,3 @@ class LoopClosure:
         state.replace_trajectory(poses, correction.maps)
         closure_state.correction = None
         return True
-
-
-def _key_scan_pairs(constraints: list[Constraint]) -> tuple[tuple[int, int], ...]:
-    return tuple((constraint.from_, constraint.to) for constraint in constraints)

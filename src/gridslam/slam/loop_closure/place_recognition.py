@@ -6,25 +6,41 @@ import math
 from collections.abc import Callable, Sequence
 from typing import final
 
+import numpy as np
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as parameters
 
+from gridslam.geometry.se2 import between, compose
+from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.loop_closure import place_checks as checks
-from gridslam.slam.loop_closure.constraints import Constraint
-from gridslam.slam.loop_closure.key_graph import KeyGraph, SubmapDistance
-from gridslam.slam.loop_closure.place_recognition_parameters import PlaceRecognitionParameters
-from gridslam.slam.loop_closure.place_search import find_candidate_submaps, search_place
-from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
-from gridslam.slam.loop_closure.submap_index import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
-from gridslam.slam.loop_closure.tracked_revisits import match_tracked_revisit
+from gridslam.matching.branch_and_bound import thin_points
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
+from gridslam.slam.loop_closure.key_graph import (
+    KEY_SCANS_PER_SUBMAP,
+    KeyGraph,
+    SubmapDistance,
+    anchor_of,
+    first_key_scan,
+    submap_of,
+)
+from gridslam.slam.loop_closure.place_matching import PlaceMatching, collect_recent_points
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason, SearchPhase
+from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.types import BeamEnds, FloatArray
 
 __all__ = ["PlaceRecognition"]
+
+_SEARCH_SUBMAPS = 12
+_AMBIGUITY_SUBMAPS = 24
+"""Maximum number of submaps in the search and in the ambiguity check."""
+
+_WALL_M = 0.3
+"""A beam that ends this far behind a mapped obstacle has passed through it."""
 
 
 @final
 @parameters(frozen=True, config=ConfigDict(extra="forbid"))
-class PlaceRecognition(PlaceRecognitionParameters):
+class PlaceRecognition(PlaceMatching):
     """Adds constraints from key scans to older submaps: tracked revisits and recognized places.
 
     A place is recognized if the points of the last key scans match the old map within the pose uncertainty (branch and
@@ -38,24 +54,27 @@ class PlaceRecognition(PlaceRecognitionParameters):
         newest = len(graph) - 1
         if submap_of(newest) < self.recent_submaps or len(closure_state.scans.key(newest)) < self.matcher.min_beams:
             return []
-        if match_tracked_revisit(self, closure_state, mapper):
+        if self.match_tracked_revisit(closure_state, mapper):
             closure_state.unconfirmed.clear()
             return []
-        if newest < closure_state.next_search:
+        search = closure_state.search
+        if newest < search.next_key_scan:
             return []
-        components = find_candidate_submaps(self, graph, newest)
+        components = self._find_candidate_submaps(graph, newest)
         if not components:
-            closure_state.search_submaps = closure_state.ambiguity_submaps = ()
+            search.forget()
             return []
-        found = search_place(
-            self, closure_state, mapper, newest, components[closure_state.failed_searches % len(components)]
-        )
+        found = self._search(closure_state, mapper, newest, components[search.failures % len(components)])
         if found is None:
             return []
         if isinstance(found, RejectionReason):
-            self._count_rejection(closure_state, found)
+            closure_state.rejected[found] += 1
+            search.failures = search.failures + 1 if found is RejectionReason.LOW_INLIER_RATIO else 0
+            # after repeated failures the search interval grows
+            search.next_key_scan = newest + self.search_interval * 2 ** min(max(search.failures - 1, 0), 3)
             return []
-        closure_state.failed_searches, closure_state.next_search = 0, newest + self.search_interval
+        search.failures = 0
+        search.next_key_scan = newest + self.search_interval
         recent = [*(h for h in closure_state.unconfirmed if newest - h.to <= 6 * self.search_interval), found]
         agreeing = [h for h in recent if self._are_consistent(graph, h, found)]
         closure_state.unconfirmed = recent
@@ -80,19 +99,18 @@ class PlaceRecognition(PlaceRecognitionParameters):
         Returns groups of constraints that are consistent with each other and with the tracked motion between them; each
         group is one confirmed revisit. The poses and constraints of the graph are those of the best candidate so far.
         """
-        graph, near = closure_state.graph, range(-self.search_interval, self.search_interval + 1)
-        covered, labels = {constraint.to + k for constraint in known for k in near}, graph.label_rigid_components()
+        graph = closure_state.graph
+        near = range(-self.search_interval, self.search_interval + 1)
+        covered = {constraint.to + k for constraint in known for k in near}
+        labels = graph.label_rigid_components()
         groups: list[list[Constraint]] = []
-        for key in range(
-            self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval, len(graph), self.search_interval
-        ):
+        first = self.recent_submaps * KEY_SCANS_PER_SUBMAP + self.search_interval
+        for key in range(first, len(graph), self.search_interval):
             if key in covered or len(closure_state.scans.key(key)) < self.matcher.min_beams:
                 continue
-            for component in find_candidate_submaps(self, graph, key):
-                if (
-                    component[0].sigma_m < 2 * self.certain_sigma_m
-                    or labels[anchor_of(component[0].submap)] != labels[key]
-                ):
+            for component in self._find_candidate_submaps(graph, key):
+                best = component[0]
+                if best.sigma_m < 2 * self.certain_sigma_m or labels[anchor_of(best.submap)] != labels[key]:
                     continue  # tracked revisit: matched without a search; another piece is aligned as a whole
                 found = self._search_to_end(closure_state, mapper, key, component)
                 on_progress()
@@ -106,11 +124,106 @@ class PlaceRecognition(PlaceRecognitionParameters):
     def _search_to_end(
         self, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int, component: list[SubmapDistance]
     ) -> Constraint | RejectionReason | None:
-        """Run all stages of the search at one key scan."""
+        """Run all phases of the search at one key scan."""
         found = None
-        for _ in range(3):
-            found = found or search_place(self, closure_state, mapper, key, component)
+        for _ in SearchPhase:
+            found = found or self._search(closure_state, mapper, key, component)
         return found
+
+    def _search(
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        key: int,
+        candidates: list[SubmapDistance],
+    ) -> Constraint | RejectionReason | None:
+        """Match the points up to a key scan against old submaps within its uncertainty, one phase of the search.
+
+        `candidates` are one of `_find_candidate_submaps`. Returns None if another phase follows.
+        """
+        search = closure_state.search
+        way = candidates[0]
+        guess = compose(closure_state.graph.poses[first_key_scan(way.submap)], way.pose)
+        points = thin_points(collect_recent_points(closure_state, key, self.query_key_scans), self.search.max_points)
+        submaps = [nearby.submap for nearby in candidates]
+        gate_sigmas = self.search.gate_sigmas
+        near = [nearby.submap for nearby in candidates if self._mahalanobis_distance(nearby) < gate_sigmas]
+        near = near[:_SEARCH_SUBMAPS]
+        phase = search.phase(near[:6], submaps[:_SEARCH_SUBMAPS])
+        if phase is SearchPhase.AMBIGUITY_CHECK:
+            found = self._check_ambiguity(closure_state, mapper, key, guess, way.covariance, points)
+            if isinstance(found, RejectionReason):
+                search.ambiguity_submaps = ()
+            return found
+        if phase is SearchPhase.MAP_BUILDING:
+            oldest = submap_of(key) - self.recent_submaps
+            in_sight = {b for submap in near for b in range(submap - 1, submap + 2)}  # within the range of the sensor
+            search.near_submaps = tuple(sorted(b for b in in_sight if 0 <= b <= oldest))
+            closure_state.joint_map(search.near_submaps, mapper)
+            return None
+        joint = closure_state.joint_map(search.near_submaps, mapper)
+        match = self.search.search(joint.pyramid, guess, way.covariance, points)
+        if match is None or not self.is_inlier_match(joint.maps, match.pose, points):
+            return RejectionReason.LOW_INLIER_RATIO
+        search.ambiguity_submaps = tuple(sorted(submaps))
+        closure_state.joint_map(search.ambiguity_submaps, mapper)
+        return None
+
+    def _check_ambiguity(
+        self, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int, guess: FloatArray,
+        covariance: FloatArray, points: FloatArray,
+    ) -> Constraint | RejectionReason:  # fmt: skip
+        """Check that no other place matches as well."""
+        graph = closure_state.graph
+        submaps = closure_state.search.ambiguity_submaps
+        joint = closure_state.joint_map(submaps, mapper)
+        widened = covariance + self.ambiguity_covariance(self.search.gate_sigmas)
+        found = self.search.search(joint.pyramid, guess, widened, points)
+        if found is None:
+            return RejectionReason.LOW_INLIER_RATIO
+        if not self.is_within_gate(covariance, np.append((found.pose - guess)[:2], between(guess, found.pose)[2])):
+            return RejectionReason.IMPLAUSIBLE
+        if not self.is_inlier_match(joint.maps, found.pose, points):
+            return RejectionReason.LOW_INLIER_RATIO
+        if found.runner_up_score > self.ambiguity_ratio * found.score:
+            return RejectionReason.AMBIGUOUS
+        if _through_walls_ratio(joint.maps, found.pose, closure_state.scans.key(key)) > self.max_through_walls_ratio:
+            return RejectionReason.THROUGH_WALLS
+        anchors = np.array([graph.poses[anchor_of(submap)] for submap in submaps])
+        submap = submaps[int(np.argmin(np.hypot(*(anchors[:, :2] - found.pose[:2]).T)))]
+        anchor = graph.poses[anchor_of(submap)]
+        max_correction_m = 3 * self.certain_sigma_m
+        constraint = self.match(
+            closure_state, joint.maps, key, submap, between(anchor, found.pose), max_correction_m,
+            ConstraintSource.RECOGNIZED, anchor,
+        )  # fmt: skip
+        if isinstance(constraint, Constraint) and not constraint.determined:
+            return RejectionReason.DEGENERATE
+        return constraint
+
+    def _find_candidate_submaps(self, graph: KeyGraph, key: int) -> list[list[SubmapDistance]]:
+        """Candidate submaps by rigid component; first those that require the smallest correction of the robot's pose.
+
+        Submaps separated by a gap in the laser data do not form a consistent map; each rigid component is searched on
+        its own.
+        """
+        oldest = submap_of(key) - self.recent_submaps
+        labels = graph.label_rigid_components()
+        gate_sigmas = self.search.gate_sigmas
+        found: dict[int, list[tuple[float, SubmapDistance]]] = {}
+        for nearby in graph.find_nearby_submaps(key, self.search.window_m / gate_sigmas, len(graph)):
+            if nearby.submap > oldest:
+                continue
+            away = self._mahalanobis_distance(nearby)
+            if away * nearby.sigma_m < gate_sigmas * nearby.sigma_m + self.ambiguity_window_m:
+                found.setdefault(int(labels[anchor_of(nearby.submap)]), []).append((away, nearby))
+        components = [sorted(component, key=lambda f: (f[0], f[1].submap)) for component in found.values()]
+        near = sorted((c for c in components if c[0][0] < gate_sigmas), key=lambda component: component[0][0])
+        return [[nearby for _, nearby in component[:_AMBIGUITY_SUBMAPS]] for component in near]
+
+    def _mahalanobis_distance(self, nearby: SubmapDistance) -> float:
+        """Distance to a submap in standard deviations of the relative pose."""
+        return max(math.hypot(nearby.pose[0], nearby.pose[1]) - self.max_distance_m, 0.0) / nearby.sigma_m
 
     def _add_to_group(self, graph: KeyGraph, groups: list[list[Constraint]], found: Constraint) -> None:
         """Add a constraint to the consistent group, or start a new one."""
@@ -125,17 +238,17 @@ class PlaceRecognition(PlaceRecognitionParameters):
         meanwhile = sum(group[0].to <= constraint.to <= group[-1].to for constraint in found)
         return len(group) >= max(self.min_confirmations, 2 * (meanwhile - len(group)) + 1)
 
-    def _count_rejection(self, closure_state: LoopClosureState, reason: RejectionReason) -> None:
-        """Count a rejected candidate; after repeated failures the search interval grows."""
-        closure_state.rejected[reason] += 1
-        closure_state.failed_searches = (
-            closure_state.failed_searches + 1 if reason is RejectionReason.LOW_INLIER_RATIO else 0
-        )
-        closure_state.next_search = (
-            len(closure_state.graph) - 1 + self.search_interval * 2 ** min(max(closure_state.failed_searches - 1, 0), 3)
-        )
-
     def _are_consistent(self, graph: KeyGraph, earlier: Constraint, later: Constraint) -> bool:
         """Whether two candidates are consistent with the tracked motion between their key scans."""
-        missed = checks.relative_error(graph, earlier, later)
-        return math.hypot(missed[0], missed[1]) < self.consistency_m and abs(missed[2]) < self.consistency_rad
+        reached = compose(earlier.measurement, between(graph.tracked[earlier.to], graph.tracked[later.to]))
+        measured = compose(graph.relative_pose(earlier.from_, later.from_), later.measurement)
+        x, y, turn = between(reached, measured).tolist()
+        return math.hypot(x, y) < self.consistency_m and abs(turn) < self.consistency_rad
+
+
+def _through_walls_ratio(maps: TileMaps, pose: FloatArray, beams: BeamEnds) -> float:
+    """Ratio of beams that, from a pose (3,), would pass through what the map knows as walls."""
+    ways = beams.ends - beams.origin
+    ranges = np.hypot(ways[:, 0], ways[:, 1])
+    seen = maps.cast_rays(ROW, pose[None], beams.origin, ways / ranges[:, None], float(ranges.max()))[0]
+    return float(np.mean(seen < ranges - _WALL_M))

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import Any, final
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated, final
 
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
-from gridslam.slam.loop_closure.constraints import Constraint, constraints_from_arrays, constraints_to_arrays
+from gridslam.serialization import NOT_SAVED
+from gridslam.slam.loop_closure.constraints import Constraint
 from gridslam.slam.loop_closure.key_graph import KeyGraph
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submaps import SubmapCache
+from gridslam.slam.loop_closure.submaps import JointMap, SubmapCache
+from gridslam.slam.pose_graph.descent import Computation
 from gridslam.slam.pose_graph.graph_slam import GraphSolution
-from gridslam.slam.pose_graph.incremental import Computation
 from gridslam.types import FloatArray
 
-__all__ = ["Correction", "LoopClosureState", "PendingConstraints", "RejectionReason"]
+__all__ = [
+    "Correction",
+    "LoopClosureState",
+    "PendingConstraints",
+    "PlaceSearch",
+    "RejectionReason",
+    "SearchPhase",
+]  # fmt: skip
 
 
 class RejectionReason(Enum):
@@ -35,12 +40,54 @@ class RejectionReason(Enum):
     INCONSISTENT = "inconsistent with the next scans"
 
 
+class SearchPhase(Enum):
+    """What a search does at a key scan; a joint map is built at the one before, so that no scan waits for both."""
+
+    MAP_BUILDING = "build the joint map of the submaps near the robot"
+    SEARCH = "match against it"
+    AMBIGUITY_CHECK = "match against all submaps where the robot may be"
+
+
+@final
+@dataclass(slots=True, eq=False)
+class PlaceSearch:
+    """Progress of the search for a place.
+
+    Attributes
+    ----------
+    failures : int
+        Number of consecutive failed searches.
+    next_key_scan : int
+        Key scan of the next search.
+    near_submaps : tuple of int
+        Submaps whose joint map is searched.
+    ambiguity_submaps : tuple of int
+        Submaps whose joint map is searched for other places that match as well; empty if no place was found.
+    """
+
+    failures: int = 0
+    next_key_scan: int = 0
+    near_submaps: tuple[int, ...] = ()
+    ambiguity_submaps: tuple[int, ...] = ()
+
+    def phase(self, near: Collection[int], candidates: Collection[int]) -> SearchPhase:
+        """Phase of a search in submaps near the robot, out of all candidates: that of which the joint map is built."""
+        if set(candidates) <= set(self.ambiguity_submaps):
+            return SearchPhase.AMBIGUITY_CHECK
+        return SearchPhase.SEARCH if set(near) <= set(self.near_submaps) else SearchPhase.MAP_BUILDING
+
+    def forget(self) -> None:
+        """Begin with the first phase again."""
+        self.near_submaps = ()
+        self.ambiguity_submaps = ()
+
+
 @final
 @dataclass(slots=True, eq=False)
 class Correction:
     """A corrected trajectory whose map is rebuilt: key scan poses, and the map of the first `inserted` of them."""
 
-    poses: FloatArray
+    poses: Annotated[FloatArray, "T", 3]
     maps: TileMaps
     inserted: int = 0
 
@@ -66,7 +113,7 @@ class PendingConstraints:
     constraints: int
     new: int
     steps: int = 0
-    computation: Computation[GraphSolution] | None = None
+    computation: Computation[GraphSolution] | None = field(default=None, metadata=NOT_SAVED)
 
 
 @final
@@ -80,20 +127,17 @@ class LoopClosureState:
         All scans.
     graph : KeyGraph
         Key scans, odometry and loop-closure constraints.
-    unconfirmed : list of Constraint
-        Recent loop-closure candidates that are not confirmed yet.
-    rejected : Counter
-        Number of rejected candidates by reason.
     online_poses : list of (3,) float64
         Online pose of the best particle at each key scan, or its later correction.
     rejected_match_variances : (float, float), m^2, rad^2
         Accumulated variances of the odometry increments used in place of a rejected scan match, up to the newest key
         scan.
-    failed_searches, next_search : int
-        Number of consecutive failed searches, and the key scan of the next search.
-    search_submaps, ambiguity_submaps : tuple of int
-        Submaps of the last search, and those of its ambiguity check; their joint maps are cached while they do not
-        change.
+    search : PlaceSearch
+        Progress of the search for a place.
+    unconfirmed : list of Constraint
+        Recent loop-closure candidates that are not confirmed yet.
+    rejected : Counter
+        Number of rejected candidates by reason.
     pending_constraints : PendingConstraints or None
         New constraints that the graph solver has not accepted or rejected yet.
     correction : Correction or None
@@ -102,85 +146,42 @@ class LoopClosureState:
 
     scans: ScanArchive = field(default_factory=ScanArchive)
     graph: KeyGraph = field(default_factory=KeyGraph)
+    online_poses: list[Annotated[FloatArray, 3]] = field(default_factory=list)
+    rejected_match_variances: tuple[float, float] = (0.0, 0.0)
+    search: PlaceSearch = field(default_factory=PlaceSearch)
     unconfirmed: list[Constraint] = field(default_factory=list)
     rejected: Counter[RejectionReason] = field(default_factory=Counter)
-    correction: Correction | None = None
-    online_poses: list[FloatArray] = field(default_factory=list)
-    rejected_match_variances: tuple[float, float] = (0.0, 0.0)
-    failed_searches: int = 0
-    next_search: int = 0
-    search_submaps: tuple[int, ...] = ()
-    ambiguity_submaps: tuple[int, ...] = ()
     pending_constraints: PendingConstraints | None = None
-    submap_cache: SubmapCache = field(default_factory=SubmapCache)
+    correction: Correction | None = None
+    submap_cache: SubmapCache = field(default_factory=SubmapCache, metadata=NOT_SAVED)
+
+    def submap(self, submap: int, mapper: OccupancyGridMapping) -> TileMaps:
+        """The map of a submap, in the frame of its anchor."""
+        return self.submap_cache(submap, mapper, self.scans, self.graph)
+
+    def joint_map(self, submaps: tuple[int, ...], mapper: OccupancyGridMapping) -> JointMap:
+        """The joint map of several submaps, in the map frame."""
+        return self.submap_cache.joint_map(submaps, mapper, self.scans, self.graph)
 
     def correct(self, poses: FloatArray) -> None:
         """Set the poses (T, 3) of the key scans and invalidate cached maps."""
         self.graph.correct(poses)
-        self.search_submaps = self.ambiguity_submaps = ()
+        self.search.forget()
         self.submap_cache.forget()
 
     def snapshot(self) -> LoopClosureState:
         """Return a copy; scans are shared and caches are not copied."""
-        pending = self.correction
-        if pending is not None:
-            pending = replace(pending, maps=pending.maps.snapshot())
-        return LoopClosureState(
-            self.scans.snapshot(), self.graph.snapshot(), self.unconfirmed.copy(), self.rejected.copy(), pending,
-            self.online_poses.copy(), self.rejected_match_variances, self.failed_searches, self.next_search,
-            self.search_submaps, self.ambiguity_submaps,
-            None if self.pending_constraints is None else replace(self.pending_constraints, computation=None),
-        )  # fmt: skip
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues with identical results."""
-        arrays: dict[str, NDArray[Any]] = {
-            "online_poses": np.array(self.online_poses, np.float64).reshape(-1, 3),
-            "rejected_match_variances": np.array(self.rejected_match_variances),
-            "search": np.array([self.failed_searches, self.next_search, *self.search_submaps], np.int64),
-            "ambiguity_submaps": np.array(self.ambiguity_submaps, np.int64),
-            "rejected": np.array([self.rejected[reason] for reason in RejectionReason], np.int64),
-        }
-        parts: list[tuple[str, dict[str, NDArray[Any]]]] = [
-            ("unconfirmed", constraints_to_arrays(self.unconfirmed)),
-            ("scans", self.scans.to_arrays()),
-            ("graph", self.graph.to_arrays()),
-        ]  # fmt: skip
-        if (pending := self.pending_constraints) is not None:
-            counts = [pending.keys, pending.constraints, pending.new, pending.steps]
-            arrays["pending_constraints"] = np.array(counts, np.int64)
-        if self.correction is not None:
-            arrays["correction.poses"] = self.correction.poses
-            arrays["correction.inserted"] = np.array(self.correction.inserted, np.int64)
-            parts.append(("correction.maps", self.correction.maps.to_arrays()))
-        return arrays | {f"{name}.{key}": array for name, part in parts for key, array in part.items()}
-
-    @classmethod
-    def from_arrays(
-        cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping, threads: int = 1
-    ) -> LoopClosureState:
-        """Rebuild from `to_arrays`; raises KeyError where an array is missing."""
-
-        def part(prefix: str) -> dict[str, NDArray[Any]]:
-            return {name[len(prefix) + 1 :]: a for name, a in arrays.items() if name.startswith(prefix + ".")}
-
-        counts = zip(RejectionReason, arrays["rejected"].tolist(), strict=True)
-        failed_searches, next_search, *search_submaps = arrays["search"].tolist()
-        correction = None
-        if "correction.inserted" in arrays:
-            maps = mapper.restore(part("correction.maps"), threads)
-            correction = Correction(arrays["correction.poses"], maps, int(arrays["correction.inserted"]))
-        return cls(
-            ScanArchive.from_arrays(part("scans")),
-            KeyGraph.from_arrays(part("graph")),
-            constraints_from_arrays(part("unconfirmed")),
-            Counter({reason: n for reason, n in counts if n}),
-            correction,
-            list(arrays["online_poses"]),
-            (float(arrays["rejected_match_variances"][0]), float(arrays["rejected_match_variances"][1])),
-            failed_searches,
-            next_search,
-            tuple(search_submaps),
-            tuple(arrays["ambiguity_submaps"].tolist()),
-            PendingConstraints(*arrays["pending_constraints"].tolist()) if "pending_constraints" in arrays else None,
+        correction = self.correction
+        pending = self.pending_constraints
+        return replace(
+            self,
+            scans=self.scans.snapshot(),
+            graph=self.graph.snapshot(),
+            online_poses=self.online_poses.copy(),
+            search=replace(self.search),
+            unconfirmed=self.unconfirmed.copy(),
+            rejected=self.rejected.copy(),
+            pending_constraints=None if pending is None else replace(pending, computation=None),
+            correction=None if correction is None else replace(correction, maps=correction.maps.snapshot()),
+            submap_cache=SubmapCache(),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -11,12 +12,11 @@ from gridslam.grid.arena import Int32Array
 from gridslam.grid.tiles import TileMaps
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.branch_and_bound import Pyramid
-from gridslam.slam.loop_closure.key_graph import KeyGraph
+from gridslam.slam.loop_closure.key_graph import KeyGraph, anchor_of, first_key_scan
 from gridslam.slam.loop_closure.scan_archive import ScanArchive
-from gridslam.slam.loop_closure.submap_index import anchor_of, first_key_scan
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["ROW", "SubmapCache", "build_joint_map", "build_map", "insert_key_scans", "key_scans_of"]
+__all__ = ["ROW", "JointMap", "SubmapCache", "build_joint_map", "build_map", "insert_key_scans", "key_scans_of"]
 
 ROW: Int32Array = np.array([0], np.int32)
 """The one row of a submap."""
@@ -57,26 +57,39 @@ def build_joint_map(
 
 
 @final
+class JointMap:
+    """One map of several submaps, and its pyramid, which is made when it is searched."""
+
+    def __init__(self, maps: TileMaps) -> None:
+        self.maps = maps
+
+    @cached_property
+    def pyramid(self) -> Pyramid:
+        """The pyramid of the map."""
+        return Pyramid.of(self.maps, 0)
+
+
+@final
 class SubmapCache:
     """Builds submaps in the frame of their anchor and caches the most recent; the cache does not affect results.
 
     Within a submap the scans lie as tracked, so that it stays as it is when the trajectory is corrected.
     """
 
-    __slots__ = ("_joint", "_kept", "_most", "_pyramids")
+    __slots__ = ("_joint", "_kept", "_most")
 
     def __init__(self, most: int = 32) -> None:
         """Keep `most` submaps at a time, about 1 MB each, and less where they are larger."""
         self._kept: dict[int, TileMaps] = {}
-        self._joint: dict[tuple[int, ...], TileMaps] = {}
-        self._pyramids: dict[tuple[int, ...], Pyramid] = {}
+        self._joint: dict[tuple[int, ...], JointMap] = {}
         self._most = most
 
     def __call__(self, submap: int, mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph) -> TileMaps:
         """Give a submap that is complete."""
         maps = self._kept.pop(submap, None)
         if maps is None:
-            keys, anchor = key_scans_of(submap, graph), anchor_of(submap)
+            keys = key_scans_of(submap, graph)
+            anchor = anchor_of(submap)
             maps = build_map(mapper, scans, keys, graph.tracked_poses_from(anchor, keys))
             while self._kept and (len(self._kept) >= self._most or self.nbytes + maps.nbytes > _MOST_BYTES):
                 del self._kept[next(iter(self._kept))]
@@ -90,26 +103,14 @@ class SubmapCache:
 
     def joint_map(
         self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-    ) -> TileMaps:
+    ) -> JointMap:
         """Give `build_joint_map`, drawn once as long as the submaps are those of one of the last two; see `forget`."""
         if submaps not in self._joint:
             if len(self._joint) > 1:
-                oldest = next(iter(self._joint))
-                del self._joint[oldest]
-                self._pyramids.pop(oldest, None)
-            self._joint[submaps] = build_joint_map(submaps, mapper, scans, graph)
+                del self._joint[next(iter(self._joint))]
+            self._joint[submaps] = JointMap(build_joint_map(submaps, mapper, scans, graph))
         return self._joint[submaps]
-
-    def pyramid(
-        self, submaps: tuple[int, ...], mapper: OccupancyGridMapping, scans: ScanArchive, graph: KeyGraph
-    ) -> Pyramid:
-        """Give the pyramid of `joint`, made once."""
-        maps = self.joint_map(submaps, mapper, scans, graph)
-        if submaps not in self._pyramids:
-            self._pyramids[submaps] = Pyramid.of(maps, 0)
-        return self._pyramids[submaps]
 
     def forget(self) -> None:
         """Drop the cached joint maps after the poses have changed."""
         self._joint.clear()
-        self._pyramids.clear()

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import final
+from typing import TypeVar, final
 
 import numpy as np
 
-from gridslam.slam.pose_graph.incremental import Computation
 from gridslam.slam.pose_graph.linear import BlockSystem, linearize
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray
 
-__all__ = ["DescentResult", "descend", "squared_mahalanobis"]
+__all__ = ["Computation", "DescentResult", "advance", "descend", "run_to_completion", "squared_mahalanobis"]
+
+T = TypeVar("T")
+
+Computation = Generator[None, None, T]
+"""A long computation that runs a few steps per scan: yields after each of its steps, and returns its result."""
 
 _PATIENCE = 3
 """Gauss-Newton steps that may raise chi2 before it is lower than ever: on long chains the first ones often do."""
 
-_LIGHT, _HEAVY, _HOPELESS = 1e-4, 1e-2, 1e8
+_LIGHT = 1e-4
+_HEAVY = 1e-2
+_HOPELESS = 1e8
 """Initial damping; least damping at which a short step is no sign of convergence; damping at which the solver stops."""
 
 _NEGLIGIBLE = 1e-6
@@ -53,20 +60,23 @@ def descend(
     """
     errors = graph.errors(poses)
     best = DescentResult(poses, float(squared_mahalanobis(graph, errors).sum()), 0, False)
-    best_errors, damping, rises = errors, 0.0, 0
+    best_errors = errors
+    damping = 0.0
+    rises = 0
     for iteration in range(1, max_iterations + 1):
         matrix, gradient = system.assemble(linearize(graph, poses, errors))
         system.factorize(matrix, damping)
         step = system.solve(-gradient)
-        promised = -float(
-            (gradient * step[1:].ravel()).sum()
-        )  # not by BLAS: waking its threads takes longer than all the rest
+        # not by BLAS: waking its threads takes longer than all the rest
+        promised = -float((gradient * step[1:].ravel()).sum())
         least = not rises and damping < _HEAVY and promised <= tolerance * (best.chi2 + _NEGLIGIBLE * len(errors))
         poses = poses + step
         errors = graph.errors(poses)
         chi2 = float(squared_mahalanobis(graph, errors).sum())
         if chi2 <= best.chi2:
-            best, best_errors, rises = DescentResult(poses, chi2, iteration, least), errors, 0
+            best = DescentResult(poses, chi2, iteration, least)
+            best_errors = errors
+            rises = 0
             damping = damping / 10 if damping > _LIGHT else 0.0
         elif damping == 0.0 and rises < _PATIENCE:
             rises += 1
@@ -76,3 +86,22 @@ def descend(
             return replace(best, iterations=iteration, converged=least)
         yield
     return replace(best, iterations=max_iterations)
+
+
+def advance(computation: Computation[T], steps: int) -> T | None:
+    """Run up to `steps` steps; return the result if the computation finished, otherwise None (never a valid result)."""
+    try:
+        for _ in range(steps):
+            next(computation)
+    except StopIteration as end:
+        result: T = end.value
+        return result
+    return None
+
+
+def run_to_completion(computation: Computation[T]) -> T:
+    """Run the computation to its end and return the result."""
+    result = None
+    while result is None:
+        result = advance(computation, 1)
+    return result

@@ -13,13 +13,10 @@ from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.angles import wrap
 from gridslam.models.parameters import Kind
-from gridslam.slam.pose_graph.cauchy import CauchyEstimator
-from gridslam.slam.pose_graph.descent import DescentResult, descend, squared_mahalanobis
-from gridslam.slam.pose_graph.incremental import Computation, run_to_completion
-from gridslam.slam.pose_graph.initial import initial_guess
-from gridslam.slam.pose_graph.linear import BlockSystem, require_connected
+from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, run_to_completion, squared_mahalanobis
+from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, require_connected
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
-from gridslam.slam.pose_graph.robust import GraduatedNonConvexity, scale_information
+from gridslam.slam.pose_graph.robust import CauchyEstimator, GraduatedNonConvexity, scale_information
 from gridslam.types import FloatArray
 
 __all__ = ["GraphSlam", "GraphSolution"]
@@ -103,12 +100,6 @@ class GraphSlam:
         """
         return run_to_completion(self.solve_in_steps(graph))
 
-    def import_solver(self) -> None:
-        """Import what solving needs, a quarter of a second, by solving the smallest graph there is."""
-        edges, measured = [[0, 1], [0, 1], [0, 1]], [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
-        smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
-        self.solve(replace(smallest, trusted=np.array([True, False, False])))
-
     def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
@@ -121,7 +112,8 @@ class GraphSlam:
             estimate = yield from self.robust.estimate(
                 graph, self._initial_guesses(graph), self.max_iterations, self.tolerance
             )
-            found, weights = estimate.solution, estimate.weights
+            found = estimate.solution
+            weights = estimate.weights
         poses = found.poses.copy()
         poses[:, 2] = wrap(poses[:, 2])
         before = float((weights * squared_mahalanobis(graph, graph.errors())).sum())
@@ -130,14 +122,10 @@ class GraphSlam:
     def _least_squares(self, graph: PoseGraph) -> Computation[DescentResult]:
         """Return the least chi2 met from the guesses there are."""
         system = BlockSystem(graph.edges, len(graph.poses), 3)
-        if self.first_guess == "given":
-            return (yield from descend(graph, graph.poses, system, self.max_iterations, self.tolerance))
-        computed = initial_guess(graph)
-        if self.first_guess == "computed":
-            return (yield from descend(graph, computed, system, self.max_iterations, self.tolerance))
-        starts = sorted((computed, graph.poses), key=graph.chi2)
+        computed = graph.poses if self.first_guess == "given" else initial_guess(graph)
+        starts = sorted((computed, graph.poses), key=graph.chi2) if self.first_guess == "either" else [computed]
         found = yield from descend(graph, starts[0], system, self.max_iterations, self.tolerance)
-        if not _doubtful(found, computed, len(graph.edges)):
+        if self.first_guess != "either" or not _doubtful(found, computed, len(graph.edges)):
             return found
         other = yield from descend(graph, starts[1], system, self.max_iterations, self.tolerance)
         best = min(found, other, key=lambda descent: descent.chi2)

@@ -1,4 +1,7 @@
-"""The sparse linear systems of GraphSLAM: normal equations whose pattern is found once and whose numbers change."""
+"""The sparse linear systems of GraphSLAM, and the initial guess of all poses that two of them give.
+
+Normal equations whose pattern is found once and whose numbers change.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,12 @@ from gridslam.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.sparse import csc_matrix
 
-__all__ = ["BlockSystem", "MatrixBlocks", "find_parts", "is_connected", "linearize", "require_connected"]
+__all__ = [
+    "BlockSystem", "MatrixBlocks", "find_parts", "initial_guess", "is_connected", "linearize", "require_connected",
+]  # fmt: skip
+
+_REFINEMENTS = 5
+"""Iterations for the initial headings: each is one solution with the existing factorization, and few are enough."""
 
 
 class MatrixBlocks(NamedTuple):
@@ -48,14 +56,18 @@ def linearize(graph: PoseGraph, poses: FloatArray, errors: FloatArray) -> Matrix
     """
     first, second = graph.edges.T
     heading = poses[first, 2] + graph.measurements[:, 2]
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
     at_second = _turned(graph.information, c, s)
     gradient = np.matmul(graph.information, errors[:, :, None])[:, :, 0]
     gradient[:, 0], gradient[:, 1] = c * gradient[:, 0] - s * gradient[:, 1], s * gradient[:, 0] + c * gradient[:, 1]
 
-    x, y = poses[first, 1] - poses[second, 1], poses[second, 0] - poses[first, 0]
+    x = poses[first, 1] - poses[second, 1]
+    y = poses[second, 0] - poses[first, 0]
     lever = at_second[:, :, 0] * x[:, None] + at_second[:, :, 1] * y[:, None] + at_second[:, :, 2]
-    cross, at_first, gradient_first = -at_second, at_second.copy(), -gradient
+    cross = -at_second
+    at_first = at_second.copy()
+    gradient_first = -gradient
     cross[:, 2, :] = -lever
     at_first[:, 2, :] = at_first[:, :, 2] = lever
     at_first[:, 2, 2] = x * lever[:, 0] + y * lever[:, 1] + lever[:, 2]
@@ -117,11 +129,13 @@ class BlockSystem:
     """
 
     def __init__(self, edges: IntArray, poses: int, size: int) -> None:
-        self.size, self.free = size, poses - 1
+        self.size = size
+        self.free = poses - 1
         self._first, self._second = (edges - 1).T  # as free poses; -1 is the one that is held
         self._upper = np.triu_indices(size)
         self._solver: Any = None
-        low, high = np.minimum(self._first, self._second), np.maximum(self._first, self._second)
+        low = np.minimum(self._first, self._second)
+        high = np.maximum(self._first, self._second)
         held = self.free * self.free  # stands for all pairs with the pose that is held, after all others
         pairs, place = np.unique(np.where(low < 0, held, high * self.free + low), return_inverse=True)
         self._lay_out(pairs[pairs < held], place)
@@ -130,7 +144,9 @@ class BlockSystem:
         """Find where the numbers of each block go: column by column, the blocks above the diagonal, then its own."""
         from scipy.sparse import csc_matrix
 
-        size, free, local = self.size, self.free, np.arange(self.size)[:, None]
+        size = self.size
+        free = self.free
+        local = np.arange(self.size)[:, None]
         column, row = np.divmod(pairs, free)
         above = np.bincount(column, minlength=free)
         ends = np.cumsum(above[:, None] * size + local.T + 1)
@@ -164,7 +180,8 @@ class BlockSystem:
 
     def gradient(self, first: FloatArray, second: FloatArray) -> FloatArray:
         """Sum what belongs to the poses that the measurements join, (M, size) each, to (free * size,)."""
-        slots, values = np.concatenate((self._first, self._second)) + 1, np.concatenate((first, second))
+        slots = np.concatenate((self._first, self._second)) + 1
+        values = np.concatenate((first, second))
         summed = [np.bincount(slots, column, self.free + 1)[1:] for column in values.T]
         return np.asarray(np.stack(summed, axis=1).ravel(), np.float64)
 
@@ -188,3 +205,53 @@ class BlockSystem:
     def factors(self) -> Any:  # noqa: ANN401 scipy's sparse matrix
         """Return L without its unit diagonal, the diagonal D and the order p of elimination: H[p, p] = L D L'."""
         return self._solver.factors()
+
+
+def initial_guess(graph: PoseGraph) -> FloatArray:
+    """Poses (N, 3) near the least chi2, from the measurements and pose 0 alone.
+
+    Headings come first, as unit vectors r: r_j = R(z) r_i is linear, so without the constraint |r| = 1 the weighted
+    least squares is one linear system (chordal relaxation; Martinec and Pajdla 2007, Carlone et al. 2015). Anchored at
+    pose 0 it shrinks vectors the more the farther they are, so it is solved again with the unit vectors as right side:
+    inverse iteration towards the least eigenvector, all of whose vectors are of like length (Singer 2011). Then chi2 is
+    quadratic in the positions: a second linear system of the same pattern.
+
+    Raises
+    ------
+    ArgumentError
+        The measurements do not join all poses.
+    """
+    require_connected(graph.edges, len(graph.poses))
+    if len(graph.poses) == 1:
+        return graph.poses.copy()
+    system = BlockSystem(graph.edges, len(graph.poses), 2)
+    poses = np.zeros_like(graph.poses)
+    poses[0] = graph.poses[0]
+    poses[1:, 2] = _headings(graph, system)[1:]
+    first, cross, second, *gradients = linearize(graph, poses, graph.errors(poses))
+    of_positions = MatrixBlocks(*(b[:, :2, :2] for b in (first, cross, second)), *(g[:, :2] for g in gradients))
+    matrix, gradient = system.assemble(of_positions)
+    system.factorize(matrix)
+    poses[:, :2] += system.solve(-gradient)
+    return poses
+
+
+def _headings(graph: PoseGraph, system: BlockSystem) -> FloatArray:
+    """Headings (N,) by chordal relaxation."""
+    first, second = graph.edges.T
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = graph.information.transpose(1, 2, 0)
+    weight = tt - (xx * yt * yt - 2 * xy * xt * yt + yy * xt * xt) / (xx * yy - xy * xy)  # 1 / variance of the heading
+    c = weight * np.cos(graph.measurements[:, 2])
+    s = weight * np.sin(graph.measurements[:, 2])
+    own = weight[:, None, None] * np.eye(2)
+    cross = -np.stack((c, s, -s, c), axis=1).reshape(-1, 2, 2)  # -weight R(z)'
+    unit = np.zeros((len(graph.poses), 2, 1))
+    unit[0, :, 0] = np.cos(graph.poses[0, 2]), np.sin(graph.poses[0, 2])
+    anchored = np.matmul(cross, unit[second]), np.matmul(cross.transpose(0, 2, 1), unit[first])
+    matrix, gradient = system.assemble(MatrixBlocks(own, cross, own, anchored[0][:, :, 0], anchored[1][:, :, 0]))
+    system.factorize(matrix)
+    vectors = system.solve(-gradient)
+    for _ in range(_REFINEMENTS):
+        lengths = np.hypot(vectors[1:, 0], vectors[1:, 1])
+        vectors = system.solve((vectors[1:] / np.maximum(lengths, 1e-300)[:, None]).ravel())
+    return np.asarray(np.arctan2(vectors[:, 1], vectors[:, 0]))

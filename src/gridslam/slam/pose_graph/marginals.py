@@ -133,7 +133,9 @@ def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> Float
 
     Source: Takahashi, Fagan, Chin (1973); Erisman, Tinney, On computing certain elements of the inverse (1975).
     """
-    begin, rows, numbers = lower.indptr, lower.indices, lower.data
+    begin = lower.indptr
+    rows = lower.indices
+    numbers = lower.data
     starts = _supernodes(begin, rows)
     node_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     last = begin[starts[1:] - 1], begin[starts[1:]]  # where the rows below each supernode stand
@@ -144,7 +146,8 @@ def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> Float
     blocks = np.empty((*wanted.shape, wanted.shape[1]))
     fronts: dict[int, tuple[IntArray, FloatArray]] = {}
     for node in range(len(starts) - 2, -1, -1):
-        a, b = starts[node], starts[node + 1]
+        a = starts[node]
+        b = starts[node + 1]
         below = rows[last[0][node] : last[1][node]]
         places = np.concatenate((np.arange(a, b), below))
         inner = np.empty((0, 0))
@@ -175,7 +178,8 @@ def _supernodes(begin: IntArray, rows: IntArray) -> IntArray:
 
 def _invert_front(numbers: FloatArray, pivots: FloatArray, inner: FloatArray) -> FloatArray:
     """Inverse on S and R, from the columns S of L, one after the other, the pivots D_S and the inverse Z_RR."""
-    size, total = len(pivots), len(pivots) + len(inner)
+    size = len(pivots)
+    total = len(pivots) + len(inner)
     columns = np.eye(size, total)
     columns[np.arange(total) > np.arange(size)[:, None]] = numbers
     of_own = np.linalg.inv(columns[:, :size])  # L_SS^-T

@@ -1,4 +1,4 @@
-"""Robust GraphSLAM: which measurements are false, by graduated non-convexity."""
+"""Robust GraphSLAM: measurements that are true or false by graduated non-convexity, better and worse by Cauchy's."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.slam.pose_graph.descent import DescentResult, descend, squared_mahalanobis
-from gridslam.slam.pose_graph.incremental import Computation
-from gridslam.slam.pose_graph.initial import initial_guess
-from gridslam.slam.pose_graph.linear import BlockSystem, is_connected
+from gridslam.slam.pose_graph.descent import Computation, DescentResult, descend, squared_mahalanobis
+from gridslam.slam.pose_graph.linear import BlockSystem, initial_guess, is_connected
 from gridslam.slam.pose_graph.marginals import Marginals
 from gridslam.slam.pose_graph.pose_graph import PoseGraph
 from gridslam.types import FloatArray, IntArray
 
-__all__ = ["GraduatedNonConvexity", "RobustEstimate", "scale_information"]
+__all__ = ["CauchyEstimator", "GraduatedNonConvexity", "RobustEstimate", "scale_information"]
 
 _LEAST_WEIGHT = 1e-8
 """Keeps the linear system regular where poses are only constrained by rejected measurements."""
 
-_ROUNDS, _REFITS = 5, 8
+_ROUNDS = 5
+_REFITS = 8
 """At most; they end where the cost falls no more, which is after one to three."""
 
-_PASSES, _ROUGH = 2, 1e-3
+_PASSES = 2
+_ROUGH = 1e-3
 """Linear systems for one degree of non-convexity, and the share of chi2 that is left to the next."""
 
-_ENOUGH, _FINE = 20, 1e-5
+_ENOUGH = 20
+_FINE = 1e-5
 """The same, for the classification into inliers and outliers."""
 
 _SAME = 1e-4
@@ -44,6 +45,57 @@ class RobustEstimate:
     solution: DescentResult
     weights: FloatArray
     cost: float
+
+
+@final
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class CauchyEstimator:
+    """Cauchy's M-estimator, by iteratively reweighted least squares from the graph's poses.
+
+    A measurement whose error is s standard deviations counts 1 / (1 + (s / scale)^2). Thousands of matches against
+    submaps, each a little wrong in its own way, are not a matter of inliers and outliers; closures are (see
+    `GraduatedNonConvexity`).
+
+    Parameters
+    ----------
+    scale : float
+        Standard deviations at which a measurement counts half.
+    passes : int
+        Reweightings at most.
+    stop_m : float, m
+        A pass that moves no pose farther is the last.
+
+    Source: Holland and Welsch, Robust regression using iteratively reweighted least squares (1977).
+    """
+
+    scale: float = Field(default=2.0, gt=0)
+    passes: int = Field(default=8, ge=1)
+    stop_m: float = Field(default=1e-3, gt=0)
+
+    def estimate(
+        self, graph: PoseGraph, starts: Iterable[FloatArray], max_iterations: int, tolerance: float
+    ) -> Computation[RobustEstimate]:
+        """Find poses and weights from the first of the guesses; the rest is as for `descend`."""
+        poses = next(iter(starts))
+        system = BlockSystem(graph.edges, len(graph.poses), 3)
+        weights = self.weights(graph, poses)
+        iterations = 0
+        for _ in range(self.passes):
+            weighted = replace(graph, information=graph.information * weights[:, None, None])
+            found: DescentResult = yield from descend(weighted, poses, system, min(2, max_iterations), tolerance)
+            iterations += found.iterations
+            moved = float(np.abs(found.poses - poses)[:, :2].max())
+            poses = found.poses
+            weights = self.weights(graph, poses)
+            if moved < self.stop_m:
+                break
+        chi2 = float((weights * squared_mahalanobis(graph, graph.errors(poses))).sum())
+        return RobustEstimate(replace(found, poses=poses, chi2=chi2, iterations=iterations), weights, chi2)
+
+    def weights(self, graph: PoseGraph, poses: FloatArray | None = None) -> FloatArray:
+        """How much each measurement counts (M,), in [0, 1], at poses (N, 3), by default the graph's own."""
+        squared = squared_mahalanobis(graph, graph.errors(poses))
+        return np.where(graph.trusted, 1.0, 1.0 / (1.0 + squared / self.scale**2))
 
 
 @final
@@ -105,7 +157,9 @@ class _Search:
     """The steps of one robust estimation; counts the linear systems that it solves."""
 
     def __init__(self, graph: PoseGraph, bound: float, growth: float) -> None:
-        self.graph, self.bound, self.growth = graph, bound, growth
+        self.graph = graph
+        self.bound = bound
+        self.growth = growth
         self.iterations = 0
 
     def round(self, poses: FloatArray) -> Computation[RobustEstimate]:
@@ -168,7 +222,8 @@ class _Search:
 
     def _graduate(self, poses: FloatArray) -> Computation[tuple[FloatArray, FloatArray]]:
         """Return poses (N, 3) and weights (M,), almost all 0 or 1, at the end of the family of costs."""
-        doubted, weights = ~self.graph.trusted, np.ones(len(self.graph.edges))
+        doubted = ~self.graph.trusted
+        weights = np.ones(len(self.graph.edges))
         squared = self._squared(poses)[doubted]
         worst = 2.0 * float(squared.max(initial=0.0)) - self.bound
         if worst <= 0.0:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, final
+from typing import Annotated, final
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
@@ -60,15 +58,15 @@ class OdometryErrorModel:
         Whether no scan of the current segment was degenerate.
     """
 
-    factors: FloatArray = field(default_factory=_EXACT.copy)
-    position: FloatArray = field(default_factory=lambda: np.zeros((4, 5)))
-    heading: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
-    variances: FloatArray = field(default_factory=lambda: np.array([0.03**2, 0.05**2]))
+    factors: Annotated[FloatArray, 6] = field(default_factory=_EXACT.copy)
+    position: Annotated[FloatArray, 4, 5] = field(default_factory=lambda: np.zeros((4, 5)))
+    heading: Annotated[FloatArray, 2, 3] = field(default_factory=lambda: np.zeros((2, 3)))
+    variances: Annotated[FloatArray, 2] = field(default_factory=lambda: np.array([0.03**2, 0.05**2]))
     segments: float = 0.0
-    sums: FloatArray = field(default_factory=lambda: np.zeros(4))
+    sums: Annotated[FloatArray, 4] = field(default_factory=lambda: np.zeros(4))
     trusted: bool = True
-    begin_pose: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    begin_odometry: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    begin_pose: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
+    begin_odometry: Annotated[FloatArray, 3] = field(default_factory=lambda: np.full(3, np.nan))
     determined: bool = True
 
     def correct_increment(self, increment: FloatArray) -> FloatArray:
@@ -81,22 +79,6 @@ class OdometryErrorModel:
     def snapshot(self) -> OdometryErrorModel:
         """Keep a copy for later."""
         return replace(self)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues with identical results."""
-        arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
-        arrays["segments"] = np.array(self.segments)
-        return arrays | {"flags": np.array([self.trusted, self.determined])}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> OdometryErrorModel:
-        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-        trusted, determined = arrays["flags"].tolist()
-        own = {name: np.array(arrays[name], np.float64) for name in _ARRAYS}
-        return cls(segments=float(arrays["segments"]), trusted=trusted, determined=determined, **own)
-
-
-_ARRAYS = ("factors", "position", "heading", "variances", "sums", "begin_pose", "begin_odometry")
 
 
 @final

@@ -10,9 +10,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass as parameters
 
-from gridslam.geometry.se2 import transform_points
 from gridslam.matching.branch_and_bound import BranchAndBound, Pyramid
-from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction
+from gridslam.matching.gauss_newton import GaussNewton, degenerate_direction, weigh_known_beams
 from gridslam.slam.tracking.odometry_calibration import MIN_SEGMENTS
 from gridslam.slam.tracking.prediction import MAX_INTERVAL_S, PoseEstimate, Prediction
 from gridslam.slam.tracking.state import TrackerState, is_within
@@ -165,8 +164,6 @@ def _refine(
         along[:2] -= weak * float(weak @ (along - predicted.pose)[:2])
         match = held(state.maps, state.row, along[None], NO_PRIOR, beams)
     best = match.poses[0]
-    known = state.maps.is_known(state.matched_map, transform_points(best, beams.ends))
-    distances = state.maps.distances(state.row, best[None], beams.ends)[0, known]
-    agreeing = float(np.sum(1 / (1 + np.square(distances / matcher.cauchy_m))))
-    inlier_ratio = agreeing / max(len(distances), _MIN_OVERLAP * len(beams))
+    weights = weigh_known_beams(state.maps, state.row, best, beams.ends, matcher.cauchy_m)
+    inlier_ratio = float(weights.sum()) / max(len(weights), _MIN_OVERLAP * len(beams))
     return PoseEstimate(best, predicted, matched=True, lost=False, inlier_ratio=inlier_ratio, determined=weak is None)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, final
+from typing import Annotated, NamedTuple, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridslam.geometry.se2 import between, transform_points
 from gridslam.grid.tiles import TileMaps
-from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.slam.tracking.odometry_calibration import OdometryErrorModel
 from gridslam.types import BeamEnds, Beams, FloatArray, Odometry, StoredScan
@@ -34,11 +32,12 @@ class SensorTrack(NamedTuple):
     """Track of one laser; lasers are distinguished by `sensor`."""
 
     stamp_ns: int  # of its last scan that was matched
-    matched_pose: FloatArray  # (3,), of that scan
+    matched_pose: Annotated[FloatArray, 3]  # of that scan
     inlier_ratio: float  # inlier ratio of that match; 0 if it was rejected
-    inserted_pose: FloatArray  # (3,), of its last scan that was inserted
+    inserted_pose: Annotated[FloatArray, 3]  # of its last scan that was inserted
     beam_order: BeamOrder = BeamOrder()
-    ends: FloatArray = np.zeros((0, 2))  # (K, 2), of that scan, base frame; kept where there are several lasers
+    # of that scan, base frame; kept where there are several lasers
+    ends: Annotated[FloatArray, None, 2] = np.zeros((0, 2))
 
     @classmethod
     def first(cls, stamp_ns: int, pose: FloatArray) -> SensorTrack:
@@ -95,15 +94,15 @@ class TrackerState:
     """
 
     maps: TileMaps
-    pose: FloatArray
+    pose: Annotated[FloatArray, 3]
     stamp_ns: int
-    odometry: FloatArray
-    matched_pose: FloatArray
-    matched_odometry: FloatArray
+    odometry: Annotated[FloatArray, 3]
+    matched_pose: Annotated[FloatArray, 3]
+    matched_odometry: Annotated[FloatArray, 3]
     sensors: dict[str, SensorTrack]
     odometry_errors: OdometryErrorModel = field(default_factory=OdometryErrorModel)
-    twist: FloatArray = field(default_factory=lambda: np.zeros(3))
-    velocity_variances: FloatArray = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
+    twist: Annotated[FloatArray, 3] = field(default_factory=lambda: np.zeros(3))
+    velocity_variances: Annotated[FloatArray, 2] = field(default_factory=lambda: np.array([0.02**2, 0.03**2]))
     period_s: float = 0.1
     mean_step: float = 0.0
     stamps_unreliable: bool = False
@@ -161,60 +160,6 @@ class TrackerState:
     def snapshot(self) -> TrackerState:
         """Keep a copy for later, at the cost of the maps' tables."""
         return replace(self, maps=self.maps.snapshot(), odometry_errors=self.odometry_errors.snapshot())
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Plain arrays; `from_arrays` continues with identical results."""
-        counters = [
-            self.stamp_ns, self.matched_map, *self.scans, self.unlocalized_scans, self.rejected_odometry,
-            self.stamps_unreliable,
-        ]  # fmt: skip
-        tracks = self.sensors.values()
-        arrays = {name: getattr(self, name) for name in _POSES} | {
-            "counters": np.array(counters, np.int64),
-            "rejected_match_variances": np.array([self.rejected_match_m2, self.rejected_match_rad2]),
-            "rates": np.array([self.period_s, self.mean_step]),
-            "sensors.names": np.array(list(self.sensors), np.str_),
-            "sensors.stamps_ns": np.array([track.stamp_ns for track in tracks], np.int64),
-            "sensors.matched_poses": np.array([track.matched_pose for track in tracks]),
-            "sensors.inlier_ratios": np.array([track.inlier_ratio for track in tracks]),
-            "sensors.inserted_poses": np.array([track.inserted_pose for track in tracks]),
-            "sensors.beam_order_sums": np.array([track.beam_order[:3] for track in tracks]),
-            "sensors.counts": np.array([len(track.ends) for track in tracks]),
-            "sensors.ends": np.concatenate([track.ends for track in tracks]),
-        }
-        arrays |= {f"odometry_errors.{name}": array for name, array in self.odometry_errors.to_arrays().items()}
-        return arrays | {f"maps.{name}": array for name, array in self.maps.to_arrays().items()}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], mapper: OccupancyGridMapping) -> TrackerState:
-        """Rebuild from `to_arrays`; raises KeyError where one is missing."""
-
-        def part(prefix: str) -> dict[str, NDArray[Any]]:
-            return {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
-
-        stamp_ns, active, first, second, unlocalized, rejected, unreliable = arrays["counters"].tolist()
-        rejected_match_m2, rejected_match_rad2 = arrays["rejected_match_variances"].tolist()
-        period_s, mean_step = arrays["rates"].tolist()
-        sensors = part("sensors.")
-        ends = np.split(sensors["ends"], np.cumsum(sensors["counts"])[:-1])
-        tracks = [
-            SensorTrack(
-                int(sensors["stamps_ns"][k]), sensors["matched_poses"][k], float(sensors["inlier_ratios"][k]),
-                sensors["inserted_poses"][k], BeamOrder(*sensors["beam_order_sums"][k].tolist()), ends[k],
-            )
-            for k in range(len(ends))
-        ]  # fmt: skip
-        return cls(
-            mapper.restore(part("maps.")), stamp_ns=stamp_ns,
-            odometry_errors=OdometryErrorModel.from_arrays(part("odometry_errors.")),
-            sensors=dict(zip(sensors["names"].tolist(), tracks, strict=True)), period_s=period_s,
-            mean_step=mean_step, stamps_unreliable=bool(unreliable), matched_map=active, scans=(first, second),
-            unlocalized_scans=unlocalized, rejected_odometry=rejected, rejected_match_m2=rejected_match_m2,
-            rejected_match_rad2=rejected_match_rad2, **{name: np.array(arrays[name], np.float64) for name in _POSES},
-        )  # fmt: skip
-
-
-_POSES = ("pose", "odometry", "matched_pose", "matched_odometry", "twist", "velocity_variances")
 
 
 def is_within(a: FloatArray, b: FloatArray, metres: float, radians: float) -> bool:

@@ -1,0 +1,239 @@
+"""States as plain arrays with dotted names, and back: what is saved of a state follows from its fields.
+
+A state is a dataclass or a named tuple. Its fields are numbers, texts, enumerators, tuples of numbers, arrays, other
+states, and lists and dicts of all these; of a list of states each field is one array, along the list. Where arrays in a
+list differ in length, they follow each other in one array, and `counts` has their lengths. A field that is None is
+absent. The shape of an array is annotated: `Annotated[FloatArray, "N", 3]` has three columns and as many rows as all
+other arrays of the state that are annotated with N. A class with methods `to_arrays` and `from_arrays` is saved by
+them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping
+from enum import Enum
+from functools import cache
+from types import NoneType, UnionType
+from typing import Annotated, Any, NamedTuple, TypeVar, Union, cast, final, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridslam.errors import ArgumentError
+
+__all__ = ["NOT_SAVED", "from_arrays", "read_array", "select_part", "to_arrays"]
+
+NOT_SAVED: Mapping[str, Any] = {"is_saved": False}
+"""Metadata of a field that follows from the others, or that a restored state does without."""
+
+_State = TypeVar("_State")
+_Arrays = Mapping[str, NDArray[Any]]
+_Restore = Callable[[_Arrays], object]
+_Shape = tuple[Any, ...]  # of int, str and None: see `read_array`
+
+
+def to_arrays(state: object) -> dict[str, NDArray[Any]]:
+    """Return a copy of all that is saved of a state as plain arrays by dotted names."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for field, (name, form) in _saved_fields(cast("Hashable", type(state))).items():
+        value = getattr(state, field)
+        if value is not None:
+            arrays |= _dump(name, form, value)
+    return arrays
+
+
+def from_arrays(kind: type[_State], arrays: _Arrays, restore: Mapping[type, _Restore] | None = None) -> _State:
+    """Restore a state from what `to_arrays` returned.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the state.
+    arrays : mapping of str to array
+        Arrays by name; others among them are ignored.
+    restore : mapping of type to callable, optional
+        Functions that restore objects of a class from their own arrays, in place of the class's `from_arrays`.
+
+    Raises
+    ------
+    ArgumentError
+        An array is missing, or its type or shape is wrong.
+    """
+    return cast("_State", _load_state(kind, "", arrays, restore or {}))
+
+
+def select_part(arrays: _Arrays, part: str) -> dict[str, NDArray[Any]]:
+    """Select the arrays whose names begin with `part` and a dot, without both."""
+    return {name[len(part) + 1 :]: values for name, values in arrays.items() if name.startswith(part + ".")}
+
+
+def read_array(
+    arrays: _Arrays, name: str, dtype: type | str, shape: _Shape | None = None, sizes: dict[str, int] | None = None
+) -> NDArray[Any]:
+    """Copy an array of a given type and shape.
+
+    Parameters
+    ----------
+    shape : tuple of int, str and None, optional
+        Lengths along the axes; None is any, and a text any that is the same wherever that text occurs.
+    sizes : dict of str to int, optional
+        Lengths by text; those that are met for the first time are added.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such array, or it is of another type or shape.
+    """
+    if name not in arrays:
+        raise ArgumentError("arrays", f"an array named {name}", sorted(arrays))
+    values = np.array(arrays[name])
+    known = {} if sizes is None else sizes
+    expected = values.shape if shape is None else tuple(known.get(n, n) if isinstance(n, str) else n for n in shape)
+    fits = values.ndim == len(expected) and all(
+        not isinstance(want, int) or want == got for want, got in zip(expected, values.shape, strict=True)
+    )
+    is_typed = values.dtype.kind == "U" if dtype is np.str_ else values.dtype == dtype
+    if not is_typed or not fits:
+        lengths = ", ".join("any" if n is None else str(n) for n in expected)
+        raise ArgumentError(name, f"{np.dtype(dtype)} of shape ({lengths})", f"{values.dtype} of shape {values.shape}")
+    known.update((n, got) for n, got in zip(shape or (), values.shape, strict=False) if isinstance(n, str))
+    return values
+
+
+@final
+class _Form(NamedTuple):
+    """Class and shape of the values of a field, by its annotation."""
+
+    kind: type  # class of the values, without the classes of what they contain
+    items: tuple[Any, ...]  # annotations of what they contain
+    shape: _Shape | None  # of the array of one value; None where nothing is annotated
+    is_optional: bool
+
+    @property
+    def is_state(self) -> bool:
+        """Whether the values are saved field by field."""
+        return dataclasses.is_dataclass(self.kind) or hasattr(self.kind, "_fields")
+
+    @property
+    def is_ragged(self) -> bool:
+        """Whether the arrays of values may differ in length."""
+        return any(not isinstance(length, int) for length in self.shape or ())
+
+    @property
+    def dtype(self) -> type:
+        """Type of the numbers."""
+        if self.kind is np.ndarray:
+            return cast("type", get_args(self.items[1])[0])
+        scalar = self.items[0] if self.kind is tuple else self.kind
+        return {bool: np.bool_, int: np.int64, float: np.float64}.get(scalar, np.str_)
+
+    def convert(self, name: str, values: NDArray[Any]) -> object:
+        """The value that an array stands for."""
+        if self.kind is np.ndarray:
+            return values
+        if issubclass(self.kind, Enum):
+            if str(values) not in self.kind.__members__:
+                raise ArgumentError(name, f"one of {', '.join(self.kind.__members__)}", values)
+            return self.kind[str(values)]
+        return tuple(values.tolist()) if self.kind is tuple else values.item()
+
+
+@cache
+def _form(annotation: Hashable) -> _Form:
+    is_optional = get_origin(annotation) in (Union, UnionType)
+    kind = next(of for of in get_args(annotation) if of is not NoneType) if is_optional else annotation
+    shape: _Shape | None = None
+    if get_origin(kind) is Annotated:
+        kind, *lengths = get_args(kind)
+        shape = tuple(lengths)
+    items = get_args(kind)
+    origin = cast("type", get_origin(kind) or kind)
+    if origin is Counter:
+        items += (int,)
+    elif origin is tuple:
+        shape = (None,) if items[-1] is Ellipsis else (len(items),)
+    elif not items:
+        shape = ()
+    return _Form(origin, items, shape, is_optional)
+
+
+@cache
+def _saved_fields(kind: Hashable) -> dict[str, tuple[str, _Form]]:
+    """The fields of a class of states that are saved: the name of the array, and the form, by the name of the field."""
+    annotations = get_type_hints(kind, include_extras=True)
+    if dataclasses.is_dataclass(kind):
+        saved = [field.name for field in dataclasses.fields(kind) if field.metadata != NOT_SAVED]
+        annotations = {name: annotations[name] for name in saved}
+    return {name: (name.strip("_"), _form(annotation)) for name, annotation in annotations.items()}
+
+
+def _dump(name: str, form: _Form, value: Any) -> dict[str, NDArray[Any]]:  # noqa: ANN401 whatever a state holds
+    if form.is_state or hasattr(value, "to_arrays"):
+        nested = value.to_arrays() if hasattr(value, "to_arrays") else to_arrays(value)
+        return {f"{name}.{inner}": values for inner, values in nested.items()}
+    if isinstance(value, dict):
+        keys = _dump_column(f"{name}.keys", _form(form.items[0]), list(value))
+        return keys | _dump_column(name, _form(form.items[1]), list(value.values()))
+    if isinstance(value, list):
+        return _dump_column(name, _form(form.items[0]), value)
+    return {name: np.array(value.name if isinstance(value, Enum) else value, form.dtype)}
+
+
+def _dump_column(name: str, form: _Form, values: list[Any]) -> dict[str, NDArray[Any]]:
+    shape = form.shape or ()
+    if form.is_state:
+        columns: dict[str, NDArray[Any]] = {}
+        for field, (inner, of) in _saved_fields(form.kind).items():
+            columns |= _dump_column(f"{name}.{inner}", of, [getattr(value, field) for value in values])
+        return columns
+    if form.is_ragged:
+        nothing = np.empty((0, *shape[1:]), form.dtype)
+        counts = np.array([len(value) for value in values], np.int64)
+        return {f"{name}.counts": counts, name: np.concatenate([nothing, *values])}
+    plain = [value.name if isinstance(value, Enum) else value for value in values]
+    return {name: np.array(plain, form.dtype).reshape(len(values), *shape)}
+
+
+def _load_state(kind: type, prefix: str, arrays: _Arrays, restore: Mapping[type, _Restore]) -> object:
+    """Restore a state from the arrays whose names begin with `prefix`."""
+    sizes: dict[str, int] = {}
+    fields: dict[str, object] = {}
+    for field, (inner, form) in _saved_fields(kind).items():
+        name = prefix + inner
+        own_restore = restore.get(form.kind, getattr(form.kind, "from_arrays", None))
+        if form.is_optional and not any(other == name or other.startswith(name + ".") for other in arrays):
+            fields[field] = None
+        elif own_restore is not None:
+            fields[field] = own_restore(select_part(arrays, name))
+        elif form.is_state:
+            fields[field] = _load_state(form.kind, name + ".", arrays, restore)
+        elif form.kind in (dict, Counter):
+            keys = _load_column(f"{name}.keys", _form(form.items[0]), arrays, name, sizes)
+            values = _load_column(name, _form(form.items[1]), arrays, name, sizes)
+            fields[field] = form.kind(dict(zip(keys, values, strict=True)))
+        elif form.kind is list:
+            rows = form.shape[0] if form.shape else name
+            fields[field] = _load_column(name, _form(form.items[0]), arrays, rows, sizes)
+        else:
+            fields[field] = form.convert(name, read_array(arrays, name, form.dtype, form.shape, sizes))
+    return kind(**fields)
+
+
+def _load_column(name: str, form: _Form, arrays: _Arrays, rows: int | str | None, sizes: dict[str, int]) -> list[Any]:
+    """Restore a list of `rows` values."""
+    shape = form.shape or ()
+    if form.is_state:
+        fields = _saved_fields(form.kind)
+        columns = [_load_column(f"{name}.{inner}", of, arrays, rows, sizes) for inner, of in fields.values()]
+        return [form.kind(**dict(zip(fields, row, strict=True))) for row in zip(*columns, strict=True)]
+    if form.is_ragged:
+        counts = read_array(arrays, f"{name}.counts", np.int64, (rows,), sizes)
+        if (counts < 0).any():
+            raise ArgumentError(f"{name}.counts", "numbers >= 0", counts.min())
+        whole = read_array(arrays, name, form.dtype, (int(counts.sum()), *shape[1:]))
+        values = np.split(whole, np.cumsum(counts))[:-1]
+    else:
+        values = list(read_array(arrays, name, form.dtype, (rows, *shape), sizes))
+    return [form.convert(name, value) for value in values]

@@ -1,0 +1,234 @@
+"""Matching of key scans to submaps, with the thresholds of acceptance; revisits that need no search."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as parameters
+
+from gridslam.geometry.se2 import between, compose, transform_points
+from gridslam.grid.tiles import TileMaps
+from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
+from gridslam.matching.branch_and_bound import BranchAndBound
+from gridslam.matching.gauss_newton import GaussNewton, cauchy_weights
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information, transform_match
+from gridslam.slam.loop_closure.key_graph import (
+    KEY_SCANS_PER_SUBMAP,
+    KeyGraph,
+    SubmapDistance,
+    anchor_of,
+    first_key_scan,
+    submap_of,
+)
+from gridslam.slam.loop_closure.state import LoopClosureState, RejectionReason
+from gridslam.slam.loop_closure.submaps import ROW
+from gridslam.types import FloatArray
+
+__all__ = ["PlaceMatching", "collect_recent_points"]
+
+_MATCH_COVARIANCE = np.diag([0.05, 0.05, 0.02]) ** 2
+"""Variances of what two matches of one scan differ by (m^2, m^2, rad^2)."""
+
+
+@parameters(frozen=True, config=ConfigDict(extra="forbid"))
+class PlaceMatching:
+    """Matches key scans to submaps, and judges the matches.
+
+    Parameters
+    ----------
+    recent_submaps : int
+        Number of most recent submaps that are excluded.
+    max_distance_m : float, m
+        Largest distance between two key scans to be matched.
+    min_overlap : float
+        Minimum ratio of points that fall into known cells of the old map.
+    inlier_ratio : float
+        Minimum inlier ratio of those points.
+    certain_sigma_m : float, m
+        Standard deviation of the relative position below which key scans are matched without a search.
+    tracked_key_scans : int
+        Number of key scans for which the pose is tracked from the last non-degenerate constraint.
+    tracked_max_correction_m : float, m
+        Reject a match farther than this from the tracked pose: the object has moved, or the match slid along a wall.
+    filter_max_correction_m : float, m
+        Ignore the filter's pose if it differs from the tracked pose by more than this: a repetitive map may have
+        attracted it.
+    search_interval : int
+        Key scans between two searches.
+    query_key_scans : int
+        Number of key scans whose points are matched together.
+    ambiguity_ratio : float
+        Reject as ambiguous if another pose reaches this fraction of the best score.
+    ambiguity_window_m, ambiguity_window_rad : float
+        Margin added to the search window of the ambiguity check, since the true place may be an unmapped neighbour that
+        looks alike.
+    max_through_walls_ratio : float
+        Maximum ratio of beams that pass through walls of the old map (doors and furniture move).
+    min_confirmations : int
+        Minimum number of consistent consecutive searches.
+    consistency_m, consistency_rad : float
+        Largest difference between them.
+    min_information : float
+        Minimum eigenvalue of the position information per inlier beam; rejects degenerate places such as bare
+        corridors.
+    beam_sigma_m : float, m
+        Standard deviation of one beam in a constraint, inflated for correlated beams and cell size.
+    search : BranchAndBound
+        How a place is searched for.
+    matcher : GaussNewton
+        How a match is refined.
+    """
+
+    recent_submaps: int = Field(default=3, ge=1)
+    max_distance_m: float = Field(default=4.0, gt=0)
+    min_overlap: float = Field(default=0.6, gt=0, le=1)
+    inlier_ratio: float = Field(default=0.67, gt=0, le=1)
+    certain_sigma_m: float = Field(default=0.15, gt=0)
+    tracked_key_scans: int = Field(default=12, ge=1)
+    tracked_max_correction_m: float = Field(default=0.2, gt=0)
+    filter_max_correction_m: float = Field(default=1.2, gt=0)
+    search_interval: int = Field(default=3, ge=1)
+    query_key_scans: int = Field(default=8, ge=1)
+    ambiguity_ratio: float = Field(default=0.85, gt=0, le=1)
+    ambiguity_window_m: float = Field(default=10.0, ge=0)
+    ambiguity_window_rad: float = Field(default=0.2, ge=0)
+    max_through_walls_ratio: float = Field(default=0.2, ge=0, le=1)
+    min_confirmations: int = Field(default=4, ge=1)
+    consistency_m: float = Field(default=0.25, gt=0)
+    consistency_rad: float = Field(default=0.05, gt=0)
+    min_information: float = Field(default=0.06, ge=0)
+    beam_sigma_m: float = Field(default=0.3, gt=0)
+    search: BranchAndBound = BranchAndBound(window_m=30.0, window_rad=1.6, gate_sigmas=2.5, min_score=0.45)
+    matcher: GaussNewton = GaussNewton()
+
+    def match(
+        self, closure_state: LoopClosureState, maps: TileMaps, key: int, submap: int, guess: FloatArray,
+        max_correction_m: float, source: ConstraintSource, anchor: FloatArray | None = None,
+    ) -> Constraint | RejectionReason:  # fmt: skip
+        """Match a key scan to a submap, within `max_correction_m` of a guess (3,) in its frame.
+
+        That frame is at `anchor` (3,) in `maps`, by default at the origin.
+        """
+        beams = closure_state.scans.key(key)
+        frame = np.zeros(3) if anchor is None else anchor
+        begin = compose(frame, guess)
+        match = self.matcher(maps, ROW, begin[None], np.full((1, 3, 3), 1e-9) * np.eye(3), beams)
+        match = recompute_information(match, maps, ROW, beams)
+        pose = match.poses[0]
+        moved = between(begin, pose)
+        if math.hypot(moved[0], moved[1]) > max_correction_m or not self.is_inlier_match(maps, pose, beams.ends):
+            return RejectionReason.LOW_INLIER_RATIO
+        seen = transform_match(frame, match)
+        return Constraint.from_match(
+            anchor_of(submap), key, guess, seen, self.beam_sigma_m, self.min_information, source
+        )
+
+    def is_inlier_match(self, maps: TileMaps, pose: FloatArray, points: FloatArray) -> bool:
+        """Whether overlap and inlier ratio of points (B, 2) at a pose (3,) reach their thresholds.
+
+        An end that falls behind a wall's nearest cells, which no beam has seen, is known all the same.
+        """
+        away = maps.distances(ROW, pose[None], points)[0]
+        known = maps.is_known(0, transform_points(pose, points)) | (away < self.matcher.cauchy_m)
+        if np.mean(known) < self.min_overlap:
+            return False
+        return float(np.mean(cauchy_weights(away[known], self.matcher.cauchy_m))) >= self.inlier_ratio
+
+    def is_within_gate(self, covariance: FloatArray, innovation: FloatArray) -> bool:
+        """Whether the drift explains the innovation (3,) of a match, map frame."""
+        squared = float(innovation @ np.linalg.solve(covariance + _MATCH_COVARIANCE, innovation))
+        return squared < self.search.gate_sigmas**2
+
+    def ambiguity_covariance(self, gate_sigmas: float) -> FloatArray:
+        """Covariance (3, 3) that widens the window of a search by the margin of the ambiguity check."""
+        margin = np.diag([self.ambiguity_window_m, self.ambiguity_window_m, self.ambiguity_window_rad])
+        return np.square(margin / gate_sigmas)
+
+    def match_tracked_revisit(self, closure_state: LoopClosureState, mapper: OccupancyGridMapping) -> bool:
+        """Match the newest key scan to an old submap at its tracked or filtered pose; return whether that was certain.
+
+        No search is needed: the relative pose is known from tracking, or proposed by the filter.
+        """
+        graph = closure_state.graph
+        newest = len(graph) - 1
+        oldest = submap_of(newest) - self.recent_submaps
+        tracked = self._predict_from_last_constraint(graph, oldest)
+        prediction = tracked or self._predict_from_filter(closure_state, oldest)
+        if prediction is None:
+            return False
+        submap, guess = prediction
+        max_correction_m = 3 * self.certain_sigma_m if tracked is None else self.tracked_max_correction_m
+        maps = closure_state.submap(submap, mapper)
+        constraint = self.match(closure_state, maps, newest, submap, guess, max_correction_m, ConstraintSource.TRACKED)
+        if isinstance(constraint, RejectionReason):
+            return False
+        if tracked is None:
+            way = graph.find_distance_to(submap, newest, self.search.window_m, 256)
+            if way is None:
+                return False
+            innovation = _innovation(graph, way, constraint)
+            is_far = math.hypot(innovation[0], innovation[1]) > self.filter_max_correction_m
+            if is_far or not self.is_within_gate(way.covariance, innovation):
+                return False
+            if way.sigma_m > self.certain_sigma_m:
+                if not constraint.determined and way.sigma_m > 2 * self.certain_sigma_m:
+                    return False
+                constraint = constraint._replace(source=ConstraintSource.PROXIMITY)
+        graph.add(constraint)
+        return constraint.source is ConstraintSource.TRACKED
+
+    def _predict_from_last_constraint(self, graph: KeyGraph, oldest: int) -> tuple[int, FloatArray] | None:
+        """The submap reached by tracking from the last constraint, and the pose of the robot in its frame."""
+        newest = len(graph) - 1
+        known = (
+            constraint
+            for constraint in reversed(graph.constraints[-self.tracked_key_scans :])
+            if constraint.determined and constraint.source is not ConstraintSource.PROXIMITY
+        )
+        last = next(known, None)
+        if last is None or newest - last.to > self.tracked_key_scans:
+            return None
+        seen = compose(last.measurement, between(graph.tracked[last.to], graph.tracked[newest]))
+        submap = submap_of(last.from_)
+        near = [b for b in (submap - 1, submap, submap + 1) if 0 <= b <= oldest]
+        poses = [between(graph.relative_pose(anchor_of(submap), anchor_of(b)), seen) for b in near]
+        away = [math.hypot(pose[0], pose[1]) for pose in poses]
+        best = int(np.argmin(away))
+        return (near[best], poses[best]) if away[best] < self.max_distance_m else None
+
+    def _predict_from_filter(self, closure_state: LoopClosureState, oldest: int) -> tuple[int, FloatArray] | None:
+        """The old submap nearest to the filter's pose, and that pose in its frame."""
+        poses = closure_state.online_poses
+        anchors = np.array(poses[anchor_of(0) : anchor_of(oldest) + 1 : KEY_SCANS_PER_SUBMAP])
+        here = poses[-1]
+        away = np.hypot(*(anchors[:, :2] - here[:2]).T)
+        submap = int(away.argmin())
+        return (submap, between(anchors[submap], here)) if away[submap] < self.max_distance_m else None
+
+
+def collect_recent_points(closure_state: LoopClosureState, key: int, scans: int) -> FloatArray:
+    """Points (B, 2) of a key scan and those before it, `scans` in all at most, seen from it.
+
+    Stops at a gap in the laser data.
+    """
+    graph = closure_state.graph
+    keys = graph.select_without_gap(np.arange(max(key - scans + 1, 0), key + 1), key)
+    tracked = graph.tracked_poses_from(key, keys)
+    points = [
+        transform_points(pose, closure_state.scans.key(k).ends) for k, pose in zip(keys.tolist(), tracked, strict=True)
+    ]
+    return np.concatenate(points)
+
+
+def _innovation(graph: KeyGraph, way: SubmapDistance, constraint: Constraint) -> FloatArray:
+    """Innovation (3,) of a constraint with respect to the best path through the graph, map frame."""
+    expected = between(
+        between(graph.tracked[first_key_scan(way.submap)], graph.tracked[anchor_of(way.submap)]), way.pose
+    )
+    turn = graph.poses[-1][2] - expected[2]
+    c = math.cos(turn)
+    s = math.sin(turn)
+    x, y = (constraint.measurement - expected)[:2].tolist()
+    return np.array([c * x - s * y, s * x + c * y, between(expected, constraint.measurement)[2]])
