@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from global_localization import DECEPTIVE, ORDINARY, Building, GlobalRun
 from gridslam.api.localization import localize
 from gridslam.evaluation.trajectory import absolute_errors
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
@@ -18,12 +18,9 @@ from gridslam.localization.kld_sampling import KldSampling
 from gridslam.particles import AlwaysResample, MotionThreshold
 from gridslam.sim.worlds import DRAWN_WORLDS
 from gridslam.types import LaserScan, OccupancyGrid, Odometry, ScanGeometry, Trajectory
+from meeting_rooms import MeetingRooms
+from real_localization import Mapped, driven_way, follow, found_after_m, metres
 from report import Report, Target, table
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from support.lost_and_found import DECEPTIVE, ORDINARY, Building, Woken
-from support.meeting_rooms import MeetingRooms
-from support.real_localization import Mapped, follow, found_after_m, metres, way
 
 __all__ = ["localization"]
 
@@ -33,7 +30,7 @@ _KIDNAPPED_AFTER, _SCANS = 600, 2500
 def localization(report: Report, data: Path, seeds: Sequence[int], folder: Path, updates: int = 100) -> None:
     """Cost in a simulated hall, simulated buildings, then real logs where the data is there."""
     _cost(report, updates)
-    _woken(report, seeds)
+    _global_runs(report, seeds)
     if (data / "bags" / "p3dx_sim_truth.bag").exists():
         _meeting(report, MeetingRooms.of(data), seeds)
     if (data / "intel.clf.bz2").exists():
@@ -87,7 +84,7 @@ def _rates(particles: int, beams: int, threads: int, updates: int) -> tuple[floa
 def _meeting(report: Report, rooms: MeetingRooms, seeds: Sequence[int]) -> None:
     """Tracked and found from nothing; the truth is carried into the map, which is smaller than the world."""
     truth = Trajectory(rooms.truth.stamps_ns, rooms.into_map(rooms.truth.poses))
-    driven, known, rows = way(rooms.measurements), KnownMap(rooms.grid), []
+    driven, known, rows = driven_way(rooms.measurements), KnownMap(rooms.grid), []
     for seed in seeds:
         as_is, repaired = (
             localize(rooms.bag, rooms.yaml, pose=truth.poses[0], seed=seed, repair=repair).trajectory
@@ -109,30 +106,30 @@ def _ate(trajectory: Trajectory, truth: Trajectory) -> float:
     return absolute_errors(trajectory, truth, aligned=True, tolerance_ns=0).trans_rmse_m
 
 
-def _woken(report: Report, seeds: Sequence[int]) -> None:
+def _global_runs(report: Report, seeds: Sequence[int]) -> None:
     """From nothing, anywhere in simulated buildings: what is said of the robot, and what is true."""
-    rows, kinds = [], {"ordinary": list[Woken](), "deceptive": list[Woken]()}
+    rows, kinds = [], {"ordinary": list[GlobalRun](), "deceptive": list[GlobalRun]()}
     for kind, names in (("ordinary", ORDINARY), ("deceptive", DECEPTIVE)):
         for name in names:
             buildings = [Building.of(name, seed) for seed in (seeds if name in DRAWN_WORLDS else seeds[:1])]
-            runs = [buildings[k % len(buildings)].wake(seed) for k, seed in enumerate(seeds)]
+            runs = [buildings[k % len(buildings)].localize_globally(seed) for k, seed in enumerate(seeds)]
             kinds[kind] += runs
             rows.append([name, *_shares(runs)])
     rows += [[f"all {kind}", *_shares(runs)] for kind, runs in kinds.items()]
     head = ["building", "runs", "said to be found", "of these wrong", "right, but said lost", "the same after 10 m"]
     report.add("MCL: robots that wake up anywhere, shares of the scans on 30 m", table(head, rows))
-    doubts = [[kind, *row] for kind, runs in kinds.items() for row in _doubts(Woken.joined(runs))]
+    doubts = [[kind, *row] for kind, runs in kinds.items() for row in _doubts(GlobalRun.joined(runs))]
     head = ["buildings", "doubt", "scans", "mean doubt", "share wrong"]
     report.add("MCL: the doubt that is told, and how often the pose was wrong", table(head, doubts))
 
 
-def _shares(runs: Sequence[Woken]) -> list[object]:
-    both = Woken.joined(list(runs))
-    late = Woken(*(column[both.driven_m > 10] for column in both))
+def _shares(runs: Sequence[GlobalRun]) -> list[object]:
+    both = GlobalRun.joined(list(runs))
+    late = GlobalRun(*(column[both.driven_m > 10] for column in both))
     return [len(runs), float((~both.lost).mean()), both.false, both.missed, late.missed]
 
 
-def _doubts(told: Woken) -> Iterator[list[object]]:
+def _doubts(told: GlobalRun) -> Iterator[list[object]]:
     for low, high in pairwise((0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 1.01)):
         here = (told.doubt >= low) & (told.doubt < high)
         if here.any():
@@ -145,7 +142,7 @@ def _intel(report: Report, intel: Mapped, seeds: Sequence[int]) -> None:
     part = slice(middle, middle + _SCANS)
     for seed in seeds:
         reports = follow(intel.known, intel.measurements[part], seed)
-        errors, driven = metres(reports, intel.poses[part]), way(intel.measurements[part])
+        errors, driven = metres(reports, intel.poses[part]), driven_way(intel.measurements[part])
         found = found_after_m(errors, driven, 0.5)
         mean = float(errors[driven - driven[0] > found].mean()) if found < math.inf else math.inf
         rows.append([seed, found, mean, *_kidnapping(intel, middle, seed)])
@@ -166,6 +163,6 @@ def _kidnapping(intel: Mapped, middle: int, seed: int) -> tuple[float, float]:
         slice(first, first + _KIDNAPPED_AFTER), slice(second, second + 1500)
     )  # fmt: skip
     reports = follow(intel.known, measurements, seed, poses[0])
-    errors, driven = metres(reports, poses)[_KIDNAPPED_AFTER:], way(measurements)[_KIDNAPPED_AFTER:]
+    errors, driven = metres(reports, poses)[_KIDNAPPED_AFTER:], driven_way(measurements)[_KIDNAPPED_AFTER:]
     false = [not one.lost and error > 1 for one, error in zip(reports[_KIDNAPPED_AFTER:], errors, strict=True)]
     return found_after_m(errors, driven, 0.5), float(np.diff(driven, prepend=driven[0])[false].sum())

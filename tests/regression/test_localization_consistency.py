@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from global_localization import Building, GlobalRun
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
 from gridslam.models.likelihood_field import LikelihoodField
 from support.localization_world import RandomWalk, drive, flat_map
-from support.lost_and_found import Building, Woken
 
 RUNS = 100
 FIRST = np.diag([0.01, 0.01, 0.0025])
@@ -67,9 +67,9 @@ def test_where_places_look_alike_nobody_is_told_to_be_found_where_it_is_not():
 
     They were then told to be found at three scans in four, wrongly at all of these but for the equal rooms.
     """
-    runs = [Building.of(name, seed).wake(0, 20.0) for name, seed in (("equal_rooms", 0), ("symmetric", 1))]
+    runs = [Building.of(name, seed).localize_globally(0, 20.0) for name, seed in (("equal_rooms", 0), ("symmetric", 1))]
     for run in runs:
         assert run.wrong.mean() > 0.2
         assert run.false < 0.05
-    both = Woken.joined(runs)
+    both = GlobalRun.joined(runs)
     assert both.doubt[both.wrong].min() > 0.2

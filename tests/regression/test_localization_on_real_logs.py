@@ -11,8 +11,8 @@ from gridslam.io.log import open_log
 from gridslam.io.maps.map_server import read_map
 from gridslam.localization import KnownMap
 from gridslam.types import Trajectory
-from support.meeting_rooms import MeetingRooms
-from support.real_localization import Mapped, follow, found_after_m, metres, way
+from meeting_rooms import MeetingRooms
+from real_localization import Mapped, driven_way, follow, found_after_m, metres
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_meeting_rooms_tracked(meeting, repair):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_meeting_rooms_from_nothing(meeting, seed):
     reports = follow(KnownMap(meeting.grid), meeting.measurements, seed)
-    errors, driven = metres(reports, meeting.into_map(meeting.truth.poses)), way(meeting.measurements)
+    errors, driven = metres(reports, meeting.into_map(meeting.truth.poses)), driven_way(meeting.measurements)
     assert found_after_m(errors, driven, 0.3) < 10
     told = next(k for k, report in enumerate(reports) if not report.lost)
     assert driven[told] < 10
@@ -90,7 +90,7 @@ def test_turtlebot_on_its_floor(data_dir, seed):
 def test_intel_from_nothing_in_the_middle(intel, seed):
     part = slice(len(intel.poses) // 2, len(intel.poses) // 2 + 1500)
     reports = follow(intel.known, intel.measurements[part], seed)
-    errors, driven = metres(reports, intel.poses[part]), way(intel.measurements[part])
+    errors, driven = metres(reports, intel.poses[part]), driven_way(intel.measurements[part])
     begin = found_after_m(errors, driven, 0.5)
     assert begin < 10
     after = errors[driven - driven[0] > 10]
@@ -104,7 +104,7 @@ def test_intel_kidnapped(intel, seed):
     measurements, poses = intel.kidnapped(slice(begin, begin + 400), slice(other, other + 900))
     assert np.hypot(*(poses[400] - poses[399])[:2]) > 3
     reports = follow(intel.known, measurements, seed, poses[0])
-    errors, driven = metres(reports, poses), way(measurements)
+    errors, driven = metres(reports, poses), driven_way(measurements)
     assert errors[50:400].max() < 0.5
     assert found_after_m(errors[400:], driven[400:], 0.5) < 15
     assert any(report.lost for report in reports[400:])

@@ -1,4 +1,5 @@
-// The door between Python and the kernels: arrays in, arrays out, the GIL released. Contracts are checked by the callers in Python.
+// The door between Python and the kernels: arrays in, arrays out, the GIL released. Contracts are checked by the
+// callers in Python.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -42,20 +43,27 @@ using Matrix = Array<const double, 2>;
 using Vector = Array<const double, 1>;
 
 Maps view(const Roots& roots, nb::tuple first, const Pages& pages, const LogOdds& log_odds, const Field& field) {
-  return Maps{roots.data(), static_cast<int>(roots.shape(1)), static_cast<int>(roots.shape(2)), nb::cast<int>(first[0]), nb::cast<int>(first[1]),
-              pages.data(), log_odds.data(), field.data()};
+  return Maps{roots.data(),
+              static_cast<int>(roots.shape(1)),
+              static_cast<int>(roots.shape(2)),
+              nb::cast<int>(first[0]),
+              nb::cast<int>(first[1]),
+              pages.data(),
+              log_odds.data(),
+              field.data()};
 }
 
 #define GRIDSLAM_MAPS Roots roots, nb::tuple first, Pages pages, LogOdds log_odds, Field field
-#define GRIDSLAM_MAPS_ARGS \
-  nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), nb::arg("field").noconvert()
+#define GRIDSLAM_MAPS_ARGS                                                                                \
+  nb::arg("roots").noconvert(), "first"_a, nb::arg("pages").noconvert(), nb::arg("log_odds").noconvert(), \
+      nb::arg("field").noconvert()
 
 auto py_tiles_on_rays(Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int threads) {
   TileList out;
   {
     nb::gil_scoped_release release;
-    tiles_on_rays(rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), origin.data(),
-               resolution, threads, out);
+    tiles_on_rays(rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(),
+                  static_cast<int>(ends.shape(0)), origin.data(), resolution, threads, out);
   }
   return as_rows(out.data(), out.size(), 3);
 }
@@ -66,27 +74,29 @@ auto py_tiles_near_cells(Array<const int32_t, 2> cells, int reach) {
   return as_rows(out.data(), out.size(), 3);
 }
 
-auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages, Rows free_tiles,
-                            Array<const int32_t, 2> tiles_to_write) {
+auto py_make_tiles_writable(GRIDSLAM_MAPS, Array<int32_t, 1> page_refs, Array<int32_t, 1> tile_refs, Rows free_pages,
+                            Rows free_tiles, Array<const int32_t, 2> tiles_to_write) {
   const Maps m = view(roots, first, pages, log_odds, field);
   int64_t used[3];
   {
     nb::gil_scoped_release release;
-    make_tiles_writable(m, page_refs.data(), tile_refs.data(), free_pages.data(), static_cast<int64_t>(free_pages.shape(0)),
-                        free_tiles.data(), static_cast<int64_t>(free_tiles.shape(0)), tiles_to_write.data(),
+    make_tiles_writable(m, page_refs.data(), tile_refs.data(), free_pages.data(),
+                        static_cast<int64_t>(free_pages.shape(0)), free_tiles.data(),
+                        static_cast<int64_t>(free_tiles.shape(0)), tiles_to_write.data(),
                         static_cast<int64_t>(tiles_to_write.shape(0)), used);
   }
   return std::make_tuple(used[0], used[1], used[2]);
 }
 
-auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int hit, int miss, int min,
-                        int max, int occupied_above, int threads) {
+auto py_update_log_odds(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, Vector origin, double resolution, int hit,
+                        int miss, int min, int max, int occupied_above, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   std::vector<Cell> changed;
   {
     nb::gil_scoped_release release;
-    update_log_odds(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)),
-                    origin.data(), resolution, {hit, miss, min, max, occupied_above}, threads, changed);
+    update_log_odds(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(),
+                    static_cast<int>(ends.shape(0)), origin.data(), resolution, {hit, miss, min, max, occupied_above},
+                    threads, changed);
   }
   return as_rows(changed.data(), changed.size(), 4);
 }
@@ -98,9 +108,9 @@ void py_update_field(GRIDSLAM_MAPS, Array<const int32_t, 2> cells, Array<const u
                static_cast<int>(cone.shape(0) / 2), threads);
 }
 
-auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution, int max_iterations,
-              double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells, double stop_rad, double reach_cells,
-              double min_information, double dense_spacing_cells, int threads) {
+auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> priors, Matrix ends, double resolution,
+              int max_iterations, double cauchy_cells, double max_step_cells, double max_step_rad, double stop_cells,
+              double stop_rad, double reach_cells, double min_information, double dense_spacing_cells, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   const size_t k = guesses.shape(0);
   auto poses = fresh<double, 2>({k, 3});
@@ -108,26 +118,29 @@ auto py_match(GRIDSLAM_MAPS, Rows rows, Matrix guesses, Array<const double, 3> p
   auto score = fresh<double, 1>({k});
   {
     nb::gil_scoped_release release;
-    match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(), static_cast<int>(ends.shape(0)), resolution,
-          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells, min_information,
-           dense_spacing_cells},
+    match(m, rows.data(), guesses.data(), priors.data(), static_cast<int>(k), ends.data(),
+          static_cast<int>(ends.shape(0)), resolution,
+          {max_iterations, cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells,
+           min_information, dense_spacing_cells},
           threads, poses.data(), information.data(), score.data());
   }
   return std::make_tuple(poses, information, score);
 }
 
-auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double resolution, double reach_cells, int threads) {
+auto py_distances(GRIDSLAM_MAPS, Rows rows, Matrix poses, Matrix ends, double resolution, double reach_cells,
+                  int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   auto out = fresh<float, 2>({poses.shape(0), ends.shape(0)});
   {
     nb::gil_scoped_release release;
-    distances(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), resolution,
-              reach_cells, threads, out.data());
+    distances(m, rows.data(), poses.data(), static_cast<int>(poses.shape(0)), ends.data(),
+              static_cast<int>(ends.shape(0)), resolution, reach_cells, threads, out.data());
   }
   return out;
 }
 
-auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix directions, double resolution, double max_m, int threads) {
+auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix directions, double resolution,
+                  double max_m, int threads) {
   const Maps m = view(roots, first, pages, log_odds, field);
   auto out = fresh<float, 2>({poses.shape(0), directions.shape(0)});
   {
@@ -138,12 +151,14 @@ auto py_cast_rays(GRIDSLAM_MAPS, Rows rows, Matrix poses, Vector origin, Matrix 
   return out;
 }
 
-auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double resolution, Matrix poses, Matrix ends, int threads) {
+auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double resolution, Matrix poses, Matrix ends,
+                    int threads) {
   auto out = fresh<double, 1>({poses.shape(0)});
   {
     nb::gil_scoped_release release;
-    sum_at_ends(patches.data(), static_cast<int>(patches.shape(0)), static_cast<int>(patches.shape(1)), corner.data(), resolution, poses.data(),
-                static_cast<int>(poses.shape(0)), ends.data(), static_cast<int>(ends.shape(0)), threads, out.data());
+    sum_at_ends(patches.data(), static_cast<int>(patches.shape(0)), static_cast<int>(patches.shape(1)), corner.data(),
+                resolution, poses.data(), static_cast<int>(poses.shape(0)), ends.data(),
+                static_cast<int>(ends.shape(0)), threads, out.data());
   }
   return out;
 }
@@ -151,7 +166,8 @@ auto py_sum_at_ends(Array<const uint32_t, 2> patches, Vector corner, double reso
 auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   const size_t rows = likelihood.shape(0), cols = likelihood.shape(1), side = size_t{1} << levels;
   auto fine = fresh<uint8_t, 3>({static_cast<size_t>(levels), rows + 2 * side, cols + 2 * side});
-  Pyramid<uint8_t> p{fine.data(), levels, static_cast<int>(rows + 2 * side), static_cast<int>(cols + 2 * side), nullptr};
+  Pyramid<uint8_t> p{fine.data(), levels, static_cast<int>(rows + 2 * side), static_cast<int>(cols + 2 * side),
+                     nullptr};
   auto top = fresh<uint8_t, 4>({side, side, static_cast<size_t>(p.top_rows()) + 1, static_cast<size_t>(p.stride())});
   p.top = top.data();
   {
@@ -161,12 +177,13 @@ auto py_max_pyramid(Array<const uint8_t, 2> likelihood, int levels) {
   return std::make_tuple(fine, top);
 }
 
-auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Matrix ends, Vector headings, std::array<int, 4> window,
-                  Vector centre, Matrix information, double distance, int count, int min_sum, double min_runner_up_ratio,
-                  double min_distance_cells, double min_distance_rad) {
+auto py_correlate(Array<const uint8_t, 3> fine, Array<const uint8_t, 4> top, Matrix ends, Vector headings,
+                  std::array<int, 4> window, Vector centre, Matrix information, double distance, int count, int min_sum,
+                  double min_runner_up_ratio, double min_distance_cells, double min_distance_rad) {
   const Pyramid<const uint8_t> p{fine.data(), static_cast<int>(fine.shape(0)), static_cast<int>(fine.shape(1)),
                                  static_cast<int>(fine.shape(2)), top.data()};
-  const Lattice lattice{window[0], window[1], window[2], window[3], headings.data(), static_cast<int>(headings.shape(0))};
+  const Lattice lattice{window[0], window[1],       window[2],
+                        window[3], headings.data(), static_cast<int>(headings.shape(0))};
   std::vector<ScoredPose> found;
   {
     nb::gil_scoped_release release;
@@ -185,17 +202,18 @@ NB_MODULE(_compiled, m) {
   m.def("tiles_near_cells", &py_tiles_near_cells, "cells"_a, "reach"_a);
   m.def("make_tiles_writable", &py_make_tiles_writable, GRIDSLAM_MAPS_ARGS, nb::arg("page_refs").noconvert(),
         nb::arg("tile_refs").noconvert(), "free_pages"_a, "free_tiles"_a, "tiles_to_write"_a);
-  m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a, "resolution"_a, "hit"_a,
-        "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
+  m.def("update_log_odds", &py_update_log_odds, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "origin"_a,
+        "resolution"_a, "hit"_a, "miss"_a, "min"_a, "max"_a, "occupied_above"_a, "threads"_a);
   m.def("update_field", &py_update_field, GRIDSLAM_MAPS_ARGS, "cells"_a, "cone"_a, "threads"_a);
-  m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a, "max_iterations"_a,
-        "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a, "reach_cells"_a, "min_information"_a,
-        "dense_spacing_cells"_a, "threads"_a);
-  m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a, "threads"_a);
-  m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a, "max_m"_a,
+  m.def("match", &py_match, GRIDSLAM_MAPS_ARGS, "rows"_a, "guesses"_a, "priors"_a, "ends"_a, "resolution"_a,
+        "max_iterations"_a, "cauchy_cells"_a, "max_step_cells"_a, "max_step_rad"_a, "stop_cells"_a, "stop_rad"_a,
+        "reach_cells"_a, "min_information"_a, "dense_spacing_cells"_a, "threads"_a);
+  m.def("distances", &py_distances, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "ends"_a, "resolution"_a, "reach_cells"_a,
         "threads"_a);
+  m.def("cast_rays", &py_cast_rays, GRIDSLAM_MAPS_ARGS, "rows"_a, "poses"_a, "origin"_a, "directions"_a, "resolution"_a,
+        "max_m"_a, "threads"_a);
   m.def("sum_at_ends", &py_sum_at_ends, "patches"_a, "corner"_a, "resolution"_a, "poses"_a, "ends"_a, "threads"_a);
   m.def("max_pyramid", &py_max_pyramid, "likelihood"_a, "levels"_a);
-  m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a, "distance"_a,
-        "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);
+  m.def("correlate", &py_correlate, "fine"_a, "top"_a, "ends"_a, "headings"_a, "window"_a, "centre"_a, "information"_a,
+        "distance"_a, "count"_a, "min_sum"_a, "min_runner_up_ratio"_a, "min_distance_cells"_a, "min_distance_rad"_a);
 }

@@ -18,8 +18,8 @@ GRIDSLAM_VERSIONS static void maxima(const uint8_t* in, int rows, int cols, int 
   }
 }
 
-// Cell x of a row goes to place x / 8 of row x % 8 of those that begin `apart` from each other, 64 cells at a time; returns
-// how many places of each are filled.
+// Cell x of a row goes to place x / 8 of row x % 8 of those that begin `apart` from each other, 64 cells at a time;
+// returns how many places of each are filled.
 static int split_by_eight(const uint8_t* in, int n, uint8_t* out, int64_t apart) {
   static_assert(std::endian::native == std::endian::little, "the order of bytes in a word is that of the cells");
   const auto exchange = [](uint64_t& a, uint64_t& b, int shift, uint64_t mask) {
@@ -43,7 +43,8 @@ void max_pyramid(const uint8_t* likelihood, int rows, int cols, const Pyramid<ui
   const int side = out.side(), levels = out.levels, across = out.cols, stride = out.stride();
   std::fill_n(out.fine, cells, uint8_t{0});
   for (int y = 0; y < rows; ++y)
-    std::copy_n(likelihood + static_cast<int64_t>(y) * cols, cols, out.fine + static_cast<int64_t>(y + side) * across + side);
+    std::copy_n(likelihood + static_cast<int64_t>(y) * cols, cols,
+                out.fine + static_cast<int64_t>(y + side) * across + side);
   for (int h = 1; h < levels; ++h) maxima(out.level(h - 1), out.rows, across, 1 << (h - 1), out.level(h));
   const std::unique_ptr<uint8_t[]> coarsest(new uint8_t[cells]);
   maxima(out.level(levels - 1), out.rows, across, side / 2, coarsest.get());
@@ -61,7 +62,8 @@ namespace {
 
 struct Node {
   int32_t bound, heading, y, x, level;  // poses [x, x + 2^level) x [y, y + 2^level) of one heading
-  // Which of two comes later: of equal bounds the greater (heading, y, x), and so of equal poses the smallest comes first.
+  // Which of two comes later: of equal bounds the greater (heading, y, x), and so of equal poses the smallest comes
+  // first.
   bool operator<(const Node& o) const {
     if (bound != o.bound) return bound < o.bound;
     if (heading != o.heading) return heading > o.heading;
@@ -111,24 +113,31 @@ GRIDSLAM_INLINE void sum_strip(const Pyramid<const uint8_t>& p, const TopRow& ro
 }
 
 // Bounds of nodes i0 .. i1 - 1 of row j; some more are written.
-GRIDSLAM_VERSIONS void bound_row(const Pyramid<const uint8_t>& p, const TopRow& row, int i0, int i1, int j, uint16_t* bounds) {
+GRIDSLAM_VERSIONS void bound_row(const Pyramid<const uint8_t>& p, const TopRow& row, int i0, int i1, int j,
+                                 uint16_t* bounds) {
   for (int i = i0; i < i1;) {
     const int left = i1 - i;
-    if (left > 48) sum_strip<64>(p, row, i, j, bounds + i), i += 64;
-    else if (left > 32) sum_strip<48>(p, row, i, j, bounds + i), i += 48;
-    else if (left > 16) sum_strip<32>(p, row, i, j, bounds + i), i += 32;
-    else sum_strip<16>(p, row, i, j, bounds + i), i += 16;
+    if (left > 48)
+      sum_strip<64>(p, row, i, j, bounds + i), i += 64;
+    else if (left > 32)
+      sum_strip<48>(p, row, i, j, bounds + i), i += 48;
+    else if (left > 16)
+      sum_strip<32>(p, row, i, j, bounds + i), i += 32;
+    else
+      sum_strip<16>(p, row, i, j, bounds + i), i += 16;
   }
 }
 
 // Bounds of the four children of a node, by y and x.
-GRIDSLAM_VERSIONS void bound_children(const Pyramid<const uint8_t>& p, const Turned& ends, const Node& node, int bounds[4]) {
+GRIDSLAM_VERSIONS void bound_children(const Pyramid<const uint8_t>& p, const Turned& ends, const Node& node,
+                                      int bounds[4]) {
   const int step = 1 << (node.level - 1), side = p.side();
   const uint8_t* values = p.level(node.level - 1);
   const int64_t down = static_cast<int64_t>(step) * p.cols;
   int s0 = 0, s1 = 0, s2 = 0, s3 = 0;
   for (size_t j = 0; j < ends.x.size(); ++j) {
-    const int x = std::clamp(node.x + ends.x[j], 0, p.cols - side), y = std::clamp(node.y + ends.y[j], 0, p.rows - side);
+    const int x = std::clamp(node.x + ends.x[j], 0, p.cols - side),
+              y = std::clamp(node.y + ends.y[j], 0, p.rows - side);
     const uint8_t* v = values + static_cast<int64_t>(y) * p.cols + x;
     s0 += v[0], s1 += v[step], s2 += v[down], s3 += v[down + step];
   }
@@ -146,8 +155,8 @@ class Form {
     most_ = is_pose_ ? gate.distance * gate.distance : reach * reach * (1 + 1e-9);
   }
 
-  // Whether some pose of the node that begins at x may be within the gate; for a single pose, whether it is. The root of the
-  // form is a norm: it changes by no more than the norm of the way from the node's centre to its farthest pose.
+  // Whether some pose of the node that begins at x may be within the gate; for a single pose, whether it is. The root
+  // of the form is a norm: it changes by no more than the norm of the way from the node's centre to its farthest pose.
   bool may_pass(int node_x) const {
     const double x = node_x + half_ + 0.5 - x0_;
     return x * (xx_ * x + across_) + aside_ + turned_ <= most_;
@@ -160,7 +169,8 @@ class Form {
 
 class Search {
  public:
-  Search(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits)
+  Search(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate,
+         const SearchLimits& limits)
       : p_(p), lattice_(lattice), gate_(gate), limits_(limits), least_(limits.min_sum) {
     turned_.reserve(lattice.turns);
     for (int a = 0; a < lattice.turns; ++a) turned_.emplace_back(ends, b, lattice.headings[a], p.side());
@@ -185,7 +195,8 @@ class Search {
 
  private:
   void bound_all() {
-    const int side = p_.side(), nx = (lattice_.x1 - lattice_.x0 + side - 1) >> p_.levels, ny = (lattice_.y1 - lattice_.y0 + side - 1) >> p_.levels;
+    const int side = p_.side(), nx = (lattice_.x1 - lattice_.x0 + side - 1) >> p_.levels,
+              ny = (lattice_.y1 - lattice_.y0 + side - 1) >> p_.levels;
     std::vector<uint16_t> bounds(nx + kStrip);
     for (int a = 0; a < lattice_.turns; ++a) {
       TopRow row(turned_[a].x.size());
@@ -243,8 +254,8 @@ class Search {
 
 }  // namespace
 
-void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits,
-               std::vector<ScoredPose>& found) {
+void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate,
+               const SearchLimits& limits, std::vector<ScoredPose>& found) {
   Search(p, ends, b, lattice, gate, limits).run(found);
 }
 

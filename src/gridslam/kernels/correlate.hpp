@@ -13,7 +13,7 @@ template <class Byte>
 struct Pyramid {
   Byte* fine;  // (levels, rows, cols): cell (y, x) of the map at [y + side, x + side]
   int levels, rows, cols;
-  Byte* top;   // (side, side, top_rows + 1, kStrip + top_cols): zeros before each row and in the last
+  Byte* top;  // (side, side, top_rows + 1, kStrip + top_cols): zeros before each row and in the last
 
   int side() const { return 1 << levels; }
   int top_rows() const { return (rows + side() - 1) >> levels; }
@@ -51,7 +51,7 @@ struct ScoredPose {
   int32_t sum, heading, y, x;
 };
 
-void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate, const SearchLimits& limits,
-               std::vector<ScoredPose>& found);
+void correlate(const Pyramid<const uint8_t>& p, const double* ends, int b, const Lattice& lattice, const Gate& gate,
+               const SearchLimits& limits, std::vector<ScoredPose>& found);
 
 }  // namespace gridslam

@@ -14,7 +14,9 @@ GRIDSLAM_INLINE void gather(const Maps& m, const int32_t* root, const int* x, co
   for (int l = 0; l < kLanes; ++l) {
     const int ix = x[l] & kTileMask, iy = y[l] & kTileMask;
     if (ix < kTileMask && iy < kTileMask) {
-      const uint8_t* p = m.field + static_cast<int64_t>(m.tile(root, y[l] >> kTileBits, x[l] >> kTileBits)) * kTileCells + (iy << kTileBits) + ix;
+      const uint8_t* p = m.field +
+                         static_cast<int64_t>(m.tile(root, y[l] >> kTileBits, x[l] >> kTileBits)) * kTileCells +
+                         (iy << kTileBits) + ix;
       out.f00[l] = p[0], out.f01[l] = p[1], out.f10[l] = p[kTile], out.f11[l] = p[kTile + 1];
     } else {
       out.f00[l] = m.field_at(root, y[l], x[l]), out.f01[l] = m.field_at(root, y[l], x[l] + 1);
@@ -27,17 +29,19 @@ GRIDSLAM_INLINE void gather(const Maps& m, const int32_t* root, const int* x, co
 struct Ends {
   int n, blocks;
   std::vector<float> x, y;
-  Ends(const double* ends, int b, double scale) : n(b), blocks((b + kLanes - 1) / kLanes), x(blocks * kLanes, 0.0f), y(x) {
-    for (int j = 0; j < b; ++j) x[j] = static_cast<float>(ends[2 * j] * scale), y[j] = static_cast<float>(ends[2 * j + 1] * scale);
+  Ends(const double* ends, int b, double scale)
+      : n(b), blocks((b + kLanes - 1) / kLanes), x(blocks * kLanes, 0.0f), y(x) {
+    for (int j = 0; j < b; ++j)
+      x[j] = static_cast<float>(ends[2 * j] * scale), y[j] = static_cast<float>(ends[2 * j + 1] * scale);
   }
 };
 
 // Bilinear interpolation between the centres of cells, at the ends seen from one pose. The pose's whole cells are kept
 // apart as integers, so single precision resolves 1e-4 of a cell at any distance from the world's origin.
 struct Block {
-  float rx[kLanes], ry[kLanes];                     // from the pose to the end, world axes, cells
-  float value[kLanes], du[kLanes], dv[kLanes];      // field in [0, 255] and its derivatives per cell
-  int x[kLanes], y[kLanes];                         // the cell that holds the end
+  float rx[kLanes], ry[kLanes];                 // from the pose to the end, world axes, cells
+  float value[kLanes], du[kLanes], dv[kLanes];  // field in [0, 255] and its derivatives per cell
+  int x[kLanes], y[kLanes];                     // the cell that holds the end
 };
 
 struct CellPose {
@@ -50,7 +54,8 @@ struct CellPose {
   // clang-format on
 };
 
-GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block, Block& out) {
+GRIDSLAM_INLINE void interpolate(const Maps& m, const int32_t* root, const CellPose& pose, const Ends& ends, int block,
+                                 Block& out) {
   const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
   int x[kLanes], y[kLanes];
   float a[kLanes], b[kLanes];

@@ -5,10 +5,12 @@
 namespace gridslam {
 namespace {
 
-// The field, 0 to 255, bilinearly interpolated at the ends of all beams, seen from a pose in cells from the centre of the field's first
-// cell. Each cell holds its own value and those of its neighbours, so that a look-up is one load.
-GRIDSLAM_VERSIONS double sum_at(const uint32_t* patches, int rows, int cols, float x, float y, float c, float s, const Ends& ends) {
-  const float last_x = std::nextafter(static_cast<float>(cols), 0.0f), last_y = std::nextafter(static_cast<float>(rows), 0.0f);
+// The field, 0 to 255, bilinearly interpolated at the ends of all beams, seen from a pose in cells from the centre of
+// the field's first cell. Each cell holds its own value and those of its neighbours, so that a look-up is one load.
+GRIDSLAM_VERSIONS double sum_at(const uint32_t* patches, int rows, int cols, float x, float y, float c, float s,
+                                const Ends& ends) {
+  const float last_x = std::nextafter(static_cast<float>(cols), 0.0f),
+              last_y = std::nextafter(static_cast<float>(rows), 0.0f);
   float sums[kLanes] = {};  // lane by lane in a fixed order: identical results for any instruction set
   for (int block = 0; block < ends.blocks; ++block) {
     const float *ex = ends.x.data() + block * kLanes, *ey = ends.y.data() + block * kLanes;
@@ -42,14 +44,14 @@ GRIDSLAM_VERSIONS double sum_at(const uint32_t* patches, int rows, int cols, flo
 
 }  // namespace
 
-void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution, const double* poses, int k,
-                 const double* ends, int b, int threads, double* out) {
+void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution,
+                 const double* poses, int k, const double* ends, int b, int threads, double* out) {
   const double scale = 1.0 / resolution;
   const Ends in_cells(ends, b, scale);
   parallel_for(k, threads, [&](int i) {
     const double *p = poses + 3 * i, x = (p[0] - corner[0]) * scale - 0.5, y = (p[1] - corner[1]) * scale - 0.5;
-    out[i] = sum_at(patches, rows, cols, static_cast<float>(x), static_cast<float>(y), static_cast<float>(std::cos(p[2])),
-                    static_cast<float>(std::sin(p[2])), in_cells);
+    out[i] = sum_at(patches, rows, cols, static_cast<float>(x), static_cast<float>(y),
+                    static_cast<float>(std::cos(p[2])), static_cast<float>(std::sin(p[2])), in_cells);
   });
 }
 

@@ -4,8 +4,8 @@
 
 namespace gridslam {
 
-void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, double resolution,
-               double reach_cells, int threads, float* out) {
+void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
+               double resolution, double reach_cells, int threads, float* out) {
   const Ends in_cells(ends, b, 1.0 / resolution);
   const float reach_m = static_cast<float>(reach_cells * resolution), to_m = reach_m / 255.0f;
   parallel_for(k, threads, [&](int i) {
@@ -23,7 +23,8 @@ void distances(const Maps& m, const int32_t* rows, const double* poses, int k, c
 namespace {
 
 // Follows the cells that the ray crosses (Amanatides and Woo 1987) to the first occupied one.
-float cast(const Maps& m, const int32_t* root, double x, double y, double dx, double dy, double resolution, double max_m) {
+float cast(const Maps& m, const int32_t* root, double x, double y, double dx, double dy, double resolution,
+           double max_m) {
   const double far = std::numeric_limits<double>::infinity(), scale = 1.0 / resolution;
   int cx = cell_of(x, scale), cy = cell_of(y, scale);
   const int sx = dx > 0 ? 1 : -1, sy = dy > 0 ? 1 : -1;
@@ -46,8 +47,8 @@ float cast(const Maps& m, const int32_t* root, double x, double y, double dx, do
 
 }  // namespace
 
-void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin, const double* directions, int b,
-               double resolution, double max_m, int threads, float* out) {
+void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin,
+               const double* directions, int b, double resolution, double max_m, int threads, float* out) {
   parallel_for(k, threads, [&](int i) {
     const Pose pose(poses + 3 * i);
     const double x = pose.world_x(origin), y = pose.world_y(origin);

@@ -6,8 +6,9 @@
 
 namespace gridslam {
 
-void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
-                         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* tiles_to_write, int64_t n, int64_t used[3]) {
+void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages,
+                         int64_t n_free_pages, const int32_t* free_tiles, int64_t n_free_tiles,
+                         const int32_t* tiles_to_write, int64_t n, int64_t used[3]) {
   int64_t pages_left = n_free_pages, tiles_left = n_free_tiles;
   int64_t i = 0;
   for (; i < n; ++i) {
@@ -26,11 +27,13 @@ void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, 
       page_refs[fresh] = 1;
       page = fresh;
     }
-    int32_t& tile = m.pages[static_cast<int64_t>(page) * kPageTiles + ((ty & kPageMask) << kPageBits) + (tx & kPageMask)];
+    int32_t& tile =
+        m.pages[static_cast<int64_t>(page) * kPageTiles + ((ty & kPageMask) << kPageBits) + (tx & kPageMask)];
     if (tile == 0 || tile_refs[tile] > 1) {
       if (tiles_left == 0) break;
       const int64_t fresh = free_tiles[--tiles_left];
-      std::memcpy(m.log_odds + fresh * kTileCells, m.log_odds + static_cast<int64_t>(tile) * kTileCells, kTileCells * sizeof(int16_t));
+      std::memcpy(m.log_odds + fresh * kTileCells, m.log_odds + static_cast<int64_t>(tile) * kTileCells,
+                  kTileCells * sizeof(int16_t));
       std::memcpy(m.field + fresh * kTileCells, m.field + static_cast<int64_t>(tile) * kTileCells, kTileCells);
       if (tile != 0) --tile_refs[tile];
       tile_refs[fresh] = 1;

@@ -13,8 +13,8 @@
 #include <thread>
 #include <vector>
 
-// One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run. Both
-// give identical results, as nothing is contracted or reassociated.
+// One wheel for every x86-64: such a function is compiled twice, and the loader takes the one that the CPU can run.
+// Both give identical results, as nothing is contracted or reassociated.
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__) && !defined(GRIDSLAM_SANITIZE)
 #define GRIDSLAM_VERSIONS __attribute__((target_clones("default", "arch=x86-64-v3")))
 #define GRIDSLAM_INLINE inline __attribute__((always_inline))  // else the default version is called from the fast one
@@ -43,12 +43,12 @@ constexpr int16_t kUnknown = std::numeric_limits<int16_t>::min();
 constexpr uint8_t kOccupiedField = 255;
 
 struct Maps {
-  int32_t* roots;    // (rows, page_rows, page_cols)
+  int32_t* roots;  // (rows, page_rows, page_cols)
   int page_rows, page_cols;
   int page_row0, page_col0;  // page coordinates of roots[.][0][0]
-  int32_t* pages;    // (capacity, 16, 16)
-  int16_t* log_odds; // (capacity, 32, 32)
-  uint8_t* field;    // (capacity, 32, 32)
+  int32_t* pages;            // (capacity, 16, 16)
+  int16_t* log_odds;         // (capacity, 32, 32)
+  uint8_t* field;            // (capacity, 32, 32)
 
   int32_t* root(int row) const { return roots + static_cast<int64_t>(row) * page_rows * page_cols; }
 
@@ -60,16 +60,19 @@ struct Maps {
         static_cast<unsigned>(pc) >= static_cast<unsigned>(m.page_cols))
       return 0;
     const int32_t page = root[pr * m.page_cols + pc];
-    return m.pages[static_cast<int64_t>(page) * kPageTiles + ((tile_y & kPageMask) << kPageBits) + (tile_x & kPageMask)];
+    return m
+        .pages[static_cast<int64_t>(page) * kPageTiles + ((tile_y & kPageMask) << kPageBits) + (tile_x & kPageMask)];
   }
   int32_t tile(const int32_t* root, int tile_y, int tile_x) const { return tile_at(*this, root, tile_y, tile_x); }
 
   static int inside(int cell_y, int cell_x) { return ((cell_y & kTileMask) << kTileBits) + (cell_x & kTileMask); }
   bool is_unknown(const int32_t* root, int cell_y, int cell_x) const {
-    return log_odds[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells + inside(cell_y, cell_x)] == kUnknown;
+    return log_odds[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells +
+                    inside(cell_y, cell_x)] == kUnknown;
   }
   uint8_t field_at(const int32_t* root, int cell_y, int cell_x) const {
-    return field[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells + inside(cell_y, cell_x)];
+    return field[static_cast<int64_t>(tile(root, cell_y >> kTileBits, cell_x >> kTileBits)) * kTileCells +
+                 inside(cell_y, cell_x)];
   }
 };
 
@@ -80,7 +83,9 @@ struct Pose {
   double world_y(const double* q) const { return y + s * q[0] + c * q[1]; }
 };
 
-inline int cell_of(double world, double inverse_resolution) { return static_cast<int>(std::floor(world * inverse_resolution)); }
+inline int cell_of(double world, double inverse_resolution) {
+  return static_cast<int>(std::floor(world * inverse_resolution));
+}
 
 // Runs body(i) for i in [0, n). Each i writes only what belongs to it, so the number of threads cannot change a result.
 template <class Body>
@@ -101,10 +106,10 @@ void parallel_for(int n, int threads, const Body& body) {
   for (auto& t : pool) t.join();
 }
 
-// Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies i cells along the major axis,
-// and on the minor one at start + floor((2 i d + n) / (2 n)). That is kept as a 32.32 fixed point number, so that no cell
-// waits for the one before it; its start is biased by more than the slope's rounding adds up to, and by far less than what
-// separates two cells: ties go up for d >= 0 and down for d < 0.
+// Cells of the 8-connected line from (x0, y0) to (x1, y1): cell i of n = max(|dx|, |dy|) lies i cells along the major
+// axis, and on the minor one at start + floor((2 i d + n) / (2 n)). That is kept as a 32.32 fixed point number, so that
+// no cell waits for the one before it; its start is biased by more than the slope's rounding adds up to, and by far
+// less than what separates two cells: ties go up for d >= 0 and down for d < 0.
 struct Line {
   int x0, y0, n;
   bool along_x;
@@ -121,7 +126,9 @@ struct Line {
     start += minor >= 0 ? static_cast<uint64_t>(n) : ~0ull;
   }
   int major(int i) const { return (along_x ? x0 : y0) + i * major_step; }
-  int minor(int i) const { return (along_x ? y0 : x0) + static_cast<int>((start + static_cast<uint64_t>(i) * slope) >> 32) * minor_step; }
+  int minor(int i) const {
+    return (along_x ? y0 : x0) + static_cast<int>((start + static_cast<uint64_t>(i) * slope) >> 32) * minor_step;
+  }
 };
 
 struct Cell {
@@ -133,29 +140,33 @@ using TileList = std::vector<std::array<int32_t, 3>>;
 void tiles_on_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
                    double resolution, int threads, TileList& out);
 void tiles_near_cells(const Cell* cells, int n, int reach, TileList& out);
-void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages, int64_t n_free_pages,
-                         const int32_t* free_tiles, int64_t n_free_tiles, const int32_t* tiles_to_write, int64_t n, int64_t used[3]);
+void make_tiles_writable(const Maps& m, int32_t* page_refs, int32_t* tile_refs, const int32_t* free_pages,
+                         int64_t n_free_pages, const int32_t* free_tiles, int64_t n_free_tiles,
+                         const int32_t* tiles_to_write, int64_t n, int64_t used[3]);
 
 struct Evidence {
   int hit, miss, min, max, occupied_above;
 };
-void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
-                     double resolution, const Evidence& e, int threads, std::vector<Cell>& changed);
+void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
+                     const double* origin, double resolution, const Evidence& e, int threads,
+                     std::vector<Cell>& changed);
 void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone, int reach, int threads);
 
 struct MatchSettings {
   int max_iterations;
   double cauchy_cells, max_step_cells, max_step_rad, stop_cells, stop_rad, reach_cells;
-  double min_information;  // smallest eigenvalue of the position's information, per agreeing beam, that counts as determined
+  double min_information;      // smallest eigenvalue of the position's information, per agreeing beam, that counts as
+                               // determined
   double dense_spacing_cells;  // ends on a straight wall farther apart than this are ignored along it
 };
-void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
-           double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score);
-void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, double resolution,
-               double reach_cells, int threads, float* out);
-void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin, const double* directions, int b,
-               double resolution, double max_m, int threads, float* out);
-void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution, const double* poses, int k,
-                 const double* ends, int b, int threads, double* out);
+void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends,
+           int b, double resolution, const MatchSettings& s, int threads, double* poses, double* information,
+           double* score);
+void distances(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
+               double resolution, double reach_cells, int threads, float* out);
+void cast_rays(const Maps& m, const int32_t* rows, const double* poses, int k, const double* origin,
+               const double* directions, int b, double resolution, double max_m, int threads, float* out);
+void sum_at_ends(const uint32_t* patches, int rows, int cols, const double* corner, double resolution,
+                 const double* poses, int k, const double* ends, int b, int threads, double* out);
 
 }  // namespace gridslam

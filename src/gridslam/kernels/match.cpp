@@ -13,8 +13,9 @@ struct Normal {  // of sum w d^2 in cells and radians: H = [h00 h01 h02; . h11 h
 enum Sum { kH00, kH01, kH02, kH11, kH12, kH22, kG0, kG1, kG2, kScore, kSums };
 // clang-format on
 
-// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and `along`, 0 for those that
-// are so sparse that they are ignored along the wall: its far ends are mapped as dots, and dots would match dots.
+// Normals of the straight walls on which ends lie, in the frame of the ends, (0, 0) where they lie on none; and
+// `along`, 0 for those that are so sparse that they are ignored along the wall: its far ends are mapped as dots, and
+// dots would match dots.
 struct Walls {
   std::vector<float> x, y, along;
   Walls(const Ends& ends, double sparse) : x(ends.x.size(), 0.0f), y(x), along(x.size(), 1.0f) {
@@ -22,7 +23,8 @@ struct Walls {
     constexpr int kFirst[3] = {-1, -2, 0};  // the end itself is the middle of three, or the last, or the first
     const float least = static_cast<float>(sparse);
     for (int i = 0; i < ends.n; ++i) {
-      const float apart = std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
+      const float apart =
+          std::max(i > 0 ? between(ends, i - 1, i) : 0.0f, i + 1 < ends.n ? between(ends, i, i + 1) : 0.0f);
       const int stride = std::max(1, static_cast<int>(std::ceil(std::min(kBase / apart, static_cast<float>(ends.n)))));
       for (const int first : kFirst) {
         const int a = i + first * stride, b = a + 2 * stride;
@@ -49,8 +51,8 @@ struct Walls {
   }
 };
 
-GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta, const Ends& ends, const Walls& walls,
-                                   const MatchSettings& s) {
+GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x, double y, double theta,
+                                   const Ends& ends, const Walls& walls, const MatchSettings& s) {
   const CellPose pose(x, y, theta);
   const float reach = static_cast<float>(s.reach_cells), to_cells = reach / 255.0f;
   const float inverse_square = static_cast<float>(1.0 / (s.cauchy_cells * s.cauchy_cells));
@@ -68,7 +70,8 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
       beyond[l] = (nx * nx + ny * ny) * (gu * gu + gv * gv) - kBeyond * across * across;
       ju[l] = across * nx + walls.along[j] * beside, jv[l] = across * ny + walls.along[j] * aside;
     }
-    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest there, is not informative
+    for (int l = 0; l < kLanes; ++l)  // a wall goes on where it is not mapped yet: its mapped part's end, the nearest
+                                      // there, is not informative
       if (beyond[l] > 0 && m.is_unknown(root, f.y[l], f.x[l])) ju[l] = jv[l] = 0.0f;
     const int filled = ends.n - block * kLanes;
     for (int l = 0; l < kLanes; ++l) {
@@ -85,14 +88,16 @@ GRIDSLAM_VERSIONS Normal linearize(const Maps& m, const int32_t* root, double x,
   double total[kSums] = {};
   for (int i = 0; i < kSums; ++i)
     for (int l = 0; l < kLanes; ++l) total[i] += sums[i][l];
-  return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12], total[kH22], total[kG0], total[kG1], total[kG2], total[kScore]};
+  return {total[kH00], total[kH01], total[kH02], total[kH11], total[kH12],
+          total[kH22], total[kG0],  total[kG1],  total[kG2],  total[kScore]};
 }
 
 // Pins the position along a degenerate direction (a corridor's axis) to the guess.
 void pin_degenerate(const Normal& n, const MatchSettings& s, double h[6]) {
   const double t = n.h22 > 0 ? 1.0 / n.h22 : 0.0;
   const double a = n.h00 - n.h02 * n.h02 * t, b = n.h01 - n.h02 * n.h12 * t, c = n.h11 - n.h12 * n.h12 * t;
-  const double mean = 0.5 * (a + c), half = std::sqrt(0.25 * (a - c) * (a - c) + b * b), least = s.min_information * n.score;
+  const double mean = 0.5 * (a + c), half = std::sqrt(0.25 * (a - c) * (a - c) + b * b),
+               least = s.min_information * n.score;
   constexpr double kHold = 1e6;
   if (mean + half < least) {
     h[0] += kHold, h[3] += kHold;
@@ -121,8 +126,8 @@ bool solve(const double h[6], const double g[3], double step[3]) {
 
 double wrapped(double a) { return a - 2 * M_PI * std::floor((a + M_PI) / (2 * M_PI)); }
 
-void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, const Walls& walls, double resolution,
-               const MatchSettings& s, double* pose, double* information, double* score) {
+void match_one(const Maps& m, int row, const double* guess, const double* prior, const Ends& ends, const Walls& walls,
+               double resolution, const MatchSettings& s, double* pose, double* information, double* score) {
   const double scale = 1.0 / resolution;
   // The prior weighs against residuals in metres, and both are divided by the squared resolution here.
   const double p[6] = {prior[0], prior[1], prior[2] * scale, prior[4], prior[5] * scale, prior[8] * scale * scale};
@@ -142,7 +147,8 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
     h[0] += n.h00, h[1] += n.h01, h[2] += n.h02, h[3] += n.h11, h[4] += n.h12, h[5] += n.h22;
     double step[3];
     if (!solve(h, g, step)) break;
-    const double length = std::hypot(step[0], step[1]), shorter = length > s.max_step_cells ? s.max_step_cells / length : 1.0;
+    const double length = std::hypot(step[0], step[1]),
+                 shorter = length > s.max_step_cells ? s.max_step_cells / length : 1.0;
     const double turn = std::clamp(step[2], -s.max_step_rad, s.max_step_rad);
     x -= shorter * step[0], y -= shorter * step[1], theta -= turn;
     current = false;
@@ -160,12 +166,14 @@ void match_one(const Maps& m, int row, const double* guess, const double* prior,
 
 }  // namespace
 
-void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends, int b,
-           double resolution, const MatchSettings& s, int threads, double* poses, double* information, double* score) {
+void match(const Maps& m, const int32_t* rows, const double* guesses, const double* priors, int k, const double* ends,
+           int b, double resolution, const MatchSettings& s, int threads, double* poses, double* information,
+           double* score) {
   const Ends in_cells(ends, b, 1.0 / resolution);
   const Walls walls(in_cells, s.dense_spacing_cells);
   parallel_for(k, threads, [&](int i) {
-    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i, information + 9 * i, score + i);
+    match_one(m, rows[i], guesses + 3 * i, priors + 9 * i, in_cells, walls, resolution, s, poses + 3 * i,
+              information + 9 * i, score + i);
   });
 }
 

@@ -9,7 +9,11 @@ class TileSet {
  public:
   const int y0, x0, rows, cols;
   TileSet(int y_min, int y_max, int x_min, int x_max)
-      : y0(y_min), x0(x_min), rows(y_max - y_min + 1), cols(x_max - x_min + 1), marks_(static_cast<size_t>(rows) * cols, 0) {}
+      : y0(y_min),
+        x0(x_min),
+        rows(y_max - y_min + 1),
+        cols(x_max - x_min + 1),
+        marks_(static_cast<size_t>(rows) * cols, 0) {}
   void mark(int ty, int tx) { marks_[static_cast<size_t>(ty - y0) * cols + (tx - x0)] = 1; }
   // Calls visit(tile y, tile x) for those that are marked, ascending.
   template <class Visit>
@@ -52,7 +56,8 @@ struct Fan {
     for (int i = 0; i <= line.n;) {
       const int major = line.major(i), inside = major & kTileMask, tile = major >> kTileBits;
       const int last = std::min(line.n, i + (line.major_step > 0 ? kTileMask - inside : inside));
-      for (const int end : {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
+      for (const int end :
+           {i, last}) {  // the minor axis is monotone, and within a tile's width it crosses one border at most
         const int aside = line.minor(end) >> kTileBits;
         line.along_x ? set.mark(aside, tile) : set.mark(tile, aside);
       }

@@ -6,7 +6,8 @@ namespace gridslam {
 namespace {
 
 GRIDSLAM_VERSIONS void cells(const Pose& pose, const double* ends, int b, double scale, int* xs, int* ys) {
-  for (int j = 0; j < b; ++j) xs[j] = cell_of(pose.world_x(ends + 2 * j), scale), ys[j] = cell_of(pose.world_y(ends + 2 * j), scale);
+  for (int j = 0; j < b; ++j)
+    xs[j] = cell_of(pose.world_x(ends + 2 * j), scale), ys[j] = cell_of(pose.world_y(ends + 2 * j), scale);
 }
 
 void emit(const TileSet& set, int row, TileList& out) {
@@ -15,7 +16,9 @@ void emit(const TileSet& set, int row, TileList& out) {
 
 }  // namespace
 
-void Fan::cells_of(const Pose& pose, const double* ends, int b, double scale, int* xs, int* ys) { cells(pose, ends, b, scale, xs, ys); }
+void Fan::cells_of(const Pose& pose, const double* ends, int b, double scale, int* xs, int* ys) {
+  cells(pose, ends, b, scale, xs, ys);
+}
 
 void tiles_on_rays(const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
                    double resolution, int threads, TileList& out) {
@@ -33,7 +36,8 @@ void tiles_near_cells(const Cell* cells, int n, int reach, TileList& out) {
       y_min = std::min(y_min, cells[last].y), y_max = std::max(y_max, cells[last].y);
       x_min = std::min(x_min, cells[last].x), x_max = std::max(x_max, cells[last].x);
     }
-    TileSet set((y_min - reach) >> kTileBits, (y_max + reach) >> kTileBits, (x_min - reach) >> kTileBits, (x_max + reach) >> kTileBits);
+    TileSet set((y_min - reach) >> kTileBits, (y_max + reach) >> kTileBits, (x_min - reach) >> kTileBits,
+                (x_max + reach) >> kTileBits);
     for (int i = first; i < last; ++i)
       for (int dy = -reach; dy <= reach; dy += 2 * reach)
         for (int dx = -reach; dx <= reach; dx += 2 * reach)

@@ -14,11 +14,12 @@ namespace {
 
 inline int value_or_zero(int16_t v) { return v == kUnknown ? 0 : v; }
 
-// Frees the passed cells of a tile; returns a bit for each two rows in which some stop being occupied. All in 16 bits and without
-// a branch inside a row, for many cells at once.
+// Frees the passed cells of a tile; returns a bit for each two rows in which some stop being occupied. All in 16 bits
+// and without a branch inside a row, for many cells at once.
 template <class Count>
 inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const Evidence& e) {
-  const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above), miss = static_cast<int16_t>(-e.miss);
+  const int16_t least = static_cast<int16_t>(e.min), occupied = static_cast<int16_t>(e.occupied_above),
+                miss = static_cast<int16_t>(-e.miss);
   const int16_t enough = static_cast<int16_t>((e.max - e.min) / miss + 1);  // passes that free any cell
   int16_t left[kTile] = {};
   for (int y = 0; y < kTile; ++y, cells += kTile, passes += stride) {
@@ -31,7 +32,8 @@ inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const
       const int16_t count = std::min(static_cast<int16_t>(passes[i]), enough);
       const int16_t before = cells[i] == kUnknown ? int16_t{0} : cells[i];
       const int16_t above = static_cast<int16_t>(before - least), loss = static_cast<int16_t>(count * miss);
-      const int16_t after = static_cast<int16_t>((above > loss ? static_cast<int16_t>(above - loss) : int16_t{0}) + least);
+      const int16_t after =
+          static_cast<int16_t>((above > loss ? static_cast<int16_t>(above - loss) : int16_t{0}) + least);
       left[i] = static_cast<int16_t>(left[i] | (-((before > occupied) & (after <= occupied)) & pair));
       cells[i] = count ? after : cells[i];
     }
@@ -41,15 +43,20 @@ inline uint16_t free_tile(int16_t* cells, const Count* passes, int stride, const
   return static_cast<uint16_t>(some);
 }
 
-GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) { return free_tile<uint8_t>(cells, passes, stride, e); }
-GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) { return free_tile<uint16_t>(cells, passes, stride, e); }
+GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint8_t* passes, int stride, const Evidence& e) {
+  return free_tile<uint8_t>(cells, passes, stride, e);
+}
+GRIDSLAM_VERSIONS uint16_t free_tile(int16_t* cells, const uint16_t* passes, int stride, const Evidence& e) {
+  return free_tile<uint16_t>(cells, passes, stride, e);
+}
 
 // A bit for each of the 32 cells of a tile's row that equals `wanted` and is not 0.
 inline uint32_t equal_bytes(const uint8_t* cells, const uint8_t* wanted) {
   uint32_t bits = 0;
 #if defined(__SSE2__)
   for (int i = 0; i < kTile; i += 16) {
-    const __m128i a = _mm_loadu_si128(reinterpret_cast<const __m128i*>(cells + i)), b = _mm_loadu_si128(reinterpret_cast<const __m128i*>(wanted + i));
+    const __m128i a = _mm_loadu_si128(reinterpret_cast<const __m128i*>(cells + i)),
+                  b = _mm_loadu_si128(reinterpret_cast<const __m128i*>(wanted + i));
     const __m128i found = _mm_andnot_si128(_mm_cmpeq_epi8(b, _mm_setzero_si128()), _mm_cmpeq_epi8(a, b));
     bits |= static_cast<uint32_t>(_mm_movemask_epi8(found)) << i;
   }
@@ -69,7 +76,8 @@ inline uint32_t occupied_bits(const uint8_t* cells) {
   return equal_bytes(cells, kOccupied.data());
 }
 
-// How often the rays of one scan pass each cell: a rectangle of counters, of which only the tiles that they cross are used.
+// How often the rays of one scan pass each cell: a rectangle of counters, of which only the tiles that they cross are
+// used.
 template <class Count>
 class PassCounts {
  public:
@@ -87,7 +95,8 @@ class PassCounts {
 
   // Counts the cells of a line but its last.
   void add(const Line& line) {
-    const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row), minor = line.minor_step * (line.along_x ? row : 1);
+    const int64_t row = width_, major = line.major_step * (line.along_x ? 1 : row),
+                  minor = line.minor_step * (line.along_x ? row : 1);
     const uint64_t slope = line.slope;
     const int n = line.n;
     uint64_t aside = line.start;
@@ -95,7 +104,8 @@ class PassCounts {
     for (int i = 0; i < n; ++i, cell += major, aside += slope) ++cell[static_cast<int64_t>(aside >> 32) * minor];
   }
 
-  // Frees the cells that were passed; those that stop being occupied, while their field is still that of occupied cells, go to `changed`.
+  // Frees the cells that were passed; those that stop being occupied, while their field is still that of occupied
+  // cells, go to `changed`.
   void apply(const Maps& m, const int32_t* root, const Evidence& e, int row, std::vector<Cell>& changed) {
     int64_t tile = 0;
     int y = 0, x = 0;
@@ -126,8 +136,8 @@ class PassCounts {
 };
 
 template <class Count>
-void update_one(const Maps& m, int row, const Pose& pose, const double* ends, int b, const double* origin, double scale, const Evidence& e,
-                std::vector<Cell>& changed) {
+void update_one(const Maps& m, int row, const Pose& pose, const double* ends, int b, const double* origin, double scale,
+                const Evidence& e, std::vector<Cell>& changed) {
   thread_local std::vector<Count> memory;
   const int32_t* root = m.root(row);
   const Fan fan(pose, ends, b, origin, scale);
@@ -138,7 +148,8 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
   passes.apply(m, root, e, row, changed);
   for (int j = 0; j < b; ++j) {
     const int y = fan.ys[j], x = fan.xs[j];
-    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells + Maps::inside(y, x)];
+    int16_t& cell = m.log_odds[static_cast<int64_t>(m.tile(root, y >> kTileBits, x >> kTileBits)) * kTileCells +
+                               Maps::inside(y, x)];
     const int before = value_or_zero(cell), after = std::min(before + e.hit, e.max);
     cell = static_cast<int16_t>(after);
     if (before <= e.occupied_above && after > e.occupied_above) changed.push_back({row, y, x, 1});
@@ -149,8 +160,10 @@ void update_one(const Maps& m, int row, const Pose& pose, const double* ends, in
 class Cone {
  public:
   const int reach;
-  Cone(const uint8_t* cone, int r) : reach(r), width_(2 * kTile + 2 * r + 1), rows_(static_cast<size_t>(2 * r + 1) * width_, 0) {
-    for (int y = -r; y <= r; ++y) std::copy_n(cone + (y + r) * (2 * r + 1), 2 * r + 1, rows_.data() + (y + r) * width_ + kTile);
+  Cone(const uint8_t* cone, int r)
+      : reach(r), width_(2 * kTile + 2 * r + 1), rows_(static_cast<size_t>(2 * r + 1) * width_, 0) {
+    for (int y = -r; y <= r; ++y)
+      std::copy_n(cone + (y + r) * (2 * r + 1), 2 * r + 1, rows_.data() + (y + r) * width_ + kTile);
     for (int y = 0; y <= r; ++y)
       for (int x = 0; x <= r; ++x) by_square_[y * y + x * x] = cone[(y + r) * (2 * r + 1) + x + r];
   }
@@ -165,7 +178,8 @@ class Cone {
   uint8_t by_square_[2 * kTile * kTile] = {};
 };
 
-// Calls visit(offset of a tile's row, y, x of its first cell) for the tiles' rows that a window crosses; the empty tile is left out.
+// Calls visit(offset of a tile's row, y, x of its first cell) for the tiles' rows that a window crosses; the empty tile
+// is left out.
 template <class Visit>
 void window_rows(const Maps& m, const int32_t* root, int y0, int y1, int x0, int x1, const Visit& visit) {
   for (int x = x0 & ~kTileMask; x <= x1; x += kTile)
@@ -214,13 +228,15 @@ struct Obstacles {
   }
 };
 
-// Recomputes cells of a tile's row, which have bits `left`: column is that of the row's first cell among those of `rows`.
+// Recomputes cells of a tile's row, which have bits `left`: column is that of the row's first cell among those of
+// `rows`.
 GRIDSLAM_VERSIONS void mend(uint8_t* cells, uint32_t left, int column, const Row* rows, int n, const Cone& cone) {
   for (; left != 0; left &= left - 1) {
     const int i = std::countr_zero(left), at = column + i;
     int nearest = std::numeric_limits<int>::max();
     for (int k = 0; k < n && rows[k].square < nearest; ++k) {
-      const int aside = std::min(std::countr_zero(rows[k].bits >> at), std::countl_zero(rows[k].bits << (63 - at)));  // 64 where there is none
+      const int aside = std::min(std::countr_zero(rows[k].bits >> at),
+                                 std::countl_zero(rows[k].bits << (63 - at)));  // 64 where there is none
       nearest = std::min(nearest, rows[k].square + aside * aside);
     }
     cells[i] = cone.at(nearest);
@@ -243,8 +259,9 @@ void rebuild_field(const Maps& m, const int32_t* root, int cy, int cx, const Con
 
 }  // namespace
 
-void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b, const double* origin,
-                     double resolution, const Evidence& e, int threads, std::vector<Cell>& changed) {
+void update_log_odds(const Maps& m, const int32_t* rows, const double* poses, int k, const double* ends, int b,
+                     const double* origin, double resolution, const Evidence& e, int threads,
+                     std::vector<Cell>& changed) {
   std::vector<std::vector<Cell>> found(k);
   parallel_for(k, threads, [&](int i) {
     const auto update = b <= std::numeric_limits<uint8_t>::max() ? update_one<uint8_t> : update_one<uint16_t>;
@@ -266,7 +283,8 @@ void update_field(const Maps& m, const Cell* cells, int n, const uint8_t* cone_c
       if (c.occupied)
         raise_cone(m, root, c.y, c.x, cone);
       else  // no cell's nearest obstacle is found at it from now on
-        m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells + Maps::inside(c.y, c.x)] = 0;
+        m.field[static_cast<int64_t>(m.tile(root, c.y >> kTileBits, c.x >> kTileBits)) * kTileCells +
+                Maps::inside(c.y, c.x)] = 0;
     }
     for (int i = starts[g]; i < starts[g + 1]; ++i)
       if (!cells[i].occupied) rebuild_field(m, root, cells[i].y, cells[i].x, cone);

@@ -57,7 +57,7 @@ def follow(
     return reports
 
 
-def way(measurements: Sequence[Measurement]) -> np.ndarray:
+def driven_way(measurements: Sequence[Measurement]) -> np.ndarray:
     """Metres (N,) driven up to each scan, by odometry."""
     poses = [np.zeros(3) if m.odometry is None else m.odometry.pose for m in measurements]
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(np.array(poses)[:, :2], axis=0).T))])

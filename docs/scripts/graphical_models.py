@@ -1,4 +1,6 @@
-"""Draws the graphical models of the pages: ``python docs/figures/draw.py`` writes an SVG for each into this folder.
+"""Draws the graphical models of the pages.
+
+``python docs/scripts/graphical_models.py`` writes an SVG for each into docs/figures.
 
 An arrow leads from what causes to what is caused. A node's fill says what is known of it: given, sought by sampling,
 sought in closed form, or integrated out.
@@ -6,13 +8,12 @@ sought in closed form, or integrated out.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
 from graphical_model import INK, RADIUS, Picture
+
+FIGURES = Path(__file__).parents[1] / "figures"
 
 TIMES = ("t-2", "t-1", "t")
 COLUMNS = (170.0, 320.0, 470.0)
@@ -204,4 +205,4 @@ PICTURES = {
 
 if __name__ == "__main__":
     for name, picture in PICTURES.items():
-        Path(__file__).with_name(f"{name}.svg").write_text(picture.svg(), encoding="utf-8")
+        (FIGURES / f"{name}.svg").write_text(picture.svg(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Makes the pictures of the pages, each from a run of our own: ``python docs/pictures.py [NAME ...]``.
+"""Makes the pictures of the pages, each from a run of our own: ``python docs/scripts/pictures.py [NAME ...]``.
 
 Worlds, noise and seeds are fixed, so that the same version draws the same pictures. All take a minute or two.
 """
@@ -30,7 +30,7 @@ from gridslam.types import FloatArray, StepReport
 from gridslam.viz import draw_graph
 from gridslam.viz.palette import CLOSURE, TRUTH
 
-DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("GRIDSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
 
 def grid_fastslam() -> None:

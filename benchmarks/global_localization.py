@@ -1,4 +1,4 @@
-"""Robots that wake up somewhere in a simulated building: what is said of them, and what is true."""
+"""Global localization in simulated buildings: what is reported, and what is true."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ DECEPTIVE = ("equal_rooms", "symmetric", "bare_corridors")
 """Buildings in which places look alike, some of them wherever the robot goes."""
 
 
-class Woken(NamedTuple):
-    """Of each scan (N,) of a run: way driven, the doubt, whether it was said to be lost, and whether it was wrong."""
+class GlobalRun(NamedTuple):
+    """For each scan (N,) of a run: way driven, probability to be lost, lost as reported, pose wrong."""
 
     driven_m: np.ndarray
     doubt: np.ndarray
@@ -26,17 +26,17 @@ class Woken(NamedTuple):
     wrong: np.ndarray
 
     @classmethod
-    def joined(cls, runs: list[Woken]) -> Woken:
+    def joined(cls, runs: list[GlobalRun]) -> GlobalRun:
         return cls(*(np.concatenate(column) for column in zip(*runs, strict=True)))
 
     @property
     def false(self) -> float:
-        """Share of the scans said to be found at which the robot was more than 1 m or 0.5 rad off."""
+        """Ratio of scans off by more than 1 m or 0.5 rad, of those reported as localized."""
         return float(self.wrong[~self.lost].mean()) if not self.lost.all() else 0.0
 
     @property
     def missed(self) -> float:
-        """Share of the scans at which it was said to be lost where it was not."""
+        """Ratio of scans reported as lost, of those at which the pose was right."""
         return float(self.lost[~self.wrong].mean()) if not self.wrong.all() else 0.0
 
 
@@ -55,16 +55,16 @@ class Building(NamedTuple):
             maps.update(np.zeros(1, np.int32), pose[None], scan.beams(0.05, 30.0))
         return cls(KnownMap(maps.occupancy(0)), second)
 
-    def wake(self, seed: int, length_m: float = 30.0) -> Woken:
-        """Begin anywhere on the way, knowing nothing, and drive on."""
+    def localize_globally(self, seed: int, length_m: float = 30.0) -> GlobalRun:
+        """Start anywhere on the way, from a uniform belief, and drive on."""
         poses, rng = self.log.truth.poses, np.random.default_rng(seed)
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
         begin = int(np.searchsorted(way, rng.random() * max(way[-1] - length_m, 0.0)))
         end = int(np.searchsorted(way, way[begin] + length_m))
-        doubt, lost, wrong = (np.array(column) for column in zip(*self._told(begin, end, rng), strict=True))
-        return Woken(way[begin:end] - way[begin], doubt, lost, wrong)
+        doubt, lost, wrong = (np.array(column) for column in zip(*self._follow(begin, end, rng), strict=True))
+        return GlobalRun(way[begin:end] - way[begin], doubt, lost, wrong)
 
-    def _told(self, begin: int, end: int, rng: np.random.Generator) -> Iterator[tuple[float, bool, bool]]:
+    def _follow(self, begin: int, end: int, rng: np.random.Generator) -> Iterator[tuple[float, bool, bool]]:
         mcl = MonteCarloLocalization(self.known)
         state = mcl.init()
         for (odometry, scan), truth in zip(

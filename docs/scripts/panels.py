@@ -16,7 +16,7 @@ from gridslam.viz.layout import font
 from gridslam.viz.palette import FAINT, FREE, OCCUPIED, RULE, TIME_ENDS, UNKNOWN, Colour, time_colours
 from gridslam.viz.strokes import disc, stroke
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES = Path(__file__).parents[1] / "images"
 VIOLET, ORANGE = TIME_ENDS
 SIDE, HEAD, GAP = 420, 40, 14
 """Pixels of a panel, of the line above it, and between two."""
