@@ -51,6 +51,31 @@ INNER_RANKS = {
         "grid_fastslam": 2,
         "full_slam": 3,
     },
+    "io": {
+        "measurement": 0,
+        "output": 0,
+        "text": 0,
+        "yaml": 0,
+        "datasets": 1,
+        "log_statistics": 1,
+        "maps": 1,
+        "results": 1,
+        "tables": 1,
+        "carmen": 2,
+        "csv": 2,
+        "g2o": 2,
+        "landmark_logs": 2,
+        "landmarks": 2,
+        "selection": 2,
+        "trajectories": 2,
+        "bags": 3,
+        "log": 4,
+    },
+    "ros": {
+        "node": 0,
+        "ros1": 1,
+        "ros2": 1,
+    },
 }
 """The same inside a folder that holds folders; its own `__init__` may import them all."""
 
@@ -108,14 +133,10 @@ def sources() -> list[Source]:
 def find_cycle(modules: list[Source]) -> list[str]:
     """Names of modules that import each other in a circle, lazily or for types included; none if there is none."""
     names = {module.name for module in modules}
-    graph = {
-        module.name: {
-            name if name in names else name.rpartition(".")[0]
-            for _, name in module.imports()
-            if name.startswith("gridslam.")
-        }
-        for module in modules
-    }
+    graph = {}
+    for module in modules:
+        found = {name if name in names else name.rpartition(".")[0] for _, name in module.imports()}
+        graph[module.name] = found & names - {module.name}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
