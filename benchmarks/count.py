@@ -28,7 +28,7 @@ class Count(NamedTuple):
     modules: int
     """Files of Python."""
     statements: int
-    """Nodes of the syntax tree that are statements; docstrings are none, and `a, b = x, y` is two."""
+    """Nodes of the syntax tree that are statements; docstrings and `...` are none, and `a, b = x, y` is two."""
     packed: float
     """Ratio of assignments that are packed as `a, b = x, y`, percent."""
     lines: int
@@ -69,10 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> str:
 
 
 def _is_statement(node: ast.AST) -> bool:
-    docstring = (
-        isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-    )
-    return isinstance(node, ast.stmt) and not docstring
+    constant = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    return isinstance(node, ast.stmt) and not constant
 
 
 def _packed(node: ast.AST) -> int:

@@ -1,7 +1,7 @@
 """The rules that hold file by file, as a linter: python tests/house_rules.py.
 
-A module imports only lower ranks or its own folder, and of others' work only what the project declares, where it
-belongs.
+A module imports only lower ranks or its own folder, inside slam, io and ros by the ranks of their folders, never in a
+circle, and of others' work only what the project declares, where it belongs.
 Below the runner nothing prints, exits, reads files, looks at the clock or owns a random generator.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import sys
 
-from support.house import IMPURE_FROM, RANKS, Source, sources
+from support.house import IMPURE_FROM, INNER_RANKS, RANKS, Source, find_cycle, sources
 
 ONLY_IN = {
     "click": {"cli"},
@@ -61,12 +61,23 @@ def upward(source: Source) -> list[str]:
         top, _, rest = name.partition(".")
         if top != "gridslam" or rest == "__version__":
             continue
-        unit = rest.partition(".")[0]
-        if unit not in RANKS:
-            found.append(f"{source.path}:{line}: {name} has no rank")
-        elif unit != source.unit and RANKS[unit] >= RANKS[source.unit]:
-            found.append(f"{source.path}:{line}: {source.unit} ({RANKS[source.unit]}) imports {unit} ({RANKS[unit]})")
+        unit, _, inner = rest.partition(".")
+        if unit != source.unit:
+            found += _ascent(source, line, name, RANKS, (source.unit, unit))
+        elif unit in INNER_RANKS and source.inner_unit:
+            found += _ascent(source, line, name, INNER_RANKS[unit], (source.inner_unit, inner.partition(".")[0]))
     return found
+
+
+def _ascent(source: Source, line: int, name: str, ranks: dict[str, int], units: tuple[str, str]) -> list[str]:
+    """What is wrong with an import of the second unit by the first."""
+    own, other = units
+    lacking = [unit for unit in units if unit not in ranks]
+    if lacking:
+        return [f"{source.path}:{line}: {name}: {lacking[0] or source.unit} has no rank"]
+    if own != other and ranks[other] >= ranks[own]:
+        return [f"{source.path}:{line}: {own} ({ranks[own]}) imports {other} ({ranks[other]})"]
+    return []
 
 
 def misplaced(source: Source) -> list[str]:
@@ -113,7 +124,11 @@ def violations(source: Source) -> list[str]:
 
 def main() -> int:
     """Print what is wrong; gives the exit status."""
-    found = [violation for source in sources() for violation in violations(source)]
+    modules = sources()
+    found = [violation for source in modules for violation in violations(source)]
+    cycle = find_cycle(modules)
+    if cycle:
+        found.append(f"a circle of imports: {' -> '.join(cycle)}")
     print("\n".join(found) if found else "the house's rules hold")
     return 1 if found else 0
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from house_rules import ALLOWED, ONLY_IN, impurities, is_pure, misplaced, upward, violations
-from support.house import ROOT, Source, sources
+from support.house import ROOT, Source, find_cycle, sources
 
 EXTRAS = {"pooch", "pandas"}
 """Of the dependencies, what is installed on demand."""
@@ -44,10 +44,34 @@ def test_exceptions_are_still_needed():
         ("grid/a.py", "from gridslam import models"),
         ("slam/a.py", "from gridslam.evaluation import maps"),
         ("io/a.py", "from gridslam.utils import anything"),
+        ("slam/pose_graph/a.py", "from gridslam.slam.tracking.tracker import Tracker"),
+        ("slam/loop_closure/a.py", "def f():\n    from gridslam.slam.full_slam import full_slam"),
+        ("slam/utils/a.py", "from gridslam.slam.tracking.tracker import Tracker"),
+        ("slam/tracking/a.py", "from gridslam.slam import Tracker"),
     ],
 )
 def test_an_import_that_does_not_go_down_is_seen(path, text):
     assert len(upward(Source.of(path, text))) == 1
+
+
+def test_an_import_that_goes_down_or_stays_is_not():
+    text = (
+        "from gridslam.slam.tracking import state\nfrom gridslam.slam.full_slam.a import b\nimport gridslam.grid.tiles"
+    )
+    assert upward(Source.of("slam/full_slam/c.py", text)) == []
+
+
+def test_a_circle_of_imports_is_seen():
+    modules = [
+        Source.of("slam/a.py", "from gridslam.slam.b import f"),
+        Source.of("slam/b.py", "def f():\n    from gridslam.slam import c"),
+        Source.of("slam/c.py", "if TYPE_CHECKING:\n    from gridslam.slam.a import A"),
+        Source.of("slam/d.py", "import gridslam.slam.a"),
+    ]
+    circle = find_cycle(modules)
+    assert circle[0] == circle[-1]
+    assert set(circle) == {"gridslam.slam.a", "gridslam.slam.b", "gridslam.slam.c"}
+    assert find_cycle(modules[1:]) == []
 
 
 def test_a_dependency_where_it_does_not_belong_is_seen():
