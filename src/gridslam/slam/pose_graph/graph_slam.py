@@ -100,13 +100,6 @@ class GraphSlam:
         """
         return run_to_completion(self.solve_in_steps(graph))
 
-    def import_solver(self) -> None:
-        """Import what solving needs, a quarter of a second, by solving the smallest graph there is."""
-        edges = [[0, 1], [0, 1], [0, 1]]
-        measured = [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [9.0, 0.0, 0.0]]
-        smallest = PoseGraph.of([[0.0] * 3, [1.0, 0.0, 0.0]], edges, measured, [np.eye(3)] * 3)
-        self.solve(replace(smallest, trusted=np.array([True, False, False])))
-
     def solve_in_steps(self, graph: PoseGraph) -> Computation[GraphSolution]:
         """Do what `solve` does, in steps of about one linear system each."""
         require_connected(graph.edges, len(graph.poses))
