@@ -20,7 +20,7 @@ def _read_homes() -> dict[str, str]:
 
 _HOMES = _read_homes()
 
-__all__ = sorted([*_HOMES, "__version__"])
+__all__ = sorted([*_HOMES, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> object:

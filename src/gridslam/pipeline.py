@@ -35,6 +35,7 @@ class Filter(Protocol[State, Report]):
         self, state: State, odometry: Odometry | None, scan: LaserScan, rng: np.random.Generator
     ) -> tuple[State, Report]:
         """Process one measurement; consumes `state`."""
+        ...
 
 
 class Observer(Protocol):

@@ -148,7 +148,9 @@ class Beams:
             within half the path of the laser during the scan, 2 cm at 0.4 m/s and 10 scans a second. The same object
             where the scan has no beam times.
 
-        Source: Sola et al., A micro Lie theory (2018), equations 156 and 158, as complex numbers.
+        References
+        ----------
+        Sola et al., A micro Lie theory (2018), equations 156 and 158, as complex numbers.
         """
         if self.scan.beam_times_s is None or not len(self.ends):
             return self

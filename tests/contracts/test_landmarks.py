@@ -86,7 +86,7 @@ def test_what_is_refused(park, tmp_path):
         landmarks_to_folder(path, tmp_path / "out", "graph", unknown=True)
     bad = tmp_path / "bad.txt"
     bad.write_text("ODOMETRY 0 1 1 0 0 1 0 0 1\n")
-    with pytest.raises(InputError, match=r"bad.txt, line 1: ODOMETRY: expected 11 numbers"):
+    with pytest.raises(InputError, match=r"bad.txt, line 1: expected 'ODOMETRY from to x_m"):
         landmarks_to_folder(bad, tmp_path / "out", "ekf")
     assert not (tmp_path / "out").exists()
 
@@ -94,8 +94,8 @@ def test_what_is_refused(park, tmp_path):
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
-        ("ODOMETRY 0 1 1 0 0 1 0 0 1\n", [], "bad.txt, line 1: ODOMETRY: expected 11 numbers"),
-        ("ODOMETRY 0 1 1 0 x 1 0 0 1 0 1\n", [], "bad.txt, line 1: ODOMETRY: expected numbers"),
+        ("ODOMETRY 0 1 1 0 0 1 0 0 1\n", [], "bad.txt, line 1: expected 'ODOMETRY from to x_m"),
+        ("ODOMETRY 0 1 1 0 x 1 0 0 1 0 1\n", [], "bad.txt, line 1: expected 'ODOMETRY from to x_m"),
         ("nothing of the kind\n", [], "got a line that begins with 'nothing'"),
         (None, [], "bad.txt"),
         ("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n", ["--method", "magic"], "'magic' is not one of"),

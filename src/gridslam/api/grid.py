@@ -75,7 +75,6 @@ class GridResult(Result):
 
     schema: ClassVar = "gridslam.grid/1"
     picture_name: ClassVar = "map.png"
-    covariances: ClassVar = None
 
     map: OccupancyGrid
     trajectory: Trajectory
@@ -92,6 +91,10 @@ class GridResult(Result):
     given_path: Path | None
     repair: Repair
     stopwatch: Stopwatch
+
+    @property
+    def covariances(self) -> None:
+        """None: the poses are taken as exact."""
 
     def caption(self) -> list[str]:
         """Lines that describe the map."""

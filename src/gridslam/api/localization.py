@@ -341,7 +341,7 @@ def known_map(
     if isinstance(source, OccupancyGrid):
         return Path(), KnownMap(source, reach_m=configuration.reach_m, threads=threads), ()
     remarks = list[str]()
-    grid = read_map(source, strict_thresholds=strict_thresholds, tell=remarks.append)
+    grid = read_map(source, strict_thresholds=strict_thresholds, on_remark=remarks.append)
     try:
         return Path(source), KnownMap(grid, reach_m=configuration.reach_m, threads=threads), tuple(remarks)
     except ArgumentError as error:

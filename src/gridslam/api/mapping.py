@@ -49,7 +49,7 @@ _MOST_DRAWN = 300
 """Recognized closures in the picture; of more every second, third, ... is drawn."""
 _APART = 20
 """Key scans between two tracked revisits that are drawn."""
-_ORDERS = {1: "as told", 0: "none", -1: "backward"}
+_ORDERS = {1: "as reported", 0: "none", -1: "backward"}
 
 
 @final

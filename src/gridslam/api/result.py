@@ -43,6 +43,7 @@ class Result(ABC):
         @property
         def trajectory(self) -> Trajectory:
             """A pose for each scan or step, map frame."""
+            ...
 
         @property
         def covariances(self) -> FloatArray | None:
@@ -51,10 +52,12 @@ class Result(ABC):
         @property
         def source(self) -> Path:
             """The log."""
+            ...
 
         @property
         def stopwatch(self) -> Stopwatch:
             """Time spent; saving goes on counting."""
+            ...
 
     @abstractmethod
     def caption(self) -> list[str]:

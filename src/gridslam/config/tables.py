@@ -121,8 +121,9 @@ def describe_error(error: ErrorDetails, table: Mapping[str, Any], known: Iterabl
     name = ".".join(path)
     match error["type"]:
         case "union_tag_invalid":
-            tag = error["ctx"]["tag"]
-            kinds = error["ctx"]["expected_tags"].replace("'", "")
+            context = error.get("ctx", {})
+            tag = context["tag"]
+            kinds = context["expected_tags"].replace("'", "")
             return f"{name}.kind: expected one of {kinds}, got {tag!r}{suggest_names(tag, kinds.split(', '))}"
         case "union_tag_not_found" | "dataclass_type":
             return f"{name}: expected a table of parameters, got {value!r}"

@@ -175,10 +175,10 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     ways = intervals(motion, odometry, _WAYS)
     sign = -1.0 if reflected else 1.0
     laser = ways.laser * [1.0, sign, sign]
-    told = _chords(ways, laser)
-    scale, yaw, x, y, predicted = _ways(told, laser, ways.covariances, sign, motion.mounting[2])
+    reported = _chords(ways, laser)
+    scale, yaw, x, y, predicted = _ways(reported, laser, ways.covariances, sign, motion.mounting[2])
     residuals = np.empty((len(ways), 3))
-    residuals[:, :2] = told - predicted
+    residuals[:, :2] = reported - predicted
     way = np.hypot(ways.odometry[:, 0], ways.odometry[:, 1])
     turn_told = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
     residuals[:, 2] = wrap(ways.odometry[:, 2] - turn_told)
@@ -323,11 +323,11 @@ def _best_lag(motion: LaserMotion, lags_s: FloatArray) -> tuple[float, float]:
         return best, agreement
     for lag in sorted(lags_s.tolist(), key=abs):
         headings = interpolate_odometry(motion, lag)[:, 2]
-        told = headings[parts.ends] - headings[parts.begins]
-        known = np.isfinite(told)
-        told = told[known]
+        reported = headings[parts.ends] - headings[parts.begins]
+        known = np.isfinite(reported)
+        reported = reported[known]
         mine = parts.laser[known, 2]
-        found = float(mine @ told / max(math.sqrt(float(mine @ mine) * float(told @ told)), 1e-9))
+        found = float(mine @ reported / max(math.sqrt(float(mine @ mine) * float(reported @ reported)), 1e-9))
         if math.isnan(agreement) or abs(found) > abs(agreement) + 1e-3:
             best = lag
             agreement = found
@@ -359,5 +359,5 @@ def _fit_turns_at(
     variance = parts.covariances[:, 2, 2] + _VARIANCES[0] * np.abs(way) + _VARIANCES[1] * np.abs(turned)
     sigma = np.sqrt(variance + np.square(_JITTER_S * change))
     design = np.stack([turned, way, change], axis=1) / sigma[:, None]
-    told = odometry[parts.ends, 2] - odometry[parts.begins, 2]
-    return robust_fit(design[:, None, :], (told / sigma)[:, None], _LEAST_SPREAD)
+    reported = odometry[parts.ends, 2] - odometry[parts.begins, 2]
+    return robust_fit(design[:, None, :], (reported / sigma)[:, None], _LEAST_SPREAD)

@@ -74,8 +74,8 @@ def intervals(motion: LaserMotion, odometry: FloatArray, reach: tuple[float, flo
     ends = ends[tracked]
     laser = between(motion.poses[begins], motion.poses[ends])
     driven = between(odometry[begins], odometry[ends])
-    told = np.maximum(np.abs(laser), np.abs(driven))
-    moved = (np.hypot(told[:, 0], told[:, 1]) > _MOVED) | (told[:, 2] > _MOVED)
+    reported = np.maximum(np.abs(laser), np.abs(driven))
+    moved = (np.hypot(reported[:, 0], reported[:, 1]) > _MOVED) | (reported[:, 2] > _MOVED)
     from_begin = adjoint(laser * [-1.0, -1.0, 0.0])  # the two poses err independently, in the laser's frame at each
     from_end = adjoint(laser * [0.0, 0.0, 1.0])
     covariances = from_begin @ motion.covariances[begins] @ from_begin.transpose(0, 2, 1)
@@ -116,12 +116,12 @@ def interpolate_odometry(motion: LaserMotion, seconds: float) -> FloatArray:
     if seconds == 0.0 and np.array_equal(motion.stamps_ns, motion.odometry_stamps_ns):
         return poses
     first_ns = motion.odometry_stamps_ns[:1]
-    told = np.maximum.accumulate((motion.odometry_stamps_ns - first_ns) * 1e-9)
-    fresh = known & (np.diff(told, prepend=-1.0) > 0)
+    reported = np.maximum.accumulate((motion.odometry_stamps_ns - first_ns) * 1e-9)
+    fresh = known & (np.diff(reported, prepend=-1.0) > 0)
     if fresh.sum() < 3:
         return np.full_like(poses, np.nan)
     seen = np.maximum.accumulate((motion.stamps_ns - first_ns) * 1e-9)
-    return _hermite(told[fresh], poses[fresh], seen - seconds)
+    return _hermite(reported[fresh], poses[fresh], seen - seconds)
 
 
 def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:

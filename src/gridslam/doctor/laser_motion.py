@@ -193,8 +193,8 @@ class LaserMotionEstimator:
         stamp_ns = scan.stamp_ns + round(1e9 * middle_s)
         information, share = self._match_scan(stamp_ns, ends, scan, beams)
         self._passed_over = False
-        told = (math.nan,) * 3 if odometry is None else odometry.pose
-        self._rows.extend((*self._odometry.pose, share, self._odometry.track, *told, *information.ravel()))
+        reported = (math.nan,) * 3 if odometry is None else odometry.pose
+        self._rows.extend((*self._odometry.pose, share, self._odometry.track, *reported, *information.ravel()))
         self._stamps.extend((stamp_ns, scan.stamp_ns if odometry is None else odometry.stamp_ns))
         self._last_ns = scan.stamp_ns
 

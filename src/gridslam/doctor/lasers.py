@@ -120,8 +120,8 @@ class BeamStatistics:
         many = scattered > _MANY_LOST
         kinds = [("not a number", self.not_numbers), ("zero", self.zeros),
                  ("negative or too near", self.invalid - self.not_numbers - self.zeros)]  # fmt: skip
-        told = ", ".join(f"{percent(count / self.beams)} {kind}" for kind, count in kinds if count)
-        message = f"{percent(share)} of the beams are invalid ({told})"
+        reported = ", ".join(f"{percent(count / self.beams)} {kind}" for kind, count in kinds if count)
+        message = f"{percent(share)} of the beams are invalid ({reported})"
         if many:
             message += (
                 f"; {percent(scattered)} are lost by ones and twos among good ones, as where a laser is disturbed"
@@ -217,11 +217,11 @@ def _several(lasers: Mapping[str, Mounting]) -> Finding:
     poses = np.array([planar_mounting(laser.geometry) for laser in lasers.values()])
     away = poses[1:] - poses[0]
     same = ((np.hypot(away[:, 0], away[:, 1]) < _SAME) & (np.abs(wrap(away[:, 2])) < _SAME)).any()
-    told = "; ".join(
+    reported = "; ".join(
         f"{sensor} at x {x:.2f} m, y {y:.2f} m, yaw {math.degrees(yaw):.0f} degrees"
         for sensor, (x, y, yaw) in zip(lasers, poses.tolist(), strict=True)
     )
-    message = f"There are {len(poses)} lasers, whose scans are taken in turn: {told}."
+    message = f"There are {len(poses)} lasers, whose scans are taken in turn: {reported}."
     if not same:
         return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
     return Finding(

@@ -143,10 +143,10 @@ class MotionExaminer:
 
     def findings(self) -> Iterator[Finding]:
         """Yield the findings of each laser; findings on the wheels once, if all lasers agree."""
-        told = [found for found in (laser.findings() for laser in self._lasers.values()) if found is not None]
+        reported = [found for found in (laser.findings() for laser in self._lasers.values()) if found is not None]
         # A laser that leaves a bare corridor backward may see the robot stand still.
-        agreed = _OF_WHEELS.intersection(*({finding.code for finding in found} for found in told))
-        for finding in chain.from_iterable(told):
+        agreed = _OF_WHEELS.intersection(*({finding.code for finding in found} for found in reported))
+        for finding in chain.from_iterable(reported):
             if finding.code in agreed or finding.code not in _OF_WHEELS:
                 yield finding
                 agreed -= {finding.code}
@@ -342,8 +342,8 @@ def wheel_slips(motion: LaserMotion, calibration: MotionCalibration) -> list[Sli
         large = (np.abs(amount) > _EPISODE) & (net / np.where(amount == 0, 1.0, amount) > _KEPT)
         if not large.any():
             continue
-        told = parts.odometry[first : last + 1, ::2].sum(axis=0)
-        if (amount * told)[large].max() <= 0:
+        reported = parts.odometry[first : last + 1, ::2].sum(axis=0)
+        if (amount * reported)[large].max() <= 0:
             short += 1
         else:
             stamp_ns = int(motion.stamps_ns[parts.begins[first]])

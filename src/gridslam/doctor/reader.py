@@ -72,9 +72,9 @@ def _topics(statistics: LogStatistics) -> Finding:
         counted = [(tag, "laser scans", count) for tag, count in statistics.scans.items()]
         counted += [("ODOM", "odometry", statistics.odometry_lines)] if statistics.odometry_lines else []
         counted += [(tag, "not used", count) for tag, count in statistics.unused_tags.most_common()]
-    told = ", ".join(f"{name} ({kind}): {count}" for name, kind, count in counted[:_SHOWN])
+    reported = ", ".join(f"{name} ({kind}): {count}" for name, kind, count in counted[:_SHOWN])
     more = f" and {len(counted) - _SHOWN} more" if len(counted) > _SHOWN else ""
-    return Finding("topics", Severity.INFO, f"The log holds {told}{more}.", len(counted), "topics")
+    return Finding("topics", Severity.INFO, f"The log holds {reported}{more}.", len(counted), "topics")
 
 
 def estimate_cost(scans: int, key_scans: int) -> Finding:

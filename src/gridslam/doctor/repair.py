@@ -179,7 +179,7 @@ def repair_measurements(
         mounting[:2, :3] = adjoint([0.0, 0.0, repair.yaw_rad])[:2, :2] @ mounting[:2, :3]
         return ScanGeometry(-geometry.bearings if repair.reflected else geometry.bearings, mounting)
 
-    told: FloatArray | None = None
+    reported: FloatArray | None = None
     pose = np.zeros(3)
     for odometry, scan in _remove_skew(measurements, repair.skew_s, sensor):
         sensor = scan.sensor if sensor is None else sensor
@@ -190,8 +190,10 @@ def repair_measurements(
                 false = (scan.status == BeamStatus.HIT) & (scan.ranges >= repair.range_max_m)
                 scan = replace(scan, status=np.where(false, np.uint8(BeamStatus.NO_RETURN), scan.status))
         if odometry is not None:
-            pose = odometry.pose if told is None else compose(pose, _true_increment(told, odometry.pose, repair))
-            told = odometry.pose
+            pose = (
+                odometry.pose if reported is None else compose(pose, _true_increment(reported, odometry.pose, repair))
+            )
+            reported = odometry.pose
             odometry = replace(odometry, pose=pose)
         yield Measurement(odometry, scan)
 
@@ -249,7 +251,7 @@ class RepairedLog:
     kind : "needed" or "all"
         Only faults that make any map unusable, estimated from the begin of the log (see `find_needed_repair`), or all
         faults that are certain, estimated from the whole log (see `find_full_repair`).
-    tell : callable
+    on_repair : callable
         Gets the repair, if there is any, before the first measurement.
 
     Attributes
@@ -259,12 +261,15 @@ class RepairedLog:
     """
 
     def __init__(
-        self, log: Log, kind: Literal["needed", "all"] = "needed", tell: Callable[[Repair], None] = lambda repair: None
+        self,
+        log: Log,
+        kind: Literal["needed", "all"] = "needed",
+        on_repair: Callable[[Repair], None] = lambda repair: None,
     ) -> None:
         """Nothing is read before the iteration."""
         self._log = log
         self._kind = kind
-        self._tell = tell
+        self._on_repair = on_repair
         self.repair: Repair | None = None
 
     @property
@@ -282,7 +287,7 @@ class RepairedLog:
         if self.repair is None:
             self.repair = self._find_repair()
             if self.repair:
-                self._tell(self.repair)
+                self._on_repair(self.repair)
         return repair_measurements(self._log, self.repair) if self.repair else iter(self._log)
 
     def _find_repair(self) -> Repair:

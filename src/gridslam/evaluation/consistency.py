@@ -60,7 +60,9 @@ def nees(estimates: FloatArray, truths: FloatArray, covariances: FloatArray) -> 
     ArgumentError
         A covariance is not positive definite.
 
-    Source: Y. Bar-Shalom, X. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
+    References
+    ----------
+    Y. Bar-Shalom, X. Li, T. Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
     """
     errors = estimates - truths
     errors[:, 2] = wrap(errors[:, 2])
@@ -106,7 +108,9 @@ def check_consistency(
     ArgumentError
         No estimate, a covariance that is not positive definite, or a confidence outside (0, 1).
 
-    Source: Y. Bar-Shalom, X. Li, T. Kirubarajan (2001), 5.4.2.
+    References
+    ----------
+    Y. Bar-Shalom, X. Li, T. Kirubarajan (2001), 5.4.2.
     """
     n = len(estimates)
     if n == 0:

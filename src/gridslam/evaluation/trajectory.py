@@ -161,7 +161,9 @@ def align(source: FloatArray, target: FloatArray) -> FloatArray:
     (3,) float64
         Pose `target_from_source`. Its heading is 0 where the points do not determine it (all in one place).
 
-    Source: S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991, in
+    References
+    ----------
+    S. Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991, in
     the plane, where the rotation is the angle of the summed products taken as complex numbers.
     """
     source_mean = source.mean(axis=0)
@@ -194,7 +196,9 @@ def absolute_errors(
     ArgumentError
         No pose has a partner.
 
-    Source: J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
+    References
+    ----------
+    J. Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
     """
     ours, truth = _pair_poses(estimate, reference, tolerance_ns)
     if aligned:
@@ -299,7 +303,9 @@ def relation_errors(trajectory: Trajectory, relations: Relations) -> RelationErr
     ArgumentError
         A time lies outside the trajectory by more than 1 ms.
 
-    Source: R. Kuemmerle et al., On measuring the accuracy of SLAM algorithms, Autonomous Robots 27 (2009), Section 3,
+    References
+    ----------
+    R. Kuemmerle et al., On measuring the accuracy of SLAM algorithms, Autonomous Robots 27 (2009), Section 3,
     with translation and rotation reported apart and not squared.
     """
     first, exact_first = interpolate(trajectory, relations.from_ns)

@@ -95,7 +95,9 @@ def exp(xi: ArrayLike) -> FloatArray:
     ArgumentError
         If the last dimension of `xi` is not 3.
 
-    Source: Sola et al., A micro Lie theory (2018), equations 156 and 158.
+    References
+    ----------
+    Sola et al., A micro Lie theory (2018), equations 156 and 158.
     """
     vx, vy, omega = _components(xi, "xi")
     c, s = _cos_sin(0.5 * omega)

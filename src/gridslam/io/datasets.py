@@ -6,7 +6,7 @@ import difflib
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Any, final
 
 from gridslam.errors import ArgumentError, GridslamError
 from gridslam.io.output import OutputFolder
@@ -125,7 +125,7 @@ def _retrieve(source: str, dataset: Dataset, file: Path) -> None:
         raise DatasetError("datasets are got by pooch: pip install 'gridslam[datasets]'") from None
     pooch.get_logger().setLevel("ERROR")
     try:
-        downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
+        downloader: Any = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
         pooch.retrieve(source, f"sha256:{dataset.sha256}", file.name, file.parent, downloader=downloader)
     except OSError as error:  # those of requests are such
         raise DatasetError(f"{source}: cannot be got: {_reason(error)}") from None

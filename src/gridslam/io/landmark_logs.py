@@ -116,6 +116,7 @@ class LandmarkLog(Protocol):
 
     def __iter__(self) -> Iterator[LandmarkStep]:
         """Yield the steps in the order of time; raises InputError with the line where the log cannot be used."""
+        ...
 
 
 @final
@@ -146,7 +147,9 @@ class MrclamLog:
     InputError
         A file is not there or cannot be used; with the line where one is wrong.
 
-    Source: K. Leung et al., The UTIAS multi-robot cooperative localization and mapping dataset, IJRR 2011.
+    References
+    ----------
+    K. Leung et al., The UTIAS multi-robot cooperative localization and mapping dataset, IJRR 2011.
     """
 
     kind = ObservationKind.DEPTH_BEARING

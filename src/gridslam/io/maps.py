@@ -130,7 +130,7 @@ def _pixels(grid: OccupancyGrid) -> NDArray[np.uint8]:
 
 
 def read_map(
-    yaml_path: str | Path, *, strict_thresholds: bool = False, tell: Callable[[str], None] = lambda remark: None
+    yaml_path: str | Path, *, strict_thresholds: bool = False, on_remark: Callable[[str], None] = lambda remark: None
 ) -> OccupancyGrid:
     """Read a map as map_server and nav2 do, modes trinary, scale and raw (`occupancy_percent` has the rules).
 
@@ -144,7 +144,7 @@ def read_map(
         Apply the thresholds literally. Otherwise the pixel 205 of a trinary map that is not negated is unknown for any
         free_thresh: every map saver writes it for unknown, and a free_thresh of 0.25, as nav2's saver writes it, would
         turn all unobserved cells into free space. If it would, a remark is issued.
-    tell : callable
+    on_remark : callable
         Gets what is odd about the file, and what was made of it: a remark of one sentence each.
 
     Raises
@@ -162,7 +162,7 @@ def read_map(
     grid = OccupancyGrid(np.log(odds).astype(np.float32), known, description.resolution_m, description.origin)
     spared = 0 if strict_thresholds else int(unknown_read_as_free(image, description).sum())
     if spared:
-        tell(
+        on_remark(
             f"free_thresh {description.free_thresh:g} makes the pixel 205 free, by which map savers mean unknown: "
             f"its {spared} cells are taken as unknown"
         )

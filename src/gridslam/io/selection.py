@@ -28,13 +28,16 @@ class Log(Protocol):
     @property
     def path(self) -> Path:
         """The file or folder."""
+        ...
 
     @property
     def statistics(self) -> LogStatistics:
         """What the latest iteration has met so far."""
+        ...
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its start; raises InputError where it cannot be read on."""
+        ...
 
 
 @final
@@ -201,8 +204,8 @@ class CovarianceSum:
                 covariance = compound_covariance(moved, before, increment, covariance)
         self._last = odometry
         self._covariance = covariance
-        told = covariance is odometry.covariance
-        return odometry if told else Odometry(odometry.stamp_ns, odometry.pose, covariance)
+        reported = covariance is odometry.covariance
+        return odometry if reported else Odometry(odometry.stamp_ns, odometry.pose, covariance)
 
     def given(self) -> None:
         """Restart: the last reading was passed on."""

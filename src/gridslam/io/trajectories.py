@@ -122,7 +122,10 @@ def read_relations(path: str | Path) -> Relations:
 
     Notes
     -----
-    Source: Kuemmerle et al., *On measuring the accuracy of SLAM algorithms* (2009).
+
+    References
+    ----------
+    Kuemmerle et al., *On measuring the accuracy of SLAM algorithms* (2009).
     """
     stamps_ns, values, lines = read_table(path, "t1 t2 x y z roll pitch yaw", stamps=2)
     tilt = values[:, 2:5]

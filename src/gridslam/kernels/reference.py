@@ -98,7 +98,9 @@ class _Field(NamedTuple):
         f11 = self.at(y + 1, x + 1).astype(np.float32)
         low = f00 + a * (f01 - f00)
         high = f10 + a * (f11 - f10)
-        return low + b * (high - low), (1 - b) * (f01 - f00) + b * (f11 - f10), high - low
+        slope: FloatMap = (1 - b) * (f01 - f00) + b * (f11 - f10)  # pyright: ignore[reportAssignmentType]
+        value: FloatMap = low + b * (high - low)  # pyright: ignore[reportAssignmentType]
+        return value, slope, high - low  # pyright: ignore[reportReturnType]
 
 
 def distances(
@@ -175,7 +177,9 @@ def match(
     score : (K,) float64
         Sum of the weights at `poses`.
 
-    Source: Kohlbrecher et al. 2011, with the residual a distance.
+    References
+    ----------
+    Kohlbrecher et al. 2011, with the residual a distance.
     """
     unit = np.array([resolution, resolution, 1.0])
     prior = priors * unit[:, None] * unit / resolution**2
@@ -335,7 +339,9 @@ def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
         Level `levels`, every s-th cell together: [y mod s, x mod s, y / s, 64 + x / s] of the framed cell (y, x). The
         last row and the first 64 columns are 0.
 
-    Source: Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), precomputed grids.
+    References
+    ----------
+    Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), precomputed grids.
     """
     side = 2**levels
     fine = [np.pad(likelihood, side)]
@@ -382,7 +388,9 @@ def correlate(
     (N, 4) int32
         [sum, heading's index, y, x] of at most `count` places, the best first.
 
-    Source: Olson, Real-time correlative scan matching (ICRA 2009); Hess et al. 2016, Algorithm 3, of which the
+    References
+    ----------
+    Olson, Real-time correlative scan matching (ICRA 2009); Hess et al. 2016, Algorithm 3, of which the
     compiled twin is the best-first form.
     """
     poses = [np.zeros((0, 4), np.int64)]

@@ -216,7 +216,9 @@ def update_log_odds(
     (M, 4) int32
         [row, y, x, occupied] of the cells that came above `occupied_above` (1) or fell to it or below (0), by pose.
 
-    Source: Probabilistic Robotics, Table 9.1.
+    References
+    ----------
+    Probabilistic Robotics, Table 9.1.
     """
     starts = _cells(poses, origin[None], resolution)[:, 0]
     tips = _cells(poses, ends, resolution)

@@ -192,7 +192,7 @@ class LocalizationMonitor:
             moved = between(state.estimate.pose, report.pose)
             poses = compose(state.poses[chosen], moved).astype(np.float32)
             rounded = np.rint(poses * _STEPS_PER_UNIT) / _STEPS_PER_UNIT
-            return Frame(path, particles=np.column_stack([rounded, ratios.astype(np.float32)]))
+            return Frame(path, particles=np.column_stack([rounded, ratios]).astype(np.float32))
 
         status = {
             "particles": report.particles,

@@ -108,9 +108,8 @@ def thin_tree(ancestry: Ancestry, max_nodes: int = _MAX_NODES) -> tuple[Float32A
             before[begins[level] : begins[level + 1]] = number[begins[level - stride] + above]
     ends = number[begins[-2] + leaves] if len(counts) else np.full(len(leaves), -1)
     positions = arrays["poses"][nodes, :2].astype(np.float32)
-    tree = AncestryTree(
-        np.rint(positions * _STEPS_PER_UNIT) / _STEPS_PER_UNIT, before[nodes].astype(np.int32), ends.astype(np.int32)
-    )
+    rounded = (np.rint(positions * _STEPS_PER_UNIT) / _STEPS_PER_UNIT).astype(np.float32)
+    tree = AncestryTree(rounded, before[nodes].astype(np.int32), ends.astype(np.int32))
     return arrays["trunk"][:, :2].astype(np.float32), tree
 
 

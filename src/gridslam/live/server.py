@@ -71,6 +71,7 @@ class PageContent(Protocol):
 
     def add_viewer(self, notify: Callable[[], None]) -> Viewer:
         """Add a viewer; `notify` is called whenever there may be something new."""
+        ...
 
     def channel_map(self, channel: int) -> OccupancyGrid | None:
         """Return the map of a channel; None if there is none."""

@@ -177,7 +177,9 @@ class HypothesisTracker:
     jitter_m, jitter_rad : float, m and rad, >= 0
         How far about it: what odometry may be wrong by between two updates.
 
-    Source: after A. Milstein, J. Sanchez and E. Williamson, Robust global localization using clustered particle
+    References
+    ----------
+    After A. Milstein, J. Sanchez and E. Williamson, Robust global localization using clustered particle
     filtering (AAAI 2002), which keeps a filter for each cluster.
     """
 

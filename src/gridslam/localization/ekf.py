@@ -101,7 +101,9 @@ class EkfLocalization:
         `KnownCorrespondence` if the observations contain the correspondences, `MaximumLikelihood` otherwise. Both gate
         by the Mahalanobis distance of an observation from its prediction.
 
-    Source: Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is associated
+    References
+    ----------
+    Probabilistic Robotics, Tables 7.2 (known correspondences) and 7.3 (unknown; here no landmark is associated
     twice in one step). The tables correct by one observation after the other; here all observations of a step are used
     at once: the same for a linear model, and otherwise independent of their order.
     """
@@ -148,8 +150,8 @@ class EkfLocalization:
         places = self._correspondences(belief, observations, noise)
         seen = np.flatnonzero(places >= 0)
         belief, log_likelihood = self._correct(belief, places[seen], observations.values[seen], noise[seen])
-        told = np.where(places >= 0, self.landmarks.names[places], places)
-        return belief, EkfLocalizationReport(belief.pose, belief.covariance, told, log_likelihood)
+        reported = np.where(places >= 0, self.landmarks.names[places], places)
+        return belief, EkfLocalizationReport(belief.pose, belief.covariance, reported, log_likelihood)
 
     def _predict(self, belief: PoseGaussian, motion: MotionSampler) -> PoseGaussian:
         """Table 7.2, lines 2 to 7."""

@@ -36,7 +36,9 @@ class KldSampling:
     bin_m, bin_rad : float, m and rad, > 0
         Sides of a bin; half a metre and ten degrees, as AMCL has them.
 
-    Source: Probabilistic Robotics, Table 8.4; D. Fox, Adapting the sample size in particle filters through
+    References
+    ----------
+    Probabilistic Robotics, Table 8.4; D. Fox, Adapting the sample size in particle filters through
     KLD-sampling, IJRR 22 (2003).
     """
 

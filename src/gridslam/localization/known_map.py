@@ -75,7 +75,8 @@ class KnownMap:
         self._corner = np.array(grid.origin) - self._rim * grid.resolution_m
         from scipy.ndimage import distance_transform_edt  # only a map to localize in pays for its import
 
-        cells = np.minimum(distance_transform_edt(~np.pad(occupied, self._rim)), reach).astype(np.float32)
+        exact: Any = distance_transform_edt(~np.pad(occupied, self._rim))
+        cells = np.minimum(exact, reach).astype(np.float32)
         self._distances: NDArray[np.float32] = np.minimum(cells * np.float32(grid.resolution_m), np.float32(reach_m))
         self._tabulated: dict[LikelihoodField | CauchyEndPoint, FieldTable] = {}
 
@@ -237,7 +238,7 @@ class FieldTable:
         step = (float(field.max()) - least) / _STEPS
         steps = np.rint((field - least) / (step or 1.0)).astype(np.uint32)
         patches = steps[:-1, :-1] | steps[:-1, 1:] << 8 | steps[1:, :-1] << 16 | steps[1:, 1:] << 24
-        return cls(np.ascontiguousarray(patches), corner, resolution_m, least, step)
+        return cls(np.ascontiguousarray(patches, np.uint32), corner, resolution_m, least, step)
 
     def sums(self, poses: FloatArray, ends: FloatArray, threads: int) -> FloatArray:
         """Sum (K,) of the field over ends (B, 2) of the base frame at poses (K, 3); its border holds beyond it."""

@@ -166,7 +166,9 @@ class MonteCarloLocalization:
     resampler : Resampler
         Which particles survive.
 
-    Source: Probabilistic Robotics, Tables 8.2 (`MCL`), 8.3 (`Augmented_MCL`) and 8.4 (`KLD_Sampling_MCL`).
+    References
+    ----------
+    Probabilistic Robotics, Tables 8.2 (`MCL`), 8.3 (`Augmented_MCL`) and 8.4 (`KLD_Sampling_MCL`).
     """
 
     map: KnownMap

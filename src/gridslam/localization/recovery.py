@@ -45,7 +45,9 @@ class AugmentedRecovery:
     to the next, and its average is dominated by the greatest one. The inlier ratio lies in [0, 1] and can be compared
     between scans, robots and sensor models.
 
-    Source: Probabilistic Robotics, Table 8.3 (`Augmented_MCL`).
+    References
+    ----------
+    Probabilistic Robotics, Table 8.3 (`Augmented_MCL`).
     """
 
     alpha_slow: float = Field(default=0.001, ge=0, le=1)
@@ -87,7 +89,9 @@ class MeasurementProposal:
     jitter_m, jitter_rad : float, m and rad, >= 0
         Standard deviation of the move, half of what the poses looked at are apart.
 
-    Source: Probabilistic Robotics, Section 8.3.5 (random particles from the measurement); S. Lenser and M. Veloso,
+    References
+    ----------
+    Probabilistic Robotics, Section 8.3.5 (random particles from the measurement); S. Lenser and M. Veloso,
     Sensor resetting localization for poorly modelled mobile robots, ICRA 2000.
     """
 

@@ -65,16 +65,16 @@ class BeamCounts:
         places = np.argwhere(ids)
         if not len(places):
             return
-        told = self._scan.tiles(ids[places[:, 0], places[:, 1]])
+        reported = self._scan.tiles(ids[places[:, 0], places[:, 1]])
         self._scan.clear(0)
         slots = self._slots_of(places + corner)
         if self._kept < 1:
-            kept = np.where(told == UNKNOWN, 1.0, self._kept)
+            kept = np.where(reported == UNKNOWN, 1.0, self._kept)
             self._hits[slots] *= kept
             self._net[slots] *= kept
-        told[told == UNKNOWN] = 0
-        self._hits[slots] += np.maximum(told, 0)
-        self._net[slots] += told
+        reported[reported == UNKNOWN] = 0
+        self._hits[slots] += np.maximum(reported, 0)
+        self._net[slots] += reported
 
     def rectangle(self) -> tuple[FloatArray, FloatArray, tuple[int, int]]:
         """Hits and misses (H, W) of all cells, and the (row, column) of their corner; one cell where nothing is known.

@@ -33,7 +33,9 @@ class OccupancyGridMapping:
     inverse_sensor : InverseSensorModel
         Evidence of a beam for the cells along it.
 
-    Source: Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
+    References
+    ----------
+    Probabilistic Robotics, Table 9.1 (`occupancy_grid_mapping`).
     """
 
     resolution_m: float = Field(default=0.05, gt=0, le=1)

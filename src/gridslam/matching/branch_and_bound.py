@@ -107,7 +107,9 @@ class BranchAndBound:
         A pose within both of the best is the same place. A peak is a few times as wide as `cauchy_m` and as a step of
         the headings; but along a bare corridor it has no end, and the other place is its next part.
 
-    Source: Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), section V; Olson, Real-time correlative
+    References
+    ----------
+    Hess et al., Real-time loop closure in 2D lidar SLAM (ICRA 2016), section V; Olson, Real-time correlative
     scan matching (ICRA 2009).
     """
 

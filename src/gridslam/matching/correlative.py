@@ -33,7 +33,9 @@ class Correlative:
     refine : GaussNewton
         How the best pose is refined.
 
-    Source: Olson, Real-time correlative scan matching, ICRA 2009 (here without its multi-resolution pyramid: the
+    References
+    ----------
+    Olson, Real-time correlative scan matching, ICRA 2009 (here without its multi-resolution pyramid: the
     windows are small).
     """
 
@@ -59,8 +61,9 @@ class Correlative:
         halves = math.ceil(self.window_m / self.step_m), math.ceil(self.window_rad / self.step_rad)
         across, turns = (np.arange(-half, half + 1) for half in halves)
         lattice = np.stack(np.meshgrid(across, across, turns, indexing="ij"), axis=-1).reshape(-1, 3)
-        offsets = lattice * [self.step_m, self.step_m, self.step_rad]
-        return offsets[np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")]
+        offsets: FloatArray = lattice.astype(np.float64) * np.array([self.step_m, self.step_m, self.step_rad])
+        order = np.argsort(np.linalg.norm(offsets, axis=1), kind="stable")
+        return np.take(offsets, order, axis=0)
 
     def _best(
         self, maps: TileMaps, row: np.int32, guess: FloatArray, offsets: FloatArray, ends: FloatArray

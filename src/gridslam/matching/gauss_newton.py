@@ -59,7 +59,9 @@ class GaussNewton:
         where it is not mapped yet, and they would be pulled back to where its mapped part ends. 0: all count as in
         the field.
 
-    Source: Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
+    References
+    ----------
+    Kohlbrecher et al. 2011 (matching on an interpolated grid), with the residual a distance.
     """
 
     max_iterations: int = Field(default=10, ge=0)
@@ -105,7 +107,7 @@ def degenerate_direction(information: FloatArray, score: float, least: float = M
 
 def cauchy_weights(distances: NDArray[np.float32], scale_m: float) -> NDArray[np.float32]:
     """Cauchy weights (...), in [0, 1], of distances (...) in m to the nearest obstacle; half at `scale_m`."""
-    weights: NDArray[np.float32] = 1 / (1 + np.square(distances / scale_m))
+    weights: NDArray[np.float32] = (1 / (1 + np.square(distances / scale_m))).astype(np.float32, copy=False)
     return weights
 
 

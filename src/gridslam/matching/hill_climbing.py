@@ -41,7 +41,9 @@ class HillClimbing:
     -----
     The prior takes no part, as in GMapping, whose odometry reliability is 0 by default.
 
-    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
+    References
+    ----------
+    G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::optimize`.
     """
 
     step_m: float = Field(default=0.05, gt=0)

@@ -96,7 +96,9 @@ class MaximumLikelihood:
         From this distance on to all landmarks it is of another one. The book has one threshold; between the two
         nothing is learned, so that an outlier neither moves a landmark nor doubles it.
 
-    Source: Probabilistic Robotics, Table 10.2, lines 9 to 16, and 10.3.3.
+    References
+    ----------
+    Probabilistic Robotics, Table 10.2, lines 9 to 16, and 10.3.3.
     """
 
     match_gate: float = Field(default=9.2, gt=0)
@@ -167,7 +169,9 @@ class LandmarkExistence:
     half_angle_rad : float, rad, (0, pi]
         Up to which bearing, to both sides.
 
-    Source: Montemerlo et al., FastSLAM 2.0 (IJCAI 2003), section 4; Probabilistic Robotics, 13.6 and Table 13.2.
+    References
+    ----------
+    Montemerlo et al., FastSLAM 2.0 (IJCAI 2003), section 4; Probabilistic Robotics, 13.6 and Table 13.2.
     """
 
     detection: float = Field(default=0.3, gt=0, lt=1)

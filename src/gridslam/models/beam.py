@@ -58,7 +58,9 @@ class BeamRangeFinder:
     The book cuts the Gaussian off at range_max and scales up what is left. Here what lies beyond counts as no return,
     because that is what the sensor then reports: a ray into the open expects nothing back.
 
-    Source: Probabilistic Robotics, Table 6.1 (`beam_range_finder_model`), Equations 6.4 to 6.12.
+    References
+    ----------
+    Probabilistic Robotics, Table 6.1 (`beam_range_finder_model`), Equations 6.4 to 6.12.
     """
 
     z_hit: float = Field(default=0.8, ge=0, le=1)

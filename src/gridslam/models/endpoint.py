@@ -43,7 +43,9 @@ class LikelihoodField:
     pydantic.ValidationError
         The shares do not sum to 1, or z_rand is 0 (then one beam could make a pose impossible).
 
-    Source: Probabilistic Robotics, Table 6.3 (`likelihood_field_range_finder_model`).
+    References
+    ----------
+    Probabilistic Robotics, Table 6.3 (`likelihood_field_range_finder_model`).
     """
 
     z_hit: float = Field(default=0.95, ge=0, le=1)
@@ -93,7 +95,9 @@ class CauchyEndPoint:
     -----
     A heuristic: the exponential of a robust score, not a density of the ranges.
 
-    Source: the weight function of the Cauchy estimator, Z. Zhang, Parameter estimation techniques: a tutorial with
+    References
+    ----------
+    The weight function of the Cauchy estimator, Z. Zhang, Parameter estimation techniques: a tutorial with
     application to conic fitting, Image and Vision Computing 15 (1997), Table 1.
     """
 
@@ -134,7 +138,9 @@ class GMappingEndPoint:
     GMapping measures to the mean of the points that fell into a cell, this model to what `DistanceMaps` holds, the
     cell's centre.
 
-    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
+    References
+    ----------
+    G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `ScanMatcher::likelihoodAndScore`.
     """
 
     scale_m2: float = Field(default=0.075, gt=0)

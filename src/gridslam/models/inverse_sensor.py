@@ -57,7 +57,9 @@ class InverseSensorModel:
     pydantic.ValidationError
         A pair does not sum to 1, an end is no evidence for occupancy, or the clamps are out of order.
 
-    Source: Probabilistic Robotics, Table 4.2 (`binary_bayes_filter`) and Table 9.1 (`occupancy_grid_mapping`).
+    References
+    ----------
+    Probabilistic Robotics, Table 4.2 (`binary_bayes_filter`) and Table 9.1 (`occupancy_grid_mapping`).
     """
 
     true_occupied: float = Field(default=_DEFAULT[0], gt=0, lt=1)

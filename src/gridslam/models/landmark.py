@@ -134,15 +134,19 @@ class LandmarkModel(Protocol):
 
     def linearize(self, poses: FloatArray, landmarks: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """h (..., 2) and its Jacobians by the pose, (..., 2, 3), and by the landmark, (..., 2, 2)."""
+        ...
 
     def residual(self, measured: FloatArray, predicted: FloatArray) -> FloatArray:
         """Difference (..., 2) of two measurements, angles in [-pi, pi)."""
+        ...
 
     def locate(self, poses: FloatArray, measured: FloatArray) -> FloatArray:
         """Where the landmark (..., 2) is that is measured so: h^-1(x, z)."""
+        ...
 
     def noise(self, observations: LandmarkObservations) -> FloatArray:
         """Q (K, 2, 2) of K observations: their own covariances if they have any, else the model's."""
+        ...
 
 
 @final
@@ -157,7 +161,9 @@ class RangeBearing:
     sigma_bearing_rad : float, rad, > 0
         1 degree: some pixels of a camera, with the pose's jitter between picture and odometry.
 
-    Source: Probabilistic Robotics, equations 6.40 and 7.14 (without the signature), and 10.23.
+    References
+    ----------
+    Probabilistic Robotics, equations 6.40 and 7.14 (without the signature), and 10.23.
     """
 
     sigma_range_m: float = Field(default=0.15, gt=0)

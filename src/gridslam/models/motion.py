@@ -128,7 +128,9 @@ class OdometryMotion:
     The defaults are wide (standard deviations of a tenth of the motion): wheels slip, and a filter recovers from
     too much noise but not from too little.
 
-    Source: Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
+    References
+    ----------
+    Probabilistic Robotics, Table 5.6 (`sample_motion_model_odometry`).
     """
 
     alpha1: float = Field(default=0.01, ge=0)
@@ -180,7 +182,9 @@ class GMappingMotion:
     -----
     The defaults are those of GMapping's ROS node.
 
-    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
+    References
+    ----------
+    G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `MotionModel::drawFromMotion`.
     """
 
     srr: float = Field(default=0.1, ge=0)
@@ -219,7 +223,9 @@ class DiffusionMotion:
         Standard deviation of an increment without motion, added in variance: particles at one place stay distinct
         by a fraction of what a match resolves (0.02 of a 5 cm cell and 2e-4 rad).
 
-    Source: D. Haehnel, W. Burgard, D. Fox, S. Thrun, An efficient FastSLAM algorithm for generating maps of large-scale
+    References
+    ----------
+    D. Haehnel, W. Burgard, D. Fox, S. Thrun, An efficient FastSLAM algorithm for generating maps of large-scale
     cyclic environments from raw laser range measurements, IROS 2003 (its learned noise, here two constants).
     """
 
@@ -271,7 +277,9 @@ class VelocityMotion:
     -----
     The defaults are wide (a tenth of the speed) for the drive; gamma only has to fill the third dimension.
 
-    Source: Probabilistic Robotics, Table 5.3 (`sample_motion_model_velocity`).
+    References
+    ----------
+    Probabilistic Robotics, Table 5.3 (`sample_motion_model_velocity`).
     """
 
     alpha1: float = Field(default=0.01, ge=0)
@@ -332,7 +340,9 @@ class OdometryBias:
     memory_m : float, m, > 0
         Way after which their correlation has fallen to 1/e.
 
-    Source: A. Martinelli, R. Siegwart, Estimating the odometry error of a mobile robot during navigation, ECMR 2003
+    References
+    ----------
+    A. Martinelli, R. Siegwart, Estimating the odometry error of a mobile robot during navigation, ECMR 2003
     (the augmented filter); A. Gelb, Applied Optimal Estimation, 1974, 3.8 (the Gauss-Markov process).
     """
 
@@ -368,17 +378,17 @@ class OdometryBias:
             Covariances of the noise.
         """
         count, size = known.shape
-        told, noise = motion.moments(known[:, :3])
+        reported, noise = motion.moments(known[:, :3])
         F = np.repeat(np.eye(size)[None], count, axis=0)
-        F[:, :3, :3] = lever_arm_jacobian(known, told)
+        F[:, :3, :3] = lever_arm_jacobian(known, reported)
         if size == 3:
-            return told, F, noise
-        increment = between(known[0, :3], told[0])
+            return reported, F, noise
+        increment = between(known[0, :3], reported[0])
         by_bias = increment[[0, 2]][self._sought]
         kept = math.exp(-math.hypot(*increment[:2]) / self.memory_m)
-        moved = np.concatenate([told, kept * known[:, 3:]], axis=1)
+        moved = np.concatenate([reported, kept * known[:, 3:]], axis=1)
         Q = np.zeros((count, size, size))
-        moved[:, 2] = wrap(told[:, 2] + known[:, 3:] @ by_bias)
+        moved[:, 2] = wrap(reported[:, 2] + known[:, 3:] @ by_bias)
         F[:, 2, 3:] = by_bias
         F[:, 3:, 3:] *= kept
         Q[:, :3, :3] = noise

@@ -23,6 +23,7 @@ class ResamplingPolicy(Protocol):
 
     def __call__(self, effective_sample_size: float, count: int) -> bool:
         """Whether `count` particles of this effective sample size, in [1, count], are to be resampled."""
+        ...
 
 
 @runtime_checkable
@@ -31,6 +32,7 @@ class UpdatePolicy(Protocol):
 
     def __call__(self, translation_m: float, rotation_rad: float) -> bool:
         """Whether the motion since the last key scan (translation >= 0 in m, rotation in rad) calls for one."""
+        ...
 
 
 @final

@@ -286,8 +286,8 @@ def standing_still(
 
 def _at(measurement: Measurement, stamp_ns: int) -> Measurement:
     odometry = measurement.odometry
-    told = None if odometry is None else replace(odometry, stamp_ns=stamp_ns)
-    return Measurement(told, replace(measurement.scan, stamp_ns=stamp_ns))
+    reported = None if odometry is None else replace(odometry, stamp_ns=stamp_ns)
+    return Measurement(reported, replace(measurement.scan, stamp_ns=stamp_ns))
 
 
 def _with_scans(measurements: Iterable[Measurement], change: Callable[[LaserScan], LaserScan]) -> Iterator[Measurement]:

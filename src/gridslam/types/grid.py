@@ -93,17 +93,21 @@ class GridRows(Protocol):
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of cells."""
+        ...
 
     @property
     def resolution_m(self) -> float:
         """Side of a cell."""
+        ...
 
     @property
     def origin(self) -> tuple[float, float]:
         """World coordinates (m) of the lower left corner of cell [0, 0]."""
+        ...
 
     def rows(self, first: int, last: int) -> OccupancyGrid:
         """Rows `first` to `last` - 1."""
+        ...
 
 
 def _darkest(levels: FloatArray) -> FloatArray:

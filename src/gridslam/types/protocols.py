@@ -21,6 +21,7 @@ class DistanceMaps(Protocol):
 
         Of points (B, 2) in the base frame, seen from poses (K, 3).
         """
+        ...
 
     def cast_rays(
         self, rows: Rows, poses: FloatArray, origin: FloatArray, directions: FloatArray, max_m: float
@@ -29,10 +30,12 @@ class DistanceMaps(Protocol):
 
         Along directions (B, 2) from origin (2,), both in the base frame, seen from poses (K, 3).
         """
+        ...
 
     @property
     def reach_m(self) -> float:
         """Where `distances` saturates."""
+        ...
 
 
 @runtime_checkable
@@ -41,9 +44,11 @@ class MotionSampler(Protocol):
 
     def __call__(self, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Draw one successor (N, 3) for each pose (N, 3)."""
+        ...
 
     def moments(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean successors (N, 3) and their covariances (N, 3, 3) in the world frame, to first order."""
+        ...
 
 
 @runtime_checkable
@@ -52,6 +57,7 @@ class MotionModel(Protocol):
 
     def __call__(self, increment: FloatArray) -> MotionSampler:
         """Return the sampler for this increment."""
+        ...
 
 
 @runtime_checkable
@@ -60,6 +66,7 @@ class ScanLikelihood(Protocol):
 
     def __call__(self, maps: DistanceMaps, rows: Rows, poses: FloatArray) -> FloatArray:
         """Log likelihoods (K,) of poses (K, 3) in the maps `rows` (K,)."""
+        ...
 
 
 @runtime_checkable
@@ -68,6 +75,7 @@ class SensorModel(Protocol):
 
     def __call__(self, beams: Beams) -> ScanLikelihood:
         """Return the weigher for this scan."""
+        ...
 
 
 @runtime_checkable
@@ -76,3 +84,4 @@ class Resampler(Protocol):
 
     def __call__(self, weights: FloatArray, size: int, rng: np.random.Generator) -> IntArray:
         """Indices (size,) of the drawn particles, ascending, for weights (N,) >= 0 that sum to anything positive."""
+        ...

@@ -165,7 +165,7 @@ def test_what_a_repair_takes_out_is_told_before_the_first_measurement(tmp_path):
     measurements, _ = log(scans=200)
     write_csv_log(tmp_path / "log.csv", list(with_fault(measurements, "yaw_offset", np.random.default_rng(0), np.pi)))
     told = []
-    source = RepairedLog(open_log(tmp_path / "log.csv"), tell=told.append)
+    source = RepairedLog(open_log(tmp_path / "log.csv"), on_repair=told.append)
     first = next(iter(source))
     assert [fault for repair in told for fault in repair.describe()] == [next(source.repair.describe())]
     assert abs(source.repair.yaw_rad) == pytest.approx(np.pi, abs=0.1)

@@ -46,7 +46,7 @@ def mended(folder, measurements, kind):
     """What a repaired log reads, its repair, and what was told of it."""
     write_csv_log(folder / "log.csv", measurements)
     said: list[Repair] = []
-    log = RepairedLog(open_log(folder / "log.csv"), kind, tell=said.append)
+    log = RepairedLog(open_log(folder / "log.csv"), kind, on_repair=said.append)
     return list(log), log.repair, said
 
 

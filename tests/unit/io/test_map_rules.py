@@ -55,7 +55,7 @@ def test_every_pixel_is_read_by_the_rule(thresholds, mode, negate, strict):
 def read(path, **options):
     """A map, and what is told of its file."""
     remarks = []
-    return read_map(path, **options, tell=remarks.append), remarks
+    return read_map(path, **options, on_remark=remarks.append), remarks
 
 
 def saved(folder, image, mode="trinary", thresholds=(0.65, 0.25), suffix="png", more=""):

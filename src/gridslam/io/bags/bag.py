@@ -115,8 +115,8 @@ def _remarks(seen: Survey, choice: Choice) -> Counter[str]:
         if not scans.stamped:
             found[f"the scans of {name} are not stamped: the times of recording are taken"] += 1
         for link, _ in seen.way(choice.base_frame, scans.frame) or ():
-            told = seen.links[link]
-            late_s = 0.0 if told.static else (told.stamp_ns - scans.first_stamp_ns) / 1e9
+            reported = seen.links[link]
+            late_s = 0.0 if reported.static else (reported.stamp_ns - scans.first_stamp_ns) / 1e9
             if late_s > _LATE_S:
                 late = f"is first published {late_s:.1f} s after the first scan: assumed to hold before"
                 found[f"{link[0]} -> {link[1]} {late}"] += 1

@@ -173,8 +173,8 @@ def decode_odometry(data: bytes, wire: Wire) -> OdometryMessage:
         spread = wire.spread.unpack_from(data, end + 56)
     except struct.error as error:
         raise MessageError(str(error)) from None
-    told = spread if any(spread) else None
-    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose, told)
+    reported = spread if any(spread) else None
+    return OdometryMessage(seconds * 1_000_000_000 + nanoseconds, frame, child, pose, reported)
 
 
 def decode_transforms(data: bytes, wire: Wire) -> list[StampedTransform]:

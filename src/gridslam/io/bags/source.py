@@ -62,9 +62,11 @@ class BagSource(Protocol):
     @property
     def is_truncated(self) -> bool:
         """Whether a part is missing."""
+        ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics in the order of recording; raises InputError where the bag cannot be read on."""
+        ...
 
 
 class Chunk(NamedTuple):

@@ -356,12 +356,12 @@ def _why_not_one_robot(seen: Survey, names: Sequence[str]) -> str:
     """Why these cannot be taken for different lasers of one robot; empty where they can."""
     frames = {name: seen.scans[name].frame for name in names}
     bases = {name: _base_above(seen, frame) for name, frame in frames.items()}
-    told = set(bases.values())
-    if "" not in told and len(told) > 1:
+    reported = set(bases.values())
+    if "" not in reported and len(reported) > 1:
         return f"there are lasers of several robots ({', '.join(f'{name} on {base}' for name, base in bases.items())})"
-    if len({_namespace(name) for name in names}) > 1 and "" in told:
+    if len({_namespace(name) for name in names}) > 1 and "" in reported:
         return "there are lasers in several namespaces, maybe of several robots"
-    if "" in told:
+    if "" in reported:
         missing = next(name for name, base in bases.items() if not base)
         return f"there are several lasers, and the mounting of {missing} ({frames[missing]}) is unknown (no transform)"
     if len(set(frames.values())) < len(names):
@@ -410,8 +410,8 @@ def _agrees(seen: Survey, name: str) -> bool:
     if not inside:
         return False
     at = [float(stamp) for stamp, _ in inside]
-    told = np.column_stack([np.interp(at, stamps, places[:, axis]) for axis in (0, 1)])
-    return bool(np.median(np.hypot(*(told - [pose[:2] for _, pose in inside]).T)) < _AGREES_M)
+    reported = np.column_stack([np.interp(at, stamps, places[:, axis]) for axis in (0, 1)])
+    return bool(np.median(np.hypot(*(reported - [pose[:2] for _, pose in inside]).T)) < _AGREES_M)
 
 
 def _odometry_frame(seen: Survey, above: list[list[str]]) -> str:

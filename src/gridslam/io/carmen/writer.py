@@ -98,7 +98,7 @@ def _format_lines(measurements: Iterable[Measurement]) -> Iterator[str]:
 @lru_cache(maxsize=256)
 def _parameters(sensor: str, geometry: ScanGeometry, range_max_m: float) -> list[str]:
     """PARAM lines from which the reader gets the beams, the maximum range and the mounting."""
-    values = dict(zip(("x", "y", "theta"), _mounting(geometry), strict=True))
+    values: dict[str, float] = dict(zip(("x", "y", "theta"), _mounting(geometry), strict=True))
     bearings = geometry.bearings
     n = len(bearings)
     if n > 1:

@@ -73,6 +73,7 @@ class Outputs(Protocol):
 
     def now_ns(self) -> int:
         """Return the transport's time, which may be simulated, ns."""
+        ...
 
     def map(self, message: GridMessage) -> None:
         """Publish the map, latched."""
@@ -92,5 +93,5 @@ class Outputs(Protocol):
     def diagnostics(self, message: Diagnostics) -> None:
         """Publish the diagnostics."""
 
-    def log(self, level: Level, text: str) -> None:
+    def log(self, level: Level, text: str, /) -> None:
         """Report to the user."""

@@ -210,9 +210,9 @@ class StatePublisher:
             return transforms
         for transform in transforms:
             if transform.child == child and transform not in self._own_transforms:
-                told = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
+                reported = f"{publisher or 'it'} publishes {child} in {transform.parent}, and this node publishes it in"
                 end = "end one of them (a localization, or the bag itself)"
-                self._warn("transform of another node", f"{told} {self._settings.map_frame}: {end}")
+                self._warn("transform of another node", f"{reported} {self._settings.map_frame}: {end}")
         return [one for one in transforms if (one.parent, one.child) != (self._settings.map_frame, child)]
 
     def diagnostics(self) -> Diagnostics:

@@ -92,9 +92,11 @@ class Transport(Protocol):
 
     def wire_of(self, data: bytes) -> Wire:
         """Return the encoding of a message; raises MessageError if it has none."""
+        ...
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic, after remapping."""
+        ...
 
     def subscribe(
         self, topic: str, kind: str, handle: Handler, *, reliable: bool = True, latched: bool = False, depth: int = 10
@@ -112,6 +114,7 @@ class Transport(Protocol):
 
     def spin(self, ended: threading.Event) -> Iterator[None]:
         """Deliver messages until the transport is shut down or the event is set; yields several times a second."""
+        ...
 
     def close(self) -> None:
         """Shut down."""

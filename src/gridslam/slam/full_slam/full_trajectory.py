@@ -30,7 +30,9 @@ def full_trajectory(key_poses: FloatArray, keys: IntArray, key_from_base: FloatA
     key_from_base : (N, 3) float64
         The tracked motion since the key scan *before* each scan, as `StepReport` gives it.
 
-    Source: the mean of a Brownian bridge; a tracker between nodes of a trajectory as in Haehnel et al. 2003.
+    References
+    ----------
+    The mean of a Brownian bridge; a tracker between nodes of a trajectory as in Haehnel et al. 2003.
     """
     arrivals = _find_later_key_scans(keys)
     since = _motion_since_key_scan(key_from_base, arrivals)

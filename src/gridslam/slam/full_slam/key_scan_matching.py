@@ -93,13 +93,13 @@ class KeyScanMatching:
 
     def _nearby_key_scans(self, closure_state: LoopClosureState, poses: FloatArray) -> list[list[int]]:
         """For each submap the key scans to match to it."""
-        from scipy.spatial import cKDTree  # imported lazily: only needed for loop closure
+        from scipy.spatial import KDTree  # imported lazily: only needed for loop closure
 
         graph = closure_state.graph
         components = graph.label_rigid_components()
         wanted: list[list[int]] = [[] for _ in range(graph.complete_submaps)]
         complete = graph.complete_submaps * KEY_SCANS_PER_SUBMAP
-        for key, near in enumerate(cKDTree(poses[:, :2]).query_ball_point(poses[:, :2], self.max_distance_m)):
+        for key, near in enumerate(KDTree(poses[:, :2]).query_ball_point(poses[:, :2], self.max_distance_m)):
             others = np.array([k for k in near if k < complete], np.int64)
             is_recent = np.abs(others // KEY_SCANS_PER_SUBMAP - submap_of(key)) <= _RECENT_SUBMAPS
             others = others[~is_recent & (components[others] == components[key])]

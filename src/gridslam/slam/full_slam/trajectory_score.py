@@ -74,7 +74,9 @@ class TrajectoryScorer:
     motion_tempering : float, [0, 1]
         Share of an increment's evidence that is new: errors of neighbouring increments are correlated.
 
-    Source: the weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
+    References
+    ----------
+    The weights of Grisetti et al. 2007, accumulated along one trajectory, here over other visits only.
     """
 
     same_visit_distance: float = Field(default=15.0, gt=0)

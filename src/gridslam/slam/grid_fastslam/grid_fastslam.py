@@ -91,7 +91,9 @@ class GridFastSlam:
     threads : int
         Threads of the kernels; never changes a result.
 
-    Source: Probabilistic Robotics, Table 13.4; Grisetti, Stachniss and Burgard 2007; Haehnel et al. 2003.
+    References
+    ----------
+    Probabilistic Robotics, Table 13.4; Grisetti, Stachniss and Burgard 2007; Haehnel et al. 2003.
     """
 
     tracker: Tracker | OdometryTracker = Tracker()
@@ -242,7 +244,7 @@ def _check_particles(particles: object) -> FloatArray:
     try:
         poses = np.array(particles, np.float64)
     except (TypeError, ValueError):
-        poses = np.empty(0)
+        poses = np.empty((0, 3))
     if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses) or not np.isfinite(poses).all():
         raise ArgumentError("particles", "a number, or finite poses of shape (N, 3)", describe(particles))
     return poses

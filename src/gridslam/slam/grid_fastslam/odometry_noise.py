@@ -90,5 +90,5 @@ class OdometryNoise:
             return sampler
         _, by_motion = compose_jacobians(between(key_pose, self.base), between(self.base, predicted))
         own = sampler.moments(np.zeros((1, 3)))[1][0]
-        told = by_motion @ self.covariance @ by_motion.T
-        return GaussianIncrement.with_covariance(between(key_pose, predicted), own + told)
+        reported = by_motion @ self.covariance @ by_motion.T
+        return GaussianIncrement.with_covariance(between(key_pose, predicted), own + reported)

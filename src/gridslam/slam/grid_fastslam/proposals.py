@@ -33,6 +33,7 @@ class Matcher(Protocol):
         self, maps: TileMaps, rows: Int32Array, guesses: FloatArray, priors: FloatArray, beams: BeamEnds
     ) -> Match:
         """Match the scan to maps `rows` (K,) from `guesses` (K, 3) with prior information (K, 3, 3)."""
+        ...
 
 
 @final
@@ -58,6 +59,7 @@ class Proposal(Protocol):
         rng: np.random.Generator,
     ) -> ProposedPoses:
         """Move particles at poses (N, 3), each with its row of `maps`."""
+        ...
 
 
 def _rows(maps: TileMaps) -> Int32Array:
@@ -124,7 +126,9 @@ class ScanMatchedProposal:
         Standard deviation of a beam's distance to the map against which the motion model's information holds the match
         near its draw. Next to nothing: where a loop closes, a particle must be free to follow its map.
 
-    Source: G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
+    References
+    ----------
+    G. Grisetti, C. Stachniss, W. Burgard, GMapping (OpenSLAM), `GridSlamProcessor::scanMatch`.
     """
 
     matcher: Annotated[GaussNewton | HillClimbing, Kind()] = GaussNewton()
@@ -170,7 +174,9 @@ class ImprovedProposal:
         Standard deviation of a beam's distance to the map; it accounts for the beams' correlation, so it is larger
         than a lidar's noise.
 
-    Source: Grisetti, Stachniss and Burgard 2007, eq. 10 to 17; FastSLAM 2.0 (Montemerlo et al. 2003) on grids.
+    References
+    ----------
+    Grisetti, Stachniss and Burgard 2007, eq. 10 to 17; FastSLAM 2.0 (Montemerlo et al. 2003) on grids.
     """
 
     matcher: GaussNewton = GaussNewton()

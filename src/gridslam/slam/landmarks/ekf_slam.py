@@ -44,7 +44,9 @@ class EkfSlam:
     bias : OdometryBias
         Systematic errors of the odometry, which are part of what is estimated.
 
-    Source: Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). The tables correct by one
+    References
+    ----------
+    Probabilistic Robotics, Tables 10.1 (known correspondences) and 10.2 (unknown). The tables correct by one
     observation after the other; here all observations of a step are used at once: the same for a linear model, and one
     update of the covariance, whose cost grows with the square of the number of landmarks, instead of many.
     """
@@ -87,10 +89,10 @@ class EkfSlam:
             self._correct_provisional(state, int(places[k]), observations.values[k], noise[k])
         for k in np.flatnonzero(places == NEW).tolist():
             places[k] = self._add(state, observations, k, noise[k])
-        told = places.copy()
-        told[places >= 0] = state.names[places[places >= 0]]
+        reported = places.copy()
+        reported[places >= 0] = state.names[places[places >= 0]]
         self._count(state, places[places >= 0], observations)
-        return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), told)
+        return state, LandmarkReport(state.pose.copy(), state.pose_covariance.copy(), reported)
 
     def landmark_map(self, state: EkfSlamState) -> LandmarkMap:
         """Return the confirmed landmarks."""

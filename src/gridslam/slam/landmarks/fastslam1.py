@@ -41,7 +41,9 @@ class FastSlam1:
     when_to_resample : ResamplingPolicy
         When resampling is worth its loss of diversity.
 
-    Source: Probabilistic Robotics, Tables 13.1 (known correspondences) and 13.2 (unknown); Montemerlo, Thrun, Koller,
+    References
+    ----------
+    Probabilistic Robotics, Tables 13.1 (known correspondences) and 13.2 (unknown); Montemerlo, Thrun, Koller,
     Wegbreit, FastSLAM, AAAI 2002. The tables resample at every step.
     """
 

@@ -97,7 +97,9 @@ class FastSlam2:
     landmarks, resampler, when_to_resample
         As for `FastSlam1`.
 
-    Source: Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The table
+    References
+    ----------
+    Probabilistic Robotics, Table 13.3; Montemerlo, Thrun, Koller, Wegbreit, FastSLAM 2.0, IJCAI 2003. The table
     has one observation in each step, draws a pose for each landmark it might be of and takes the one of greatest
     likelihood; here there are several, or none, and correspondences that are not known are judged by
     p(z_t | x_t-1, u_t, c_t), as in the paper. Without observations no pose is sampled yet, and the Gaussian of the

@@ -39,6 +39,7 @@ class PoseBelief(Protocol):
     @property
     def poses(self) -> FloatArray:
         """Poses (N, 3), or their means."""
+        ...
 
     def covariance_seen_from(self, rows: IntArray, columns: IntArray) -> FloatArray | None:
         """Covariance (R, 3, 3) of the poses as seen from landmarks (rows, columns); None where they are sampled."""

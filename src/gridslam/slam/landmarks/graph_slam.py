@@ -71,7 +71,9 @@ class LandmarkGraphSlam:
     growth : int
         Steps from one solution to the next; over 200 steps of Victoria Park, 110 m, dead reckoning turns by 0.1 rad.
 
-    Source: Probabilistic Robotics, Tables 11.1 to 11.5. Where the book eliminates all landmarks and then solves for the
+    References
+    ----------
+    Probabilistic Robotics, Tables 11.1 to 11.5. Where the book eliminates all landmarks and then solves for the
     poses, the sparse factorization finds its own order of elimination.
     """
 
@@ -149,14 +151,14 @@ class LandmarkGraph:
         spreads = np.array([spread for _, (spread,) in moments]).reshape(-1, 3, 3)
         spread_at_end = _at_the_end(spreads, increments) + _ALMOST_EXACT * np.eye(3)
         observed = [step.observations for step in steps if len(step.observations)]
-        told = [name for observations in observed for name in signatures(observations).tolist()]
-        place_of = {name: place for place, name in enumerate(dict.fromkeys(told))}
-        place = np.array([place_of[name] for name in told], np.int64)
+        reported = [name for observations in observed for name in signatures(observations).tolist()]
+        place_of = {name: place for place, name in enumerate(dict.fromkeys(reported))}
+        place = np.array([place_of[name] for name in reported], np.int64)
         located = [_locate(observations, sensor) for observations in observed]
-        points = np.zeros((len(told), 3))
+        points = np.zeros((len(reported), 3))
         points[:, :2] = np.concatenate([np.empty((0, 2)), *(positions for positions, _ in located)])
         covariances = np.concatenate([np.empty((0, 2, 2)), *(covariances for _, covariances in located)])
-        information = np.zeros((len(told), 3, 3))
+        information = np.zeros((len(reported), 3, 3))
         information[:, :2, :2] = inverse_2x2(covariances)
         information[np.unique(place, return_index=True)[1], 2, 2] = _ANY
         return cls(

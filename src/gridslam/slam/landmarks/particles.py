@@ -159,7 +159,7 @@ class LandmarkParticles:
         if (self.names < 0).all():
             best = self.best
             kept = np.flatnonzero(self.confirmed[best])
-            return LandmarkMap(kept, *(part[best, kept] for part in (self.positions, spread, self.observations)))
+            return LandmarkMap(kept, self.positions[best, kept], spread[best, kept], self.observations[best, kept])
         kept = np.flatnonzero(self.names >= 0)
         weights = np.exp(self.log_weights)
         positions = self.positions[:, kept]
@@ -216,7 +216,8 @@ class LandmarkParticles:
 
     def _describe_local_frames(self) -> FloatArray:
         """Pose (3), opening step and flag of the local frame of each particle (N, 5)."""
-        return np.column_stack([self.local_frames, self.local_frame_step, self.in_local_frame])
+        columns = [self.local_frames, self.local_frame_step, self.in_local_frame]
+        return np.column_stack(columns).astype(np.float64)
 
     def resample(self, drawn: IntArray) -> IntArray:
         """Let the particles `drawn` (N,) go on, with equal weights; returns the parents (N,), in another order.
@@ -243,8 +244,8 @@ class LandmarkParticles:
         covariance += np.einsum("n,nij->ij", weights, self._pose_covariances())
         columns = places[best]
         names = self.names[columns]  # below 0 where columns have no signatures
-        told = np.where((columns >= 0) & (names >= 0), names, columns)
-        return LandmarkReport(self.poses[best].copy(), covariance, told, effective_sample_size(self.log_weights))
+        reported = np.where((columns >= 0) & (names >= 0), names, columns)
+        return LandmarkReport(self.poses[best].copy(), covariance, reported, effective_sample_size(self.log_weights))
 
     def take(self) -> LandmarkParticles:
         """Hand the contents over to a new owner; this one raises ConsumedStateError from now on."""
@@ -320,7 +321,9 @@ def smooth_trajectory(
     bias : OdometryBias
         The errors of the odometry that the filter learned.
 
-    Source: H. Rauch, F. Tung, C. Striebel, Maximum likelihood estimates of linear dynamic systems, 1965.
+    References
+    ----------
+    H. Rauch, F. Tung, C. Striebel, Maximum likelihood estimates of linear dynamic systems, 1965.
     """
     rows = state.ancestry.trajectory(particle)
     poses = rows[:, :3]

@@ -84,7 +84,9 @@ class KeyGraph:
     constraints : list of Constraint
         Matches of key scans to older submaps.
 
-    Source: Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
+    References
+    ----------
+    Olson, Robust and efficient robotic mapping, 2008 (Dijkstra projection).
     """
 
     tracked: Annotated[list[Annotated[FloatArray, 3]], "T"] = field(default_factory=list)

@@ -33,17 +33,21 @@ class FilterState(Protocol):
     @property
     def tracker(self) -> TrackerState:
         """The tracker's state."""
+        ...
 
     @property
     def key_pose(self) -> FloatArray:
         """The tracker's pose (3,) at the last key scan."""
+        ...
 
     @property
     def best_pose(self) -> FloatArray:
         """Pose (3,) of the best particle at the last key scan, map frame."""
+        ...
 
     def best_trajectory(self) -> FloatArray:
         """Poses (T, 3) of the best particle at all key scans."""
+        ...
 
     def replace_trajectory(self, trajectory: FloatArray, maps: TileMaps) -> None:
         """Let all particles share one past, poses (T, 3), and the first of `maps`, with equal weights."""

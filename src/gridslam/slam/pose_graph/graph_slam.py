@@ -81,7 +81,9 @@ class GraphSlam:
     tolerance : float
         A minimum is where the quadratic model promises to lower chi2 by less than this share.
 
-    Source: Thrun, Burgard, Fox, Probabilistic Robotics (2005), chapter 11; Grisetti et al., A tutorial on graph-based
+    References
+    ----------
+    Thrun, Burgard, Fox, Probabilistic Robotics (2005), chapter 11; Grisetti et al., A tutorial on graph-based
     SLAM (2010), algorithm 1.
     """
 

@@ -152,7 +152,7 @@ def _selected_inverse(lower: Any, pivots: FloatArray, wanted: IntArray) -> Float
         places = np.concatenate((np.arange(a, b), below))
         inner = np.empty((0, 0))
         if has_parent[node]:
-            parent = node_of[below[0]]
+            parent = int(node_of[below[0]])
             of_parent, outer = fronts[parent]
             at = np.searchsorted(of_parent, below)
             inner = outer[at[:, None], at]

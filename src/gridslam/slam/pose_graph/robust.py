@@ -65,7 +65,9 @@ class CauchyEstimator:
     stop_m : float, m
         A pass that moves no pose farther is the last.
 
-    Source: Holland and Welsch, Robust regression using iteratively reweighted least squares (1977).
+    References
+    ----------
+    Holland and Welsch, Robust regression using iteratively reweighted least squares (1977).
     """
 
     scale: float = Field(default=2.0, gt=0)
@@ -117,7 +119,9 @@ class GraduatedNonConvexity:
         Factor from one degree of non-convexity to the next. The paper's 1.4 takes four times as long; on real graphs
         with ten percent of false closures it does no better than 4 once rounds are repeated.
 
-    Source: Yang, Antonante, Tzoumas, Carlone, Graduated non-convexity for robust spatial perception (2020), algorithm 1
+    References
+    ----------
+    Yang, Antonante, Tzoumas, Carlone, Graduated non-convexity for robust spatial perception (2020), algorithm 1
     with the truncated least squares of proposition 4 and remark 5.
     """
 
