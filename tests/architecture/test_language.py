@@ -99,3 +99,31 @@ def test_a_planted_word_is_found_and_an_identifier_is_not(source, suffix, count)
 def test_a_planted_word_is_found_on_a_page():
     page = "A scan tells it.\n\n```python\ntells = 1\n```\n\nSee `tells` and [this](tells.md).\n"
     assert found(r"\btells?\b", {"planted": list(of_page(page))}) == ["planted: A scan tells it."]
+
+
+IDENTIFIERS = {
+    "aboard", "adrift", "raft", "said", "says", "sighting", "sightings", "strange", "surveyed", "tell",
+    "tells", "tick", "tie", "tied", "ties", "told", "whereabouts",
+}  # fmt: skip
+"""Words that no name of the package has as a part; a file's own method `tell` is another's name."""
+
+
+def words_of_names(text: str) -> set[str]:
+    """Parts of all names in a text of Python, in lower case, without those of others' methods."""
+    tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    names = [
+        token.string
+        for before, token in zip([None, *tokens], tokens, strict=False)
+        if token.type == tokenize.NAME and not (token.string == "tell" and before is not None and before.string == ".")
+    ]
+    return {part.lower() for name in names for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", name)}
+
+
+def test_words_of_our_own_are_in_no_name():
+    texts = {path: path.read_text(encoding="utf-8") for path in SOURCES if path.suffix == ".py"}
+    found = {f"{path.name}: {word}" for path, text in texts.items() for word in words_of_names(text) & IDENTIFIERS}
+    assert found == set()
+
+
+def test_a_word_in_a_name_is_seen():
+    assert words_of_names("told_poses = f.tell(LastTie)") & IDENTIFIERS == {"told", "tie"}

@@ -133,6 +133,6 @@ def test_two_lasers_with_their_own_mountings_rates_and_counts():
 def test_scans_taken_while_turning_at_three_radians_a_second(told):
     """Told when each beam was measured, they are deskewed; untold, the turn smears them by up to 0.3 rad."""
     quick = RobotConfig(omega_max_rad_s=3.0, v_max_m_s=1.0, acceleration_m_s2=2.0, turning_radius_m=0.3)
-    log = recorded(lidar(rate_hz=10.0, scan_time_s=0.1, tells_beam_times=told), quick)
+    log = recorded(lidar(rate_hz=10.0, scan_time_s=0.1, reports_beam_times=told), quick)
     error = mapped(log.measurements, log.truth)
     assert (error.rot_rmse_deg < 1.2) == told

@@ -180,10 +180,10 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     residuals = np.empty((len(ways), 3))
     residuals[:, :2] = reported - predicted
     way = np.hypot(ways.odometry[:, 0], ways.odometry[:, 1])
-    turn_told = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
-    residuals[:, 2] = wrap(ways.odometry[:, 2] - turn_told)
-    told_drift = turns.drift
-    drift = ParameterEstimate(scale.value * told_drift.value, scale.value * told_drift.sigma, told_drift.determined)
+    reported_turn = turns.turn_scale.value * laser[:, 2] + turns.drift.value * np.copysign(way, ways.odometry[:, 0])
+    residuals[:, 2] = wrap(ways.odometry[:, 2] - reported_turn)
+    turn_drift = turns.drift
+    drift = ParameterEstimate(scale.value * turn_drift.value, scale.value * turn_drift.sigma, turn_drift.determined)
     noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
     return MotionCalibration(
         reflected, turns.agreement, scale, turns.turn_scale, drift, yaw, turns.skew, x, y,

@@ -29,11 +29,11 @@ _HALF_SIGMAS = 4.0
 
 # Differences from which on they are reported, and are more than information. Wheel odometry errs by a percent or
 # two on every robot and matching compensates for it; larger errors can be measured and corrected.
-_SCALE_TOLD = 0.012
+_REPORTED_SCALE = 0.012
 _SCALE = 0.02
-_TURN_SCALE_TOLD = 0.015
+_REPORTED_TURN_SCALE = 0.015
 _TURN_SCALE = 0.025
-_DRIFT_TOLD = 0.006
+_REPORTED_DRIFT = 0.006
 _DRIFT = 0.01  # rad/m: half a degree a metre
 _YAW = 0.06  # rad: 6 % of the way sideways
 _YAW_SPOILS = 0.35  # rad: from 20 degrees on matching begins too far off
@@ -226,7 +226,7 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
 def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
     """Systematic errors of the odometry."""
     scale = found.scale
-    if scale.differs(1.0, _SCALE_TOLD):
+    if scale.differs(1.0, _REPORTED_SCALE):
         percent = 100 * (scale.value - 1)
         yield Finding(
             "odometry_scale", Severity.WARNING if scale.differs(1.0, _SCALE) else Severity.INFO,
@@ -236,7 +236,7 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             motion.sensor,
         )  # fmt: skip
     turn = found.turn_scale
-    if turn.differs(1.0, _TURN_SCALE_TOLD):
+    if turn.differs(1.0, _REPORTED_TURN_SCALE):
         percent = 100 * (turn.value - 1)
         yield Finding(
             "odometry_rotation_bias", Severity.WARNING if turn.differs(1.0, _TURN_SCALE) else Severity.INFO,
@@ -245,7 +245,7 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
             turn.value - 1, "rad/rad", f"Multiply the distance between the wheels by {turn.value:.3f}.", motion.sensor,
         )  # fmt: skip
     drift = found.drift_rad_per_m
-    if drift.differs(0.0, _DRIFT_TOLD):
+    if drift.differs(0.0, _REPORTED_DRIFT):
         degrees = math.degrees(drift.value)
         yield Finding(
             "odometry_drift", Severity.WARNING if drift.differs(0.0, _DRIFT) else Severity.INFO,

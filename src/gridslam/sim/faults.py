@@ -84,7 +84,7 @@ def clock_skew(measurements: Iterable[Measurement], skew_s: float) -> Iterator[M
         A measurement has no odometry.
     """
     scans, readings = tee(measurements)
-    before = after = _told(next(readings))
+    before = after = _require_odometry(next(readings))
     for _, scan in scans:
         at = scan.stamp_ns + round(skew_s * 1e9)
         while after.stamp_ns < at:
@@ -92,12 +92,12 @@ def clock_skew(measurements: Iterable[Measurement], skew_s: float) -> Iterator[M
             coming = next(readings, None)
             if coming is None:
                 return
-            after = _told(coming)
+            after = _require_odometry(coming)
         if at >= before.stamp_ns:
             yield Measurement(_between(before, after, at), replace(scan, stamp_ns=at))
 
 
-def _told(measurement: Measurement) -> Odometry:
+def _require_odometry(measurement: Measurement) -> Odometry:
     if measurement.odometry is None:
         raise ArgumentError("measurements", "odometry with every scan", f"none at {measurement.scan.stamp_ns} ns")
     return measurement.odometry

@@ -54,7 +54,7 @@ class LidarConfig:
         When the first scan is taken.
     scan_time_s : float, s, >= 0
         What a scan takes: beam i of B is measured i / B of it after the stamp, while the robot drives on.
-    tells_beam_times : bool
+    reports_beam_times : bool
         Whether scans have beam times, if they are not taken in an instant.
     sensor : str
         Name of the laser and of its frame.
@@ -75,7 +75,7 @@ class LidarConfig:
     rate_hz: float = Field(default=5.0, gt=0)
     begin_s: float = Field(default=0.0, ge=0)
     scan_time_s: float = Field(default=0.0, ge=0)
-    tells_beam_times: bool = True
+    reports_beam_times: bool = True
     sensor: str = "laser"
 
     @model_validator(mode="after")

@@ -232,7 +232,7 @@ def _record(
                 yield LaserScan.from_ranges(
                     round(1e9 * stamp_s), row[:count], geometry(count), range_max_m=lidar.range_max_m,
                     sensor=lidar.sensor, frame=lidar.sensor,
-                    beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.tells_beam_times else None,
+                    beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.reports_beam_times else None,
                 )  # fmt: skip
 
     return scans()

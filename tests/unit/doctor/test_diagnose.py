@@ -98,7 +98,7 @@ def skewed(backward=False, **lidar):
 
 
 def test_scans_that_take_time_and_do_not_tell_it_are_named():
-    found = skewed(tells_beam_times=False)
+    found = skewed(reports_beam_times=False)
     smear = found["skewed_while_turning"]
     assert smear.severity is Severity.WARNING
     assert smear.size == pytest.approx(2.5 * 0.1, rel=0.2)
@@ -107,7 +107,7 @@ def test_scans_that_take_time_and_do_not_tell_it_are_named():
 
 
 def test_clockwise_scans_too():
-    assert skewed(tells_beam_times=False, clockwise=True)["skewed_while_turning"].severity is Severity.WARNING
+    assert skewed(reports_beam_times=False, clockwise=True)["skewed_while_turning"].severity is Severity.WARNING
 
 
 @pytest.mark.parametrize("backward", [False, True])

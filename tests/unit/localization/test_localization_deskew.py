@@ -14,7 +14,7 @@ from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, simulate
 from gridslam.types import Beams, LaserScan, ScanGeometry
 from support.localization_world import flat, flat_map
 
-LIDAR = LidarConfig(rate_hz=5.0, scan_time_s=0.15, tells_beam_times=True)
+LIDAR = LidarConfig(rate_hz=5.0, scan_time_s=0.15, reports_beam_times=True)
 RANGES = np.array([1.0, 2.0, 3.0])
 
 

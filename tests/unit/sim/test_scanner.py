@@ -63,7 +63,7 @@ def test_deskewed_with_the_true_twist_it_is_the_scan_of_an_instant():
 
 
 def test_a_lidar_that_does_not_tell_its_beams_times():
-    (_, scan), *_ = drive(replace_parameters(SWEEPING, tells_beam_times=False)).measurements
+    (_, scan), *_ = drive(replace_parameters(SWEEPING, reports_beam_times=False)).measurements
     assert scan.beam_times_s is None
 
 

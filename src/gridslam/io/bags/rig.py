@@ -135,10 +135,10 @@ class Rig:
         mounts = [seen.way(self._base, seen.scans[name].frame) or [] for name in choice.scans]
         links = self._odometry_links.union(step.link for way in mounts for step in way)
         self.topics = frozenset(seen.links[link].topic for link in links)
-        self._told = {link: seen.links[link].pose for link in links}
-        self._poses = dict(self._told)
+        self._reported = {link: seen.links[link].pose for link in links}
+        self._poses = dict(self._reported)
         self._covariances = PoseCovariances() if way == [] and choice.odometry else None  # of the base itself
-        self._told_ns: int | None = None
+        self._reported_ns: int | None = None
         for link in self._odometry_links - self._moving:
             self._add(link, 0, self._poses[link], static=True)
 
@@ -166,10 +166,10 @@ class Rig:
             if link in self._followed:
                 self._follow(link, rigid.from_quaternion(pose[:3], pose[3:]))
             return True
-        before = self._told.get(link)
+        before = self._reported.get(link)
         if before is None or transform.pose == before:
             return False
-        self._told[link] = transform.pose
+        self._reported[link] = transform.pose
         now = rigid.from_quaternion(transform.pose[:3], transform.pose[3:])
         if link in self._odometry_links and differs(self._poses[link], now):
             self._moving.add(link)
@@ -185,9 +185,9 @@ class Rig:
             return missing.coverage, None
         pose.flags.writeable = False
         covariance = None
-        if self._covariances is not None and self._told_ns is not None:
-            covariance = self._covariances.between(self._told_ns, stamp_ns)
-        self._told_ns = stamp_ns
+        if self._covariances is not None and self._reported_ns is not None:
+            covariance = self._covariances.between(self._reported_ns, stamp_ns)
+        self._reported_ns = stamp_ns
         return Coverage.KNOWN, Odometry(stamp_ns, pose, covariance)
 
     def laser(self, frame: str) -> MountedLaser:

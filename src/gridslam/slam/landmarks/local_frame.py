@@ -175,8 +175,8 @@ class LocalFrameProposal(PoseProposal):
         points = state.positions[rows]
         inside = state.landmark_in_local_frame[rows]
         state.positions[rows] = np.where(inside[:, :, None], transform_points(moved[:, None], points), points)
-        aboard = state.in_local_frame[rows]
-        self.mean[rows] = np.where(aboard[:, None], compose(moved, self.mean[rows]), self.mean[rows])
+        inside = state.in_local_frame[rows]
+        self.mean[rows] = np.where(inside[:, None], compose(moved, self.mean[rows]), self.mean[rows])
 
 
 @final
