@@ -59,9 +59,9 @@ def world():
 @pytest.mark.parametrize("name", seeded(None))
 @pytest.mark.parametrize("seed", [0, None, "rng"])
 def test_a_seed_is_no_generator(name, seed):
-    with pytest.raises(gridslam.ArgumentError, match=r"rng: expected a numpy\.random\.Generator, .*, got ") as told:
+    with pytest.raises(gridslam.ArgumentError, match=r"rng: expected a numpy\.random\.Generator, .*, got ") as reported:
         seeded(seed)[name]()
-    assert f"got {seed!r}" in str(told.value)
+    assert f"got {seed!r}" in str(reported.value)
 
 
 def test_a_refused_call_does_not_consume_the_state():

@@ -41,7 +41,7 @@ def test_the_errors_of_the_odometry_are_told(tmp_path, drive):
     assert errors["scale"] == pytest.approx(1 / 1.1, abs=0.03)
     assert errors["turn_scale"] == pytest.approx(1.0, abs=0.03)
     assert (tracker["stamps_reliable"], tracker["odometry_rejected"]) == (True, 0)
-    assert tracker["beam_order"] == {"laser": "as told"}
+    assert tracker["beam_order"] == {"laser": "as reported"}
 
 
 def test_nothing_is_told_of_odometry_that_is_not_there_and_times_of_beams_may_be_backward(tmp_path, drive):

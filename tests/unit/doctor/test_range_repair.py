@@ -43,7 +43,7 @@ def told(value_m: float, lost: float = 0.1, jitter_m: float = 0.0, sensor: str =
 
 
 def mended(folder, measurements, kind):
-    """What a repaired log reads, its repair, and what was told of it."""
+    """What a repaired log reads, its repair, and what was reported of it."""
     write_csv_log(folder / "log.csv", measurements)
     said: list[Repair] = []
     log = RepairedLog(open_log(folder / "log.csv"), kind, on_repair=said.append)
