@@ -170,26 +170,3 @@ def test_it_can_be_interrupted(halls):
 
     with pytest.raises(KeyboardInterrupt):
         refine(halls[0].log, on_progress=stop)
-
-
-def test_the_graph_holds_the_tracked_increments(halls):
-    """Their positions with less variance than that by which searches are bounded, headings with the same."""
-    for one in halls:
-        graph = one.refinement.best.graph
-        known = one.closure_state.graph
-        if one.refinement.best.name == "filter":
-            continue
-        count = len(graph.poses) - 1
-        tracked = np.array(known.tracked)
-        np.testing.assert_array_equal(graph.measurements[:count], between(tracked[:-1], tracked[1:]))
-        variances = 1 / graph.information[:count, [0, 1, 2], [0, 1, 2]]
-        position, heading = np.array(known.variances[1:]).T
-        np.testing.assert_allclose(variances[:, 2], heading, rtol=1e-9)
-        ratio = REFINEMENT.increment_sigma_ratio**2
-        assert (variances[:, 0] >= ratio * position * (1 - 1e-9)).all()
-        assert (variances[:, 0] < position).all()
-        assert np.median(variances[:, 0] / position) == pytest.approx(ratio)
-
-
-def test_at_least_one_hall_is_refined(halls):
-    assert any(one.refinement.best.name != "filter" for one in halls)
