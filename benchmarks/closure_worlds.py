@@ -82,9 +82,11 @@ def _drifting(rng: np.random.Generator, bias_rad_per_m: float, alpha2: float) ->
     """Draw to which side odometry turns, and whether it is 2 % long or short."""
     side, longer = rng.choice([-1.0, 1.0], 2).tolist()
     return OdometryNoise(
-        distance_scale=1 + 0.02 * longer, turn_scale=1 + float(rng.uniform(-0.005, 0.005)),
-        bias_rad_per_m=side * bias_rad_per_m, alpha2=alpha2,
-    )  # fmt: skip
+        distance_scale=1 + 0.02 * longer,
+        turn_scale=1 + float(rng.uniform(-0.005, 0.005)),
+        bias_rad_per_m=side * bias_rad_per_m,
+        alpha2=alpha2,
+    )
 
 
 def returns(poses: FloatArray, near_m: float = 1.0, apart_m: float = 30.0) -> float:

@@ -85,19 +85,31 @@ def any_log(seed: int, *, lasers: int = 1, omega_rad_s: float | None = None, bea
     sweep = 0.0 if omega_rad_s is None else span / math.tau / rate
     lidars = [
         LidarConfig(
-            beams=beams or drawn, field_of_view_rad=span, rate_hz=rate, sigma_range_m=sigma, x_m=x - 0.3 * k,
-            heading_rad=math.pi * k, begin_s=0.4 * k / rate, sensor=("front", "rear")[k], scan_time_s=sweep,
+            beams=beams or drawn,
+            field_of_view_rad=span,
+            rate_hz=rate,
+            sigma_range_m=sigma,
+            x_m=x - 0.3 * k,
+            heading_rad=math.pi * k,
+            begin_s=0.4 * k / rate,
+            sensor=("front", "rear")[k],
+            scan_time_s=sweep,
         )
         for k in range(lasers)
-    ]  # fmt: skip
+    ]
     speed = float(rng.uniform(0.4, 0.9))
     omega = float(rng.uniform(0.7, 1.5))
     robot = RobotConfig(v_max_m_s=speed, omega_max_rad_s=omega_rad_s or omega, acceleration_m_s2=speed)
     chance = float(rng.uniform(0.5, 1.5))
     noise = OdometryNoise(
-        distance_scale=1.0, turn_scale=1.0, bias_rad_per_m=0.0,
-        alpha1=2e-4 * chance, alpha2=1e-4 * chance, alpha3=2e-4 * chance, alpha4=1e-4 * chance,
-    )  # fmt: skip
+        distance_scale=1.0,
+        turn_scale=1.0,
+        bias_rad_per_m=0.0,
+        alpha1=2e-4 * chance,
+        alpha2=1e-4 * chance,
+        alpha3=2e-4 * chance,
+        alpha4=1e-4 * chance,
+    )
     log = simulate(make_world(_WORLDS[seed % len(_WORLDS)], rng), robot, noise, lidars, rng)
     return _first(log, float(rng.uniform(30, 200)), sweep)
 
@@ -176,8 +188,17 @@ def _row(name: str, case: Case, seeds: Sequence[int], report: Report, verbose: b
         report.targets.append(Target(f"{name}: logs not named in size", len(errors) - close, len(errors) // 20))
     report.targets.append(Target(f"{name}: other faults told", len(others), 0))
     known = [error for error in errors if math.isfinite(error)] or [math.nan]
-    return [name, statistics.median(sizes), len(known) if case.code else 0, close, statistics.median(known),
-            max(known), ", ".join(sorted(others)) or "none", statistics.median(spent), max(spent)]  # fmt: skip
+    return [
+        name,
+        statistics.median(sizes),
+        len(known) if case.code else 0,
+        close,
+        statistics.median(known),
+        max(known),
+        ", ".join(sorted(others)) or "none",
+        statistics.median(spent),
+        max(spent),
+    ]
 
 
 def _error(finding: Finding | None, true: float | None) -> float:

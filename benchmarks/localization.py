@@ -159,9 +159,7 @@ def _kidnapping(intel: Mapped, middle: int, seed: int) -> tuple[float, float]:
     """Way until the robot is found again, and the way on which it was said to be found where it was not."""
     rng = np.random.default_rng(seed)
     first, second = middle + int(rng.integers(1500)), middle + 3000 + int(rng.integers(2000))
-    measurements, poses = intel.kidnapped(
-        slice(first, first + _KIDNAPPED_AFTER), slice(second, second + 1500)
-    )  # fmt: skip
+    measurements, poses = intel.kidnapped(slice(first, first + _KIDNAPPED_AFTER), slice(second, second + 1500))
     reports = follow(intel.known, measurements, seed, poses[0])
     errors, driven = metres(reports, poses)[_KIDNAPPED_AFTER:], driven_way(measurements)[_KIDNAPPED_AFTER:]
     false = [not one.lost and error > 1 for one, error in zip(reports[_KIDNAPPED_AFTER:], errors, strict=True)]

@@ -52,9 +52,15 @@ def first_scans(log: Log, count: int, folder: Path) -> Log:
 
 
 def simulated(
-    world: str | World, folder: Path, *,
-    seed: int = 0, beams: int = 180, fov_deg: float = 180.0, v_max_m_s: float = 0.6, scans: int | None = None,
-) -> Log:  # fmt: skip
+    world: str | World,
+    folder: Path,
+    *,
+    seed: int = 0,
+    beams: int = 180,
+    fov_deg: float = 180.0,
+    v_max_m_s: float = 0.6,
+    scans: int | None = None,
+) -> Log:
     """Simulate a world, given by name or built, and write its log."""
     rng = np.random.default_rng(seed)
     lidar = LidarConfig(beams=beams, field_of_view_rad=math.radians(fov_deg))

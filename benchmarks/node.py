@@ -110,12 +110,21 @@ def load_on_core(seconds: float, rate_hz: float, beams: int, particles: int) -> 
     watch.lap("node")
     counts = {name: int(value) for name, value in core.diagnostics().values.items() if value.isdecimal()}
     latency, step, clock = (np.array([*of.values()]) for of in (told.latency_s, told.step_s, told.cpu_s))
-    parts = {LATENCY: latency, "of it the step": step, "of it waiting and telling": latency - step,
-             "CPU of the filter's thread": np.diff(clock, prepend=clock[0])}  # fmt: skip
+    parts = {
+        LATENCY: latency,
+        "of it the step": step,
+        "of it waiting and telling": latency - step,
+        "CPU of the filter's thread": np.diff(clock, prepend=clock[0]),
+    }
     return Load(
-        parts, len(messages), counts["dropped"], counts["refused"], told.corrections,
-        watch.stages["node"][1] - driver_s[0], memory_mb,
-    )  # fmt: skip
+        parts,
+        len(messages),
+        counts["dropped"],
+        counts["refused"],
+        told.corrections,
+        watch.stages["node"][1] - driver_s[0],
+        memory_mb,
+    )
 
 
 def tell(report: Report, title: str, load: Load, rate_hz: float) -> None:

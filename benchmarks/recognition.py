@@ -102,9 +102,15 @@ def _scored(task: _Task) -> Score:
     said, filtered = mapped(log, config, seed), mapped(log, alone, seed)
     off, off_alone = errors(truth, said.full), errors(truth, filtered.full)
     return Score(
-        len(arcs), *judge(truth, driven, said, arcs), rmse(off), rmse(errors(truth, said.online)), rmse(off_alone),
-        float(off_alone.max()), float(off.max()), said.cpu_s,
-    )  # fmt: skip
+        len(arcs),
+        *judge(truth, driven, said, arcs),
+        rmse(off),
+        rmse(errors(truth, said.online)),
+        rmse(off_alone),
+        float(off_alone.max()),
+        float(off.max()),
+        said.cpu_s,
+    )
 
 
 def _clean(cache: Path | None, name: str, log: list[Measurement]) -> FloatArray:
@@ -117,10 +123,23 @@ def _clean(cache: Path | None, name: str, log: list[Measurement]) -> FloatArray:
 
 
 _HEAD = [
-    "drives", "number", "certain revisits", "recognized", "recall", "right constraints", "false constraints",
-    "false by search", "drives with false", "drives with right", "filter off > 1 m", "full m", "online m", "filter m",
-    "worst full m", "CPU s",
-]  # fmt: skip
+    "drives",
+    "number",
+    "certain revisits",
+    "recognized",
+    "recall",
+    "right constraints",
+    "false constraints",
+    "false by search",
+    "drives with false",
+    "drives with right",
+    "filter off > 1 m",
+    "full m",
+    "online m",
+    "filter m",
+    "worst full m",
+    "CPU s",
+]
 
 
 def _row(name: str, scores: Sequence[Score]) -> list[Any]:
@@ -130,11 +149,21 @@ def _row(name: str, scores: Sequence[Score]) -> list[Any]:
     off = float(np.mean([s.filter_off_m > _OFF_M for s in scores]))
     errors = [float(np.median([getattr(s, f"{it}_m") for s in scores])) for it in ("full", "online", "filter")]
     return [
-        name, len(scores), certain, recognized, recall, sum(s.right for s in scores), sum(s.false for s in scores),
+        name,
+        len(scores),
+        certain,
+        recognized,
+        recall,
+        sum(s.right for s in scores),
+        sum(s.false for s in scores),
         sum(s.false_searched for s in scores),
-        sum(s.false > 0 for s in scores), sum(s.right > 0 for s in scores), f"{off:.0%}", *errors,
-        max(s.full_off_m for s in scores), float(np.mean([s.cpu_s for s in scores])),
-    ]  # fmt: skip
+        sum(s.false > 0 for s in scores),
+        sum(s.right > 0 for s in scores),
+        f"{off:.0%}",
+        *errors,
+        max(s.full_off_m for s in scores),
+        float(np.mean([s.cpu_s for s in scores])),
+    ]
 
 
 def _each(

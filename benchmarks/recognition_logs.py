@@ -26,8 +26,11 @@ __all__ = ["LOGS", "PARTS", "SPARSE", "Variant", "measurements_of", "sparse_camp
 LOGS: Final = {"intel": "intel.clf.bz2", "aces": "aces.clf.bz2", "csail": "mit-csail.clf.bz2"}
 SPARSE: Final = ("acapulco", "belgioioso", "freiburg-101", "seattle")
 PARTS: Final = {
-    "b": "Worse odometry", "c": "Thinned logs", "d": "Sparse logs", "e": "Two halves, the second with other odometry",
-}  # fmt: skip
+    "b": "Worse odometry",
+    "c": "Thinned logs",
+    "d": "Sparse logs",
+    "e": "Two halves, the second with other odometry",
+}
 _THINNED = (2, 5, 10, 16)
 _KEY_M, _KEY_RAD = 0.5, 0.5
 _CAMPUS = "a scan every metre"
@@ -130,9 +133,11 @@ def _begun_anew(scans: list[Measurement], rng: np.random.Generator) -> list[Meas
     return scans[:half] + second
 
 
-_WORSE: Mapping[str, Callable[[list[Measurement], np.random.Generator], list[Measurement]]] = MappingProxyType({
-    f"drift {_DRIFT_RAD_PER_M} rad/m": lambda scans, rng: list(odometry_drift(scans, _DRIFT_RAD_PER_M)),
-    f"slip {_SLIP_M} m": lambda scans, rng: list(wheel_slip(scans, _SLIP_M, rng)),
-    f"scale {1 + _SCALE:g}": lambda scans, rng: list(odometry_scale(scans, _SCALE)),
-    "no odometry": lambda scans, rng: [Measurement(None, scan) for _, scan in scans],
-})  # fmt: skip
+_WORSE: Mapping[str, Callable[[list[Measurement], np.random.Generator], list[Measurement]]] = MappingProxyType(
+    {
+        f"drift {_DRIFT_RAD_PER_M} rad/m": lambda scans, rng: list(odometry_drift(scans, _DRIFT_RAD_PER_M)),
+        f"slip {_SLIP_M} m": lambda scans, rng: list(wheel_slip(scans, _SLIP_M, rng)),
+        f"scale {1 + _SCALE:g}": lambda scans, rng: list(odometry_scale(scans, _SCALE)),
+        "no odometry": lambda scans, rng: [Measurement(None, scan) for _, scan in scans],
+    }
+)

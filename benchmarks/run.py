@@ -29,9 +29,20 @@ from report import Report
 __all__ = ["main"]
 
 _SECTIONS = (
-    "accuracy", "start", "particles", "size", "threads", "beams", "kernels", "places", "graphs", "closures", "reading",
-    "localization", "landmarks",
-)  # fmt: skip
+    "accuracy",
+    "start",
+    "particles",
+    "size",
+    "threads",
+    "beams",
+    "kernels",
+    "places",
+    "graphs",
+    "closures",
+    "reading",
+    "localization",
+    "landmarks",
+)
 _WORLDS = ("demo", "rooms", "loop", "hall")
 _ROOT = Path(__file__).resolve().parent.parent
 

@@ -15,11 +15,13 @@ TESTS = Path(__file__).parent
 TIERS = {
     "browser": ("contracts/page/",),
     "ros": (
-        "contracts/test_ros1_node.py", "contracts/test_dds_node.py", "contracts/test_fastdds_peer.py",
+        "contracts/test_ros1_node.py",
+        "contracts/test_dds_node.py",
+        "contracts/test_fastdds_peer.py",
         "unit/ros/test_dds_transport.py",
     ),
     "long": ("long/",),
-}  # fmt: skip
+}
 """Tests of another tier than the default, by where they are; those that take `data_dir` are of `real_logs`."""
 
 

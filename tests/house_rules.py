@@ -35,17 +35,47 @@ ONLY_IN = {
 """Who may import which dependency: help must not pay for drawing, nor the filter for a terminal."""
 
 OUTSIDE = {
-    "argparse", "asyncio", "atexit", "builtins", "datetime", "fileinput", "glob", "io", "logging", "multiprocessing",
-    "os", "pathlib", "pickle", "random", "secrets", "shutil", "signal", "socket", "subprocess", "sys", "tempfile",
-    "threading", "time", "uuid",
-}  # fmt: skip
+    "argparse",
+    "asyncio",
+    "atexit",
+    "builtins",
+    "datetime",
+    "fileinput",
+    "glob",
+    "io",
+    "logging",
+    "multiprocessing",
+    "os",
+    "pathlib",
+    "pickle",
+    "random",
+    "secrets",
+    "shutil",
+    "signal",
+    "socket",
+    "subprocess",
+    "sys",
+    "tempfile",
+    "threading",
+    "time",
+    "uuid",
+}
 """Modules of the standard library that are the way to the outside."""
 
 CALLS = {"print", "input", "open", "exit", "quit", "breakpoint", "exec", "eval", "compile"}
 
 NUMPY = {
-    "fromfile", "genfromtxt", "load", "loadtxt", "memmap", "save", "savetxt", "savez", "savez_compressed", "tofile",
-}  # fmt: skip
+    "fromfile",
+    "genfromtxt",
+    "load",
+    "loadtxt",
+    "memmap",
+    "save",
+    "savetxt",
+    "savez",
+    "savez_compressed",
+    "tofile",
+}
 """NumPy's own ways to files."""
 
 ALLOWED = {

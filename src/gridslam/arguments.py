@@ -19,7 +19,7 @@ __all__ = [
     "require_instance",
     "require_seed",
     "require_threads",
-]  # fmt: skip
+]
 
 
 def freeze(values: ArrayLike, dtype: type, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:

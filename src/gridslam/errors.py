@@ -5,9 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
-    "ArgumentError", "ConfigurationError", "ConsumedStateError", "GridslamError", "InputError",
-    "MissingDependencyError", "OutputError",
-]  # fmt: skip
+    "ArgumentError",
+    "ConfigurationError",
+    "ConsumedStateError",
+    "GridslamError",
+    "InputError",
+    "MissingDependencyError",
+    "OutputError",
+]
 
 
 class GridslamError(Exception):

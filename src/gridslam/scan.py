@@ -391,9 +391,15 @@ class LaserScan:
             geometry = ScanGeometry(angle_min + angle_increment * np.arange(count), base_from_laser)
         is_timed = time_increment > 0 and time_increment * count < LONGEST_SCAN_S
         return cls.from_ranges(
-            stamp_ns, ranges, geometry, range_min_m=lower, range_max_m=upper, sensor=sensor, frame=frame,
+            stamp_ns,
+            ranges,
+            geometry,
+            range_min_m=lower,
+            range_max_m=upper,
+            sensor=sensor,
+            frame=frame,
             beam_times_s=np.arange(count) * time_increment if is_timed else None,
-        )  # fmt: skip
+        )
 
     def __len__(self) -> int:
         """Return the number of beams B."""

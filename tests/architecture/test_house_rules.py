@@ -85,11 +85,19 @@ def test_a_folder_without_a_rank_is_seen():
 @pytest.mark.parametrize(
     "text",
     [
-        "print(1)", "open('a')", "import sys", "from time import perf_counter", "from os import environ", "exit()",
-        "import numpy as np\nrng = np.random.default_rng(0)", "import numpy as np\nx = np.random.normal()",
-        "import numpy as np\nnp.load('a')", "import random", "rng = np.random.Generator(bits)",
+        "print(1)",
+        "open('a')",
+        "import sys",
+        "from time import perf_counter",
+        "from os import environ",
+        "exit()",
+        "import numpy as np\nrng = np.random.default_rng(0)",
+        "import numpy as np\nx = np.random.normal()",
+        "import numpy as np\nnp.load('a')",
+        "import random",
+        "rng = np.random.Generator(bits)",
     ],
-)  # fmt: skip
+)
 def test_an_impurity_is_seen(text):
     assert len(impurities(Source.of("grid/a.py", text))) == 1
 

@@ -102,9 +102,24 @@ def test_a_planted_word_is_found_on_a_page():
 
 
 IDENTIFIERS = {
-    "aboard", "adrift", "raft", "said", "says", "sighting", "sightings", "strange", "surveyed", "tell",
-    "tells", "tick", "tie", "tied", "ties", "told", "whereabouts",
-}  # fmt: skip
+    "aboard",
+    "adrift",
+    "raft",
+    "said",
+    "says",
+    "sighting",
+    "sightings",
+    "strange",
+    "surveyed",
+    "tell",
+    "tells",
+    "tick",
+    "tie",
+    "tied",
+    "ties",
+    "told",
+    "whereabouts",
+}
 """Words that no name of the package has as a part; a file's own method `tell` is another's name."""
 
 

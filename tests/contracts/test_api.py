@@ -116,14 +116,25 @@ def test_bad_calls_are_told(log, options, message):
 @pytest.mark.parametrize(
     "choice",
     [
-        "tracker.kind=OdometryTracker", "motion.kind=OdometryMotion", "motion.kind=GMappingMotion",
-        "sensor.kind=GMappingEndPoint", "sensor.kind=LikelihoodField", "sensor.kind=BeamRangeFinder",
-        "proposal.kind=MotionModelProposal", "proposal.kind=ImprovedProposal", "proposal.matcher.kind=HillClimbing",
-        "when_to_resample.kind=AlwaysResample", "when_to_resample.kind=NeverResample", "resampler=wheel",
-        "resampler=stratified", "resampler=residual", "resampler=multinomial", "resolution_m=0.1",
+        "tracker.kind=OdometryTracker",
+        "motion.kind=OdometryMotion",
+        "motion.kind=GMappingMotion",
+        "sensor.kind=GMappingEndPoint",
+        "sensor.kind=LikelihoodField",
+        "sensor.kind=BeamRangeFinder",
+        "proposal.kind=MotionModelProposal",
+        "proposal.kind=ImprovedProposal",
+        "proposal.matcher.kind=HillClimbing",
+        "when_to_resample.kind=AlwaysResample",
+        "when_to_resample.kind=NeverResample",
+        "resampler=wheel",
+        "resampler=stratified",
+        "resampler=residual",
+        "resampler=multinomial",
+        "resolution_m=0.1",
         "tracker.map_scans=5",
     ],
-)  # fmt: skip
+)
 def test_every_choice_of_a_part_maps_the_log(log, choice):
     truth = read_tum(log.with_name("truth.tum"))
     result = gridslam.map_log(log, configuration=override(gridslam.preset("default", 10), choice))
@@ -153,18 +164,40 @@ def test_every_call_that_reads_a_log_takes_its_path_or_the_open_log(log, tmp_pat
 
 
 SHARED = (
-    "log", "pose", "covariance", "unknown", "sensor", "motion", "preset", "particles", "resolution_m", "laser",
-    "configuration", "seed", "threads", "options", "repair", "observers", "gate", "on_progress", "stopwatch",
-)  # fmt: skip
+    "log",
+    "pose",
+    "covariance",
+    "unknown",
+    "sensor",
+    "motion",
+    "preset",
+    "particles",
+    "resolution_m",
+    "laser",
+    "configuration",
+    "seed",
+    "threads",
+    "options",
+    "repair",
+    "observers",
+    "gate",
+    "on_progress",
+    "stopwatch",
+)
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        gridslam.map_log, gridslam.map_with_poses, gridslam.localize, gridslam.map_landmarks,
-        gridslam.localize_by_landmarks, gridslam.convert_log, gridslam.diagnose,
+        gridslam.map_log,
+        gridslam.map_with_poses,
+        gridslam.localize,
+        gridslam.map_landmarks,
+        gridslam.localize_by_landmarks,
+        gridslam.convert_log,
+        gridslam.diagnose,
     ],
-)  # fmt: skip
+)
 def test_calls_take_the_same_arguments_in_the_same_order(call):
     parameters = inspect.signature(call).parameters
     shared = [name for name in parameters if name in SHARED]

@@ -35,9 +35,16 @@ from gridslam.types import Trajectory
 from support.loops import PROVOKED
 
 FILES = {
-    "map.yaml", "map.pgm", "map.png", "trajectory.tum", "trajectory.csv", "trajectory_online.tum", "graph.g2o",
-    "record.npz", "run.json",
-}  # fmt: skip
+    "map.yaml",
+    "map.pgm",
+    "map.png",
+    "trajectory.tum",
+    "trajectory.csv",
+    "trajectory_online.tum",
+    "graph.g2o",
+    "record.npz",
+    "run.json",
+}
 FEW = "--particles", "3"
 
 

@@ -43,8 +43,10 @@ def test_to_csv_and_back_is_the_same_log(log, tmp_path, call):
     assert (status, err) == (0, "")
     assert out == f"{log}: 120 scans, 24 s\n{tmp_path / 'log.csv.gz'}: 120 scans in the format csv\n"
     assert call("convert", tmp_path / "log.csv.gz", tmp_path / "back.clf") == (
-        0, f"{tmp_path / 'log.csv.gz'}: 120 scans, 24 s\n{tmp_path / 'back.clf'}: 120 scans in the format carmen\n", ""
-    )  # fmt: skip
+        0,
+        f"{tmp_path / 'log.csv.gz'}: 120 scans, 24 s\n{tmp_path / 'back.clf'}: 120 scans in the format carmen\n",
+        "",
+    )
     assert lines_of(tmp_path / "back.clf") == lines_of(tmp_path / "direct.clf")
     check_same(tmp_path / "log.csv.gz", log, 0)
 
@@ -82,9 +84,10 @@ def test_a_copy_maps_as_the_log_it_is_of(log, tmp_path, call):
 def test_to_tum_is_the_odometry(log, tmp_path, call):
     out = tmp_path / "odometry.tum"
     assert call("convert", log, out) == (
-        0, f"{log}: 120 scans, 24 s\n{out}: 120 poses in the format tum\n",
+        0,
+        f"{log}: 120 scans, 24 s\n{out}: 120 poses in the format tum\n",
         f"gridslam: {out}: lost in the format tum: scans\n",
-    )  # fmt: skip
+    )
     odometry = [measurement.odometry for measurement in CarmenLog(log)]
     told = read_tum(out)
     assert told.stamps_ns.tolist() == [o.stamp_ns for o in odometry]
@@ -98,10 +101,16 @@ def test_part_of_a_log_and_json(log, tmp_path, call):
     chosen = [stamp for stamp in stamps if 4e9 <= stamp - stamps[0] < 14e9][::2]
     assert (status, err) == (0, "")
     assert json.loads(out) == {
-        "schema": "gridslam.conversion/1", "log": str(log), "out": str(tmp_path / "part.txt"), "format": "csv",
-        "scans": len(chosen), "written": len(chosen), "duration_s": (chosen[-1] - chosen[0]) / 1e9, "lost": {},
+        "schema": "gridslam.conversion/1",
+        "log": str(log),
+        "out": str(tmp_path / "part.txt"),
+        "format": "csv",
+        "scans": len(chosen),
+        "written": len(chosen),
+        "duration_s": (chosen[-1] - chosen[0]) / 1e9,
+        "lost": {},
         "truncated": False,
-    }  # fmt: skip
+    }
     read = list(open_log(tmp_path / "part.txt"))
     assert [m.scan.stamp_ns for m in read] == chosen
     assert {m.odometry for m in read} == {None}

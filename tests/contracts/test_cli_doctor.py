@@ -18,9 +18,17 @@ from gridslam.io.measurement import Measurement
 from gridslam.sim.faults import with_fault
 
 LASER_KEYS = {
-    "scans", "rate_hz", "beams", "field_of_view_rad", "direction", "range_min_m", "range_max_m", "invalid_share",
-    "no_return_share", "mounting",
-}  # fmt: skip
+    "scans",
+    "rate_hz",
+    "beams",
+    "field_of_view_rad",
+    "direction",
+    "range_min_m",
+    "range_max_m",
+    "invalid_share",
+    "no_return_share",
+    "mounting",
+}
 FINDING_KEYS = {"code", "severity", "size", "unit", "message", "remedy", "sensor", "picture"}
 
 

@@ -86,8 +86,11 @@ def test_an_empty_path_is_no_path(call, tmp_path, monkeypatch):
     """A shell's variable that is not set; the current folder would be filled."""
     monkeypatch.chdir(tmp_path)
     status, _, error = call("simulate", "demo", "-o", "")
-    assert (status, error) == (2, "gridslam: Invalid value for '-o' / '--out': expected a path, got an empty string "
-                                  "(see gridslam simulate --help)\n")  # fmt: skip
+    assert (status, error) == (
+        2,
+        "gridslam: Invalid value for '-o' / '--out': expected a path, got an empty string "
+        "(see gridslam simulate --help)\n",
+    )
     assert not any(tmp_path.iterdir())
 
 

@@ -94,9 +94,14 @@ def test_json(call, graph, tmp_path):
     assert document["schema"] == "gridslam.graph/1"
     assert document["version"] == __version__
     assert document["input"] == {
-        "path": str(path), "sha256": compute_digest(path), "vertices": 60, "edges": 119, "loop_closures": 60,
-        "fixed": 100, "skipped": {},
-    }  # fmt: skip
+        "path": str(path),
+        "sha256": compute_digest(path),
+        "vertices": 60,
+        "edges": 119,
+        "loop_closures": 60,
+        "fixed": 100,
+        "skipped": {},
+    }
     assert document["converged"] is True
     assert 0 < document["iterations"] <= 50
     assert (document["first_guess"], document["robust"], document["max_iterations"]) == ("either", False, 50)

@@ -66,8 +66,10 @@ def test_files_and_figures(call, log, truth, tmp_path):
     document = json.loads((out / "run.json").read_text())
     assert (document["schema"], document["version"]) == ("gridslam.grid/1", __version__)
     assert document["scans"] == {
-        "read": 120, "used": 120, "skipped": {"outside the trajectory": 0, "in a gap of the trajectory": 0}
-    }  # fmt: skip
+        "read": 120,
+        "used": 120,
+        "skipped": {"outside the trajectory": 0, "in a gap of the trajectory": 0},
+    }
     assert document["input"]["sha256"] == compute_digest(log)
     assert document["trajectory"]["sha256"] == compute_digest(truth)
     assert document["trajectory"]["poses"] == 120
@@ -129,9 +131,12 @@ def test_scans_outside_and_in_gaps_are_counted_and_told(call, log, truth, tmp_pa
 def test_it_is_the_map_of_slam_where_its_trajectory_is_known(log):
     """SLAM's map is made of its key scans; with one particle and clamps that nothing reaches it is their sum."""
     config = override(
-        Configuration(particles=1, loop_closure=None), "key_scan_m=0.1", "key_scan_rad=0.1",
-        "mapper.inverse_sensor.log_odds_min=-150", "mapper.inverse_sensor.log_odds_max=150",
-    )  # fmt: skip
+        Configuration(particles=1, loop_closure=None),
+        "key_scan_m=0.1",
+        "key_scan_rad=0.1",
+        "mapper.inverse_sensor.log_odds_min=-150",
+        "mapper.inverse_sensor.log_odds_max=150",
+    )
     slam = map_log(log, configuration=config)
     keys = set(slam.key_stamps_ns.tolist())
     assert len(keys) > 60

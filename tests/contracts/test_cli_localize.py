@@ -87,7 +87,7 @@ def test_from_a_first_pose(place, capsys):
     x, y, theta = drive(1).truth.poses[0]
     status, text, _ = run(
         capsys, place / "flat.clf", "--map", place / "flat.yaml", "--initial-pose", f"{x},{y},{theta}", "--json"
-    )  # fmt: skip
+    )
     assert status == 0
     document = json.loads(text)
     assert document["scans"]["lost"] == 0
@@ -96,10 +96,21 @@ def test_from_a_first_pose(place, capsys):
 
 def test_names_of_amcl(place, capsys):
     status, text, warned = run(
-        capsys, place / "flat.clf", "--map", place / "flat.yaml", "--preset", "nav2", "--particles", 800, "--json",
-        *(word for name in ("recovery_alpha_slow=0.001", "recovery_alpha_fast=0.1", "tf_broadcast=true", "max_beams=50")
-          for word in ("--set", name)),
-    )  # fmt: skip
+        capsys,
+        place / "flat.clf",
+        "--map",
+        place / "flat.yaml",
+        "--preset",
+        "nav2",
+        "--particles",
+        800,
+        "--json",
+        *(
+            word
+            for name in ("recovery_alpha_slow=0.001", "recovery_alpha_fast=0.1", "tf_broadcast=true", "max_beams=50")
+            for word in ("--set", name)
+        ),
+    )
     assert status == 0
     configuration = json.loads(text)["configuration"]
     assert configuration["motion"]["kind"] == "OdometryMotion"
@@ -118,9 +129,11 @@ def test_the_same_seed_gives_the_same_bytes(place, tmp_path):
 def test_a_map_at_hand_and_observers(place):
     seen = []
     result = localize(
-        place / "flat.clf", flat_map(), options=LogOptions(every=2),
+        place / "flat.clf",
+        flat_map(),
+        options=LogOptions(every=2),
         observers=[lambda report, state, seconds: seen.append((report.particles, len(state.poses), seconds))],
-    )  # fmt: skip
+    )
     assert len(seen) == len(result.trajectory)
     assert all(told == held and seconds >= 0 for told, held, seconds in seen)
 

@@ -23,9 +23,19 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
 ALGORITHMS = (
-    "grid_fastslam", "loop_closure", "graph_slam", "mapping", "localization", "ekf_localization", "ekf_slam",
-    "fastslam", "landmark_graph", "models", "resampling", "scan_matching",
-)  # fmt: skip
+    "grid_fastslam",
+    "loop_closure",
+    "graph_slam",
+    "mapping",
+    "localization",
+    "ekf_localization",
+    "ekf_slam",
+    "fastslam",
+    "landmark_graph",
+    "models",
+    "resampling",
+    "scan_matching",
+)
 
 BLOCK = re.compile(
     r"^<!-- setup\n(?P<setup>.*?)^-->$"  # Python that makes what the examples below it need, not shown
@@ -129,9 +139,17 @@ def test_files_and_tests_that_are_named_exist():
 def test_a_page_of_an_algorithm_has_all_that_it_promises(name):
     """The model, the equations, the trunk, a picture, when to use it and when not, what the tests prove, the source."""
     needed = (
-        r"^## The problem$", r"figures/\w+\.svg", r"^\$\$", r"^```\{literalinclude\} \.\./src/", r"images/\w+\.png",
-        r"^## When to use it$", r"\bWhen not\b", r"^## What the tests prove$", r"`tests/[\w/]+\.py::\w+`", r"^Source: ",
-    )  # fmt: skip
+        r"^## The problem$",
+        r"figures/\w+\.svg",
+        r"^\$\$",
+        r"^```\{literalinclude\} \.\./src/",
+        r"images/\w+\.png",
+        r"^## When to use it$",
+        r"\bWhen not\b",
+        r"^## What the tests prove$",
+        r"`tests/[\w/]+\.py::\w+`",
+        r"^Source: ",
+    )
     text = (DOCS / f"{name}.md").read_text(encoding="utf-8")
     assert [what for what in needed if not re.search(what, text, re.MULTILINE)] == []
 

@@ -49,7 +49,7 @@ def seeded(rng):
     } | {
         resampler.__name__: lambda resampler=resampler: resampler()(WEIGHTS, 4, rng)
         for resampler in (Systematic, Stratified, Residual, Multinomial, ResamplingWheel)
-    }  # fmt: skip
+    }
 
 
 def world():
@@ -140,7 +140,7 @@ RNG = np.random.default_rng(0)
         (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 3), bool), 0.1, (0, 0)), "known: expected shape"),
         (lambda: OccupancyGrid(np.zeros((2, 2)), np.ones((2, 2), bool), 0.0, (0, 0)), "resolution_m: expected a fini"),
     ],
-)  # fmt: skip
+)
 def test_values_that_contradict_themselves_are_refused(make, message):
     with pytest.raises(gridslam.ArgumentError, match=message):
         make()

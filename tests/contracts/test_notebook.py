@@ -63,11 +63,23 @@ def test_values_are_one_line(log, mapped):
     told = [
         one_line(thing)
         for thing in (
-            odometry, scan, scan.geometry, scan.beams(0.1, 30.0), mapped.trajectory, mapped.map, mapped.graph,
-            mapped.state, report, known, localizer.init(), gridslam.diagnose(log), mapped.loop_summary,
-            localizer.step(localizer.init(), odometry, scan, np.random.default_rng(0))[1], mapped.log,
+            odometry,
+            scan,
+            scan.geometry,
+            scan.beams(0.1, 30.0),
+            mapped.trajectory,
+            mapped.map,
+            mapped.graph,
+            mapped.state,
+            report,
+            known,
+            localizer.init(),
+            gridslam.diagnose(log),
+            mapped.loop_summary,
+            localizer.step(localizer.init(), odometry, scan, np.random.default_rng(0))[1],
+            mapped.log,
         )
-    ]  # fmt: skip
+    ]
     assert "180 beams" in told[1]
     assert "120 poses" in told[4]
     assert "cells of 0.05 m" in told[5]

@@ -62,9 +62,12 @@ class Ros:
         self.folder, self.uri = folder, f"http://127.0.0.1:{port}"
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "PYTHON"))}
         self.environment = {
-            **kept, "ROS_MASTER_URI": self.uri, "ROS_HOSTNAME": "127.0.0.1", "ROS_HOME": str(folder),
+            **kept,
+            "ROS_MASTER_URI": self.uri,
+            "ROS_HOSTNAME": "127.0.0.1",
+            "ROS_HOME": str(folder),
             "ROS_LOG_DIR": str(folder),
-        }  # fmt: skip
+        }
         self.processes: list[subprocess.Popen[str]] = []
         self.start(["roscore", "-p", str(port)], "roscore")
         self.master = xmlrpc.client.ServerProxy(self.uri)
@@ -74,9 +77,13 @@ class Ros:
     def start(self, command: list[str], log: str) -> subprocess.Popen[str]:
         with (self.folder / f"{log}.log").open("w") as out:
             process = subprocess.Popen(
-                command, env=self.environment, stdout=out, stderr=subprocess.STDOUT, text=True,
+                command,
+                env=self.environment,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                text=True,
                 start_new_session=True,
-            )  # fmt: skip
+            )
         self.processes.append(process)
         return process
 
@@ -162,9 +169,15 @@ def test_a_robot_s_bag_is_mapped_as_it_is_offline(ros, data_dir, tmp_path):
     others = "topic != '/tf' or m.transforms[0].header.frame_id != 'map'"  # its own map to odom is in the bag, too
     ros.run("rosbag", "filter", str(data_dir / "bags" / "p3dx_trace0.bag"), str(bag), others)
     node = ros.node(
-        "scan:=base_scan", "_preset:=default", "_particles:=8", "_xmin:=-10.0", f"_record:={record}", f"_out:={out}",
-        "_map_update_interval:=0.5", *PATIENT,
-    )  # fmt: skip
+        "scan:=base_scan",
+        "_preset:=default",
+        "_particles:=8",
+        "_xmin:=-10.0",
+        f"_record:={record}",
+        f"_out:={out}",
+        "_map_update_interval:=0.5",
+        *PATIENT,
+    )
     assert "ignored parameters: xmin (the map grows by itself)" in ros.log("node")
     seen = ros.play(bag, 3, "-u", "20")
     grid = seen["map"]

@@ -15,9 +15,18 @@ from gridslam.types import LaserScan, ScanGeometry
 compiled = pytest.importorskip("gridslam.kernels._compiled")
 
 KERNELS = (
-    "tiles_on_rays", "tiles_near_cells", "make_tiles_writable", "update_log_odds", "update_field", "match",
-    "distances", "cast_rays", "max_pyramid", "correlate", "sum_at_ends",
-)  # fmt: skip
+    "tiles_on_rays",
+    "tiles_near_cells",
+    "make_tiles_writable",
+    "update_log_odds",
+    "update_field",
+    "match",
+    "distances",
+    "cast_rays",
+    "max_pyramid",
+    "correlate",
+    "sum_at_ends",
+)
 """The last three in `test_branch_and_bound_laws.py` and `test_weighing_laws.py`."""
 SEEDS = range(25)
 CELL = 0.05
@@ -301,8 +310,9 @@ def test_scans_of_corridors_have_sparse_walls(sparse):
     maps.update(ROWS[:1], truth[None], beams_to(ends, np.zeros(2)))
     along = [
         k.match(*maps._view, ROWS[:1], truth[None], np.zeros((1, 3, 3)), ends, CELL, *settings_of(maps, 0, 0.0, s))[1]
-        for k in (compiled, reference) for s in (0.0, sparse)
-    ]  # fmt: skip
+        for k in (compiled, reference)
+        for s in (0.0, sparse)
+    ]
     assert along[1][0, 0, 0] < 0.7 * along[0][0, 0, 0]
     assert along[3][0, 0, 0] < 0.7 * along[2][0, 0, 0]
 

@@ -12,9 +12,28 @@ from gridslam.io.measurement import Measurement
 from gridslam.types import LaserScan, Odometry, ScanGeometry
 
 PIECES = [
-    b"", b",", b"\n", b'"', b" ", b"-", b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e999", b"9" * 30, b"\x00",
-    b"\xff", b"#", b"\r", b"1_0", b"stamp_s", b"0x1p3", b";",
-]  # fmt: skip
+    b"",
+    b",",
+    b"\n",
+    b'"',
+    b" ",
+    b"-",
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e308",
+    b"-1e308",
+    b"1e999",
+    b"9" * 30,
+    b"\x00",
+    b"\xff",
+    b"#",
+    b"\r",
+    b"1_0",
+    b"stamp_s",
+    b"0x1p3",
+    b";",
+]
 
 
 @pytest.fixture(scope="module")
@@ -24,16 +43,23 @@ def whole(tmp_path_factory) -> bytes:
     mounting = np.eye(4)
     mounting[:3, 3] = 0.1, 0.2, 0.3
     geometries = [ScanGeometry(-1 + 0.5 * np.arange(n), mounting) for n in (5, 4)]
-    write_csv_log(path, (
-        Measurement(
-            Odometry.at(k * 10**8 + 5, [0.1 * k, 0, 0.01 * k]),
-            LaserScan.from_ranges(
-                k * 10**8, [1.25, 2, np.inf, np.nan, 3][: 5 - k % 2], geometries[k % 2], range_min_m=0.1,
-                range_max_m=10, beam_times_s=1e-3 * np.arange(5 - k % 2),
-            ),
-        )
-        for k in range(6)
-    ))  # fmt: skip
+    write_csv_log(
+        path,
+        (
+            Measurement(
+                Odometry.at(k * 10**8 + 5, [0.1 * k, 0, 0.01 * k]),
+                LaserScan.from_ranges(
+                    k * 10**8,
+                    [1.25, 2, np.inf, np.nan, 3][: 5 - k % 2],
+                    geometries[k % 2],
+                    range_min_m=0.1,
+                    range_max_m=10,
+                    beam_times_s=1e-3 * np.arange(5 - k % 2),
+                ),
+            )
+            for k in range(6)
+        ),
+    )
     return path.read_bytes()
 
 

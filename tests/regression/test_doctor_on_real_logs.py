@@ -9,9 +9,13 @@ from gridslam.doctor.reader import reader_findings
 from gridslam.io.log import open_log
 
 CLEAN = [
-    "intel.clf.bz2", "aces.clf.bz2", "mit-csail.clf.bz2", "bags/p3dx_trace0.bag", "bags/p3dx_sim_truth.bag",
+    "intel.clf.bz2",
+    "aces.clf.bz2",
+    "mit-csail.clf.bz2",
+    "bags/p3dx_trace0.bag",
+    "bags/p3dx_sim_truth.bag",
     "bags/turtlebot4_floor",
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("name", CLEAN)

@@ -23,17 +23,47 @@ from support.ros_bags import Said
 _SCANS = 12
 _BEAMS = 40
 _WORDS = (
-    b"nan", b"inf", b"-inf", b"1e308", b"-1e308", b"1e999", b"1e15", b"-1e9", b"3000000", b"0", b"-1", b"", b"9" * 30,
-    b"x", b"\x00", b"\xff\xfe", b"1_0", b"0x10", b"\n", b"\r", b",", b'"', b"#", b"FLASER", b"ROBOTLASER1", b"ODOM",
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e308",
+    b"-1e308",
+    b"1e999",
+    b"1e15",
+    b"-1e9",
+    b"3000000",
+    b"0",
+    b"-1",
+    b"",
+    b"9" * 30,
+    b"x",
+    b"\x00",
+    b"\xff\xfe",
+    b"1_0",
+    b"0x10",
+    b"\n",
+    b"\r",
+    b",",
+    b'"',
+    b"#",
+    b"FLASER",
+    b"ROBOTLASER1",
+    b"ODOM",
     b"PARAM robot_frontlaser_offset",
-)  # fmt: skip
+)
 _FLOATS = (math.nan, math.inf, -math.inf, 1e308, -1e30, 1e15, 1e-300, 0.0, -1.0, 3e6)
 _NUMBERS = (0, 1, -1, 255, 1 << 31, (1 << 31) - 1, 1 << 32, (1 << 63) - 1, 1 << 20)
 
 _BAGS = (
-    ("ros1", ""), ("ros1", "bz2"), ("ros1", "lz4"), ("db3", ""), ("db3", "message"), ("mcap", ""), ("mcap", "file"),
+    ("ros1", ""),
+    ("ros1", "bz2"),
+    ("ros1", "lz4"),
+    ("db3", ""),
+    ("db3", "message"),
+    ("mcap", ""),
+    ("mcap", "file"),
     ("mcap", "storage"),
-)  # fmt: skip
+)
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
 
@@ -52,12 +82,16 @@ def whole_logs(folder: Path) -> list[Whole]:
     convert_log(folder / "log.csv", folder / "log.clf")
     carmen, csv = (folder / "log.clf").read_bytes(), (folder / "log.csv").read_bytes()
     found = [
-        _text("log.clf", carmen), _text("log.clf", carmen.replace(b"FLASER", b"RLASER", 3)),
-        _text("log.clf", _robotlaser(measurements)), _text("log.csv", csv),
-        _text("log.clf.gz", carmen, gzip.compress), _text("log.clf.bz2", carmen, bz2.compress),
-        _packed("log.clf.gz", gzip.compress(carmen, mtime=0)), _packed("log.clf.bz2", bz2.compress(carmen)),
+        _text("log.clf", carmen),
+        _text("log.clf", carmen.replace(b"FLASER", b"RLASER", 3)),
+        _text("log.clf", _robotlaser(measurements)),
+        _text("log.csv", csv),
+        _text("log.clf.gz", carmen, gzip.compress),
+        _text("log.clf.bz2", carmen, bz2.compress),
+        _packed("log.clf.gz", gzip.compress(carmen, mtime=0)),
+        _packed("log.clf.bz2", bz2.compress(carmen)),
         _packed("log.csv.gz", gzip.compress(csv, mtime=0)),
-    ]  # fmt: skip
+    ]
     for kind, compression in _BAGS:
         path = _bag(folder, kind, _messages(measurements), compression)
         found.append(_packed(path.name, path.read_bytes()))
@@ -234,6 +268,15 @@ def _swap_lines(content: bytes, rng: np.random.Generator) -> bytes:
 
 _OF_BYTES: tuple[Damage, ...] = (_cut, _lose, _flip, _splice, _blank, _number)
 _OF_TEXT: tuple[Damage, ...] = (
-    _cut, _lose, _flip, _splice, _word, _word, _word, _swap_words, _splice_lines, _swap_lines,
-)  # fmt: skip
+    _cut,
+    _lose,
+    _flip,
+    _splice,
+    _word,
+    _word,
+    _word,
+    _swap_words,
+    _splice_lines,
+    _swap_lines,
+)
 _OF_MESSAGES: tuple[Damage, ...] = (_number, _number, _number, _flip, _cut, _blank, _lose)

@@ -13,11 +13,15 @@ from types import SimpleNamespace
 from typing import Any
 
 TYPES = {
-    "sensor_msgs.msg": ["LaserScan"], "tf2_msgs.msg": ["TFMessage"], "nav_msgs.msg": ["OccupancyGrid", "MapMetaData"],
-    "geometry_msgs.msg": ["PoseWithCovarianceStamped", "PoseArray"], "std_msgs.msg": ["Float64"],
+    "sensor_msgs.msg": ["LaserScan"],
+    "tf2_msgs.msg": ["TFMessage"],
+    "nav_msgs.msg": ["OccupancyGrid", "MapMetaData"],
+    "geometry_msgs.msg": ["PoseWithCovarianceStamped", "PoseArray"],
+    "std_msgs.msg": ["Float64"],
     "nav_msgs.srv": ["GetMap"],
-    "diagnostic_msgs.msg": ["DiagnosticArray"], "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
-}  # fmt: skip
+    "diagnostic_msgs.msg": ["DiagnosticArray"],
+    "std_srvs.srv": ["Empty", "SetBool", "Trigger"],
+}
 
 
 class World:
@@ -69,8 +73,9 @@ class Node:
 
     def __init__(self, name: str, **options: bool) -> None:
         assert options == {
-            "allow_undeclared_parameters": True, "automatically_declare_parameters_from_overrides": True,
-        }  # fmt: skip
+            "allow_undeclared_parameters": True,
+            "automatically_declare_parameters_from_overrides": True,
+        }
         self.name, self.destroyed = name, False
         self.world.nodes.append(self)
 
@@ -179,11 +184,12 @@ def installed(monkeypatch: Any, parameters: dict[str, Any]) -> World:
     )
     module("rclpy.callback_groups", MutuallyExclusiveCallbackGroup=object)
     module(
-        "rclpy.qos", QoSProfile=lambda **policies: SimpleNamespace(**policies),
+        "rclpy.qos",
+        QoSProfile=lambda **policies: SimpleNamespace(**policies),
         HistoryPolicy=Enum("HistoryPolicy", "KEEP_LAST"),
         ReliabilityPolicy=Enum("ReliabilityPolicy", "RELIABLE BEST_EFFORT"),
         DurabilityPolicy=Enum("DurabilityPolicy", "VOLATILE TRANSIENT_LOCAL"),
-    )  # fmt: skip
+    )
     for name, kinds in TYPES.items():
         module(name.partition(".")[0])
         module(name, **{kind: type(kind, (), {}) for kind in kinds})

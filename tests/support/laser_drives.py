@@ -41,9 +41,18 @@ def told(poses: np.ndarray, scale: float, turn_scale: float, drift: float) -> np
 
 
 def perfect(
-    seconds: float = 120.0, *, scale=1.0, turn_scale=1.0, drift=0.0, skew_s=0.0, reflected=False,
-    mounting=(0.1, 0.05, 0.2), declared_yaw=0.2, noise=(0.0, 0.0), rng=None,
-) -> LaserMotion:  # fmt: skip
+    seconds: float = 120.0,
+    *,
+    scale=1.0,
+    turn_scale=1.0,
+    drift=0.0,
+    skew_s=0.0,
+    reflected=False,
+    mounting=(0.1, 0.05, 0.2),
+    declared_yaw=0.2,
+    noise=(0.0, 0.0),
+    rng=None,
+) -> LaserMotion:
     """The motion of a laser whose every pose is right but for noise (m, rad), and odometry with errors."""
     times = np.arange(0, seconds, 1 / RATE_HZ)
     fine = np.arange(-1.0, seconds + 1.0, 0.01)
@@ -58,16 +67,31 @@ def perfect(
     covariance = np.diag([max(noise[0], 1e-3) ** 2, max(noise[0], 1e-3) ** 2, max(noise[1], 1e-3) ** 2])
     count = len(times)
     return LaserMotion(
-        "laser", stamps, laser, np.tile(covariance, (count, 1, 1)), np.ones(count), np.zeros(count, np.int64), at,
-        stamps, np.array([mounting[0], mounting[1], declared_yaw]), False, count,
-    )  # fmt: skip
+        "laser",
+        stamps,
+        laser,
+        np.tile(covariance, (count, 1, 1)),
+        np.ones(count),
+        np.zeros(count, np.int64),
+        at,
+        stamps,
+        np.array([mounting[0], mounting[1], declared_yaw]),
+        False,
+        count,
+    )
 
 
 @functools.cache
 def log(
-    world: str = "rooms", scans: int = 450, seed: int = 0, noise: OdometryNoise = FAIR, beams: int = 180,
-    view_rad: float = math.pi, rate_hz: float = 5.0, scan_time_s: float = 0.0,
-) -> tuple[tuple[Measurement, ...], np.ndarray]:  # fmt: skip
+    world: str = "rooms",
+    scans: int = 450,
+    seed: int = 0,
+    noise: OdometryNoise = FAIR,
+    beams: int = 180,
+    view_rad: float = math.pi,
+    rate_hz: float = 5.0,
+    scan_time_s: float = 0.0,
+) -> tuple[tuple[Measurement, ...], np.ndarray]:
     """Measurements and true poses of a simulated drive."""
     rng = np.random.default_rng(seed)
     lidar = LidarConfig(beams=beams, field_of_view_rad=view_rad, rate_hz=rate_hz, scan_time_s=scan_time_s)

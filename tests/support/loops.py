@@ -8,10 +8,13 @@ from gridslam.config import Configuration, override
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 
 PROVOKED = override(
-    Configuration(), "particles=4",  # and hardly any way is short enough
-    "loop_closure.recognition.certain_sigma_m=0.02", "loop_closure.recognition.min_confirmations=1",
-    "loop_closure.disagree_m=0.001", "loop_closure.disagree_rad=0.001",  # what is recognized is corrected
-)  # fmt: skip
+    Configuration(),
+    "particles=4",  # and hardly any way is short enough
+    "loop_closure.recognition.certain_sigma_m=0.02",
+    "loop_closure.recognition.min_confirmations=1",
+    "loop_closure.disagree_m=0.001",
+    "loop_closure.disagree_rad=0.001",  # what is recognized is corrected
+)
 
 
 def loop_drive() -> SimulatedLog:

@@ -144,9 +144,13 @@ class Maker:
 
 
 def write(
-    folder: Path, kind: str, messages: Iterable[Said], compression: str = "", name: str = "log",
+    folder: Path,
+    kind: str,
+    messages: Iterable[Said],
+    compression: str = "",
+    name: str = "log",
     altered: Callable[[bytes], bytes] = bytes,
-) -> Path:  # fmt: skip
+) -> Path:
     """Write messages in the order given; `compression` is bz2 or lz4 (ROS 1), file, message or storage (ROS 2).
 
     The bytes of each message are what `altered` makes of them.

@@ -18,7 +18,7 @@ from gridslam.ros.node.messages import (
     PoseMessage,
     ScanMessage,
     StampedTransform,
-)  # fmt: skip
+)
 from gridslam.types import BeamStatus
 
 BASE, ODOM, LASER = "base_link", "odom", "laser"
@@ -75,9 +75,15 @@ def scan_message(measurement: Measurement, shift_ns: int = 0, **changes: object)
     bearings = scan.geometry.bearings
     step = np.float32((bearings[-1] - bearings[0]) / (len(bearings) - 1))
     message = ScanMessage(
-        scan.stamp_ns + shift_ns, LASER, float(np.float32(bearings[0])), float(step), 0.0, 0.02,
-        float(np.float32(min(scan.range_max_m, 80.0))), ranges,
-    )  # fmt: skip
+        scan.stamp_ns + shift_ns,
+        LASER,
+        float(np.float32(bearings[0])),
+        float(step),
+        0.0,
+        0.02,
+        float(np.float32(min(scan.range_max_m, 80.0))),
+        ranges,
+    )
     return message._replace(**changes)
 
 

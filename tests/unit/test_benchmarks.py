@@ -74,8 +74,11 @@ def test_scaling(quick_yardstick, data, tmp_path):
     scaling.beams((90,), tmp_path, report, scans=20)
     scaling.map_size((14.0, 15.0), tmp_path, report)
     assert [section.partition(":")[0] for section in report.sections] == [
-        "## Particles", "## Threads", "## Beams", report.sections[3].partition(":")[0]
-    ]  # fmt: skip
+        "## Particles",
+        "## Threads",
+        "## Beams",
+        report.sections[3].partition(":")[0],
+    ]
     assert "**NO**" not in report.sections[1]
     assert report.targets[0].name == "cost of a scan, 15 m over 14 m map"
     assert report.targets[0].value > 0

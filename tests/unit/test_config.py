@@ -27,9 +27,11 @@ def test_preset_survives_toml_exactly(name):
 
 
 @given(
-    st.floats(1e-12, 1e12), st.floats(0, 1, exclude_min=True), st.integers(1, 100_000),
+    st.floats(1e-12, 1e12),
+    st.floats(0, 1, exclude_min=True),
+    st.integers(1, 100_000),
     st.sampled_from(["systematic", "stratified", "residual", "multinomial", "wheel"]),
-)  # fmt: skip
+)
 def test_every_number_survives_toml_exactly(metres, share, count, resampler):
     changes = f"key_scan_m={metres!r}", f"tempering={share!r}", f"particles={count}", f"resampler={resampler}"
     config = override(Configuration(), *changes)

@@ -55,9 +55,15 @@ def around(beside: float, returns: bool = True) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("beside", "walls"),
-    [(0.0, Walls.SINGLE), (0.1, Walls.SINGLE), (0.4, Walls.DOUBLED), (0.7, Walls.DOUBLED), (-1.0, Walls.DOUBLED),
-     (2.1, Walls.DOUBLED)],
-)  # fmt: skip
+    [
+        (0.0, Walls.SINGLE),
+        (0.1, Walls.SINGLE),
+        (0.4, Walls.DOUBLED),
+        (0.7, Walls.DOUBLED),
+        (-1.0, Walls.DOUBLED),
+        (2.1, Walls.DOUBLED),
+    ],
+)
 @pytest.mark.parametrize("askew", [0.0, 0.03])
 def test_a_second_visit_beside_the_first_doubles_the_walls(beside, walls, askew):
     drawing = Drawing()

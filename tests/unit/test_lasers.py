@@ -29,9 +29,12 @@ def test_limits_are_those_of_the_laser_whatever_the_preset():
 def test_exact_lasers_get_finer_cells_where_scans_are_matched_by_gauss_newton():
     fine = apply_laser(preset("fast"), "hokuyo-utm-30lx")
     expected = override(
-        preset("fast"), "resolution_m=0.03", "range_min_m=0.1", "tracker.matcher.cauchy_m=0.05",
+        preset("fast"),
+        "resolution_m=0.03",
+        "range_min_m=0.1",
+        "tracker.matcher.cauchy_m=0.05",
         "proposal.matcher.cauchy_m=0.05",
-    )  # fmt: skip
+    )
     assert fine == expected
     assert apply_laser(preset("gmapping"), "hokuyo-utm-30lx").mapper == preset("gmapping").mapper
     assert apply_laser(preset("default"), "rplidar-a1").mapper == Configuration().mapper

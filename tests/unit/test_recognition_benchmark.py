@@ -154,8 +154,9 @@ def test_logs_are_thinned_and_begun_anew(rooms):
     i, j = half + one, half + two
     np.testing.assert_allclose(
         between(anew[i].odometry.pose, anew[j].odometry.pose),
-        between(scans[i].odometry.pose, scans[j].odometry.pose), atol=1e-9,
-    )  # fmt: skip
+        between(scans[i].odometry.pose, scans[j].odometry.pose),
+        atol=1e-9,
+    )
     assert np.hypot(*(anew[half].odometry.pose - scans[half].odometry.pose)[:2]) > 1
 
 
@@ -164,5 +165,9 @@ def test_logs_that_are_there(data_dir):
     made = harder.variant("seattle", "as it is", data_dir, 0, lambda *_: pytest.fail("has no clean run"))
     assert made.truth.shape == (len(made.measurements), 3)
     assert {kind for _, kind in harder.variants("c", data_dir)} == {
-        "every 2", "every 5", "every 10", "every 16", "0.5 m or 0.5 rad"
-    }  # fmt: skip
+        "every 2",
+        "every 5",
+        "every 10",
+        "every 16",
+        "0.5 m or 0.5 rad",
+    }

@@ -104,10 +104,25 @@ def test_a_state_comes_back_as_it_was(count, more):
 def test_names_follow_the_fields():
     arrays = to_arrays(state())
     assert set(arrays) == {
-        "inner.poses", "inner.weights", "inner.label", "edges.from", "edges.colour", "edges.point", "edges.ends",
-        "edges.ends.counts", "by_name", "by_name.keys", "counts", "counts.keys", "pair", "some", "colour",
-        "shelf.number", "steps", "is_lost",
-    }  # fmt: skip
+        "inner.poses",
+        "inner.weights",
+        "inner.label",
+        "edges.from",
+        "edges.colour",
+        "edges.point",
+        "edges.ends",
+        "edges.ends.counts",
+        "by_name",
+        "by_name.keys",
+        "counts",
+        "counts.keys",
+        "pair",
+        "some",
+        "colour",
+        "shelf.number",
+        "steps",
+        "is_lost",
+    }
     assert arrays["edges.colour"].tolist() == ["RED", "GREEN", "RED"]
     assert arrays["edges.ends.counts"].tolist() == [0, 1, 2]
 

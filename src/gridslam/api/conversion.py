@@ -36,9 +36,16 @@ class OutFormat(Enum):
 
 
 _BY_SUFFIX = {
-    ".clf": OutFormat.CARMEN, ".log": OutFormat.CARMEN, ".carmen": OutFormat.CARMEN, ".csv": OutFormat.CSV,
-    ".tum": OutFormat.TUM, ".bag": OutFormat.ROS1, ".db3": OutFormat.ROS2, "": OutFormat.ROS2, ".mcap": OutFormat.MCAP,
-}  # fmt: skip
+    ".clf": OutFormat.CARMEN,
+    ".log": OutFormat.CARMEN,
+    ".carmen": OutFormat.CARMEN,
+    ".csv": OutFormat.CSV,
+    ".tum": OutFormat.TUM,
+    ".bag": OutFormat.ROS1,
+    ".db3": OutFormat.ROS2,
+    "": OutFormat.ROS2,
+    ".mcap": OutFormat.MCAP,
+}
 _NAMES = ".clf, .log, .carmen, .csv (each with .gz or .bz2 if wanted), .tum, .bag, .mcap, .db3, or nothing (a folder)"
 _PACKED = ".gz", ".bz2"
 
@@ -148,9 +155,12 @@ def convert_log(
 
 
 def _write(
-    form: OutFormat, target: Path, log: Log, lost: Counter[str],
+    form: OutFormat,
+    target: Path,
+    log: Log,
+    lost: Counter[str],
     counted: Callable[[Iterable[Measurement]], Iterator[Measurement]],
-) -> None:  # fmt: skip
+) -> None:
     if form is OutFormat.CARMEN:
         write_carmen(target, counted(to_carmen_form(_with_beams(log, lost), lost)))
     elif form is OutFormat.CSV:

@@ -235,10 +235,21 @@ def map_with_poses(
         raise InputError(path or source.path, _explain_no_map(source, poses, unplaced))
     result = GridResult(
         map=bayes_map(counts, config.mapper.inverse_sensor) if model == "bayes" else counting_map(counts),
-        trajectory=used, unplaced=unplaced, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-        deskew=deskew, configuration=config, log=source.statistics, repair=find_repair(source), given=given,
-        source=source.path, digest=compute_digest(source.path), given_path=path, stopwatch=watch,
-    )  # fmt: skip
+        trajectory=used,
+        unplaced=unplaced,
+        model=model,
+        half_life_scans=half_life_scans,
+        max_gap_s=max_gap_s,
+        deskew=deskew,
+        configuration=config,
+        log=source.statistics,
+        repair=find_repair(source),
+        given=given,
+        source=source.path,
+        digest=compute_digest(source.path),
+        given_path=path,
+        stopwatch=watch,
+    )
     watch.lap("map")
     return result
 
@@ -256,9 +267,13 @@ def _check_size(given: Trajectory, path: Path | None, config: Configuration) -> 
 
 
 def _count(
-    source: Log, poses: KnownPoses, counts: BeamCounts, config: Configuration, deskew: bool,
+    source: Log,
+    poses: KnownPoses,
+    counts: BeamCounts,
+    config: Configuration,
+    deskew: bool,
     on_progress: Callable[[], None],
-) -> tuple[Trajectory, Counter[NoPoseReason]]:  # fmt: skip
+) -> tuple[Trajectory, Counter[NoPoseReason]]:
     """Count all scans; give where those were taken that have a pose, and why the others have none."""
     stamps = list[int]()
     taken = list[FloatArray]()

@@ -109,9 +109,15 @@ class LandmarkLocalizationResult(ResultByLandmarks):
             truth = Trajectory(truth.stamps_ns, compose(inverse(align_trajectory(*compared)), truth.poses))
         exact = np.zeros((len(self.landmarks.names), 2, 2))
         return draw_landmarks(
-            self.trajectory, self.landmarks.positions, exact, title=self.source.name, caption=self.caption(),
-            truth=truth, true_positions=self.landmarks.positions, stamped=self.log.stamped,
-        )  # fmt: skip
+            self.trajectory,
+            self.landmarks.positions,
+            exact,
+            title=self.source.name,
+            caption=self.caption(),
+            truth=truth,
+            true_positions=self.landmarks.positions,
+            stamped=self.log.stamped,
+        )
 
     def _write_files(self, out: OutputFolder) -> None:
         write_trajectory(out, self.trajectory, self.covariances)
@@ -199,11 +205,17 @@ def localize_by_landmarks(
     if not any((report.landmarks >= 0).any() for report in reports):
         raise InputError(source.path, "expected observations of the landmarks in the map, got none that fits")
     return LandmarkLocalizationResult(
-        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64), unknown=unknown, log=source,
-        models={"sensor": model, "motion": motion, "association": association}, digest=compute_digest(source.path),
-        stopwatch=watch, reports=tuple(reports), landmarks=known,
-        landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None, in_true_frame=landmarks is None,
-    )  # fmt: skip
+        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
+        unknown=unknown,
+        log=source,
+        models={"sensor": model, "motion": motion, "association": association},
+        digest=compute_digest(source.path),
+        stopwatch=watch,
+        reports=tuple(reports),
+        landmarks=known,
+        landmarks_path=Path(landmarks) if isinstance(landmarks, str | Path) else None,
+        in_true_frame=landmarks is None,
+    )
 
 
 def _read_known(log: LandmarkLog, landmarks: str | Path | KnownLandmarks | None) -> KnownLandmarks:

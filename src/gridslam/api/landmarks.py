@@ -50,9 +50,19 @@ if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
 __all__ = [
-    "METHODS", "MOTION", "PARTICLES", "PARTICLES_UNKNOWN_CORRESPONDENCES", "SENSORS", "WIDE_MOTION", "LandmarkEstimate",
-    "LandmarkMethod", "LandmarkResult", "ResultByLandmarks", "align_trajectory", "map_landmarks",
-]  # fmt: skip
+    "METHODS",
+    "MOTION",
+    "PARTICLES",
+    "PARTICLES_UNKNOWN_CORRESPONDENCES",
+    "SENSORS",
+    "WIDE_MOTION",
+    "LandmarkEstimate",
+    "LandmarkMethod",
+    "LandmarkResult",
+    "ResultByLandmarks",
+    "align_trajectory",
+    "map_landmarks",
+]
 
 LandmarkMethod: TypeAlias = Literal["ekf", "fastslam1", "fastslam2", "graph"]
 
@@ -254,9 +264,15 @@ class LandmarkResult(ResultByLandmarks):
             way = Trajectory(compared[1].stamps_ns, compose(map_from_true, compared[1].poses))
             points = transform_points(map_from_true, known.positions)
         return draw_landmarks(
-            self.trajectory, self.landmarks.positions, self.landmarks.covariances, title=self.source.name,
-            caption=self.caption(), truth=way, true_positions=points, stamped=self.log.stamped,
-        )  # fmt: skip
+            self.trajectory,
+            self.landmarks.positions,
+            self.landmarks.covariances,
+            title=self.source.name,
+            caption=self.caption(),
+            truth=way,
+            true_positions=points,
+            stamped=self.log.stamped,
+        )
 
     def _write_files(self, out: OutputFolder) -> None:
         write_trajectory(out, self.trajectory, self.covariances)
@@ -368,10 +384,17 @@ def map_landmarks(
         estimate = _run_particle_filter(steps, slam, bias, particles or 0, seed, motion, on_progress)
     watch.lap("solve")
     return LandmarkResult(
-        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64), unknown=unknown, log=source, models=models,
-        digest=compute_digest(source.path), stopwatch=watch, method=method, estimate=estimate, particles=particles,
+        stamps_ns=np.array([step.stamp_ns for step in steps], np.int64),
+        unknown=unknown,
+        log=source,
+        models=models,
+        digest=compute_digest(source.path),
+        stopwatch=watch,
+        method=method,
+        estimate=estimate,
+        particles=particles,
         seed=seed,
-    )  # fmt: skip
+    )
 
 
 def _run_ekf(
@@ -387,9 +410,14 @@ def _run_ekf(
 
 
 def _run_particle_filter(
-    steps: Sequence[LandmarkStep], slam: FastSlam1 | FastSlam2, bias: OdometryBias, particles: int, seed: int,
-    motion: MotionModel, on_progress: Callable[[], None],
-) -> LandmarkEstimate:  # fmt: skip
+    steps: Sequence[LandmarkStep],
+    slam: FastSlam1 | FastSlam2,
+    bias: OdometryBias,
+    particles: int,
+    seed: int,
+    motion: MotionModel,
+    on_progress: Callable[[], None],
+) -> LandmarkEstimate:
     rng = np.random.default_rng(seed)
     state = slam.init(particles)
     reports = list[LandmarkReport]()

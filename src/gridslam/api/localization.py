@@ -39,8 +39,13 @@ if TYPE_CHECKING:
     from gridslam.viz.notebook import Picture
 
 __all__ = [
-    "BELIEF_HEADER", "INITIAL_COVARIANCE", "LocalizationInterval", "LocalizationResult", "known_map", "localize",
-]  # fmt: skip
+    "BELIEF_HEADER",
+    "INITIAL_COVARIANCE",
+    "LocalizationInterval",
+    "LocalizationResult",
+    "known_map",
+    "localize",
+]
 
 BELIEF_HEADER = "stamp_s,lost,lost_probability,inlier_ratio,particles,n_eff,injection_ratio"
 """First line of belief.csv: a row for each scan; n_eff is empty where the particles were not updated."""
@@ -319,19 +324,33 @@ def localize(
     driven_m = np.cumsum(steps_m)
     _check_found(source, path, reports, driven_m, configuration)
     result = LocalizationResult(
-        reports=reports, driven_m=driven_m, map=known.grid, state=state, configuration=configuration,
-        pose=None if pose is None else np.array(pose, np.float64), seed=seed, threads=threads, log=source.statistics,
-        source=source.path, map_path=path, digest=compute_digest(source.path), remarks=remarks,
-        repair=find_repair(source), stopwatch=watch,
-    )  # fmt: skip
+        reports=reports,
+        driven_m=driven_m,
+        map=known.grid,
+        state=state,
+        configuration=configuration,
+        pose=None if pose is None else np.array(pose, np.float64),
+        seed=seed,
+        threads=threads,
+        log=source.statistics,
+        source=source.path,
+        map_path=path,
+        digest=compute_digest(source.path),
+        remarks=remarks,
+        repair=find_repair(source),
+        stopwatch=watch,
+    )
     watch.lap("finish")
     return result
 
 
 def known_map(
-    source: str | Path | OccupancyGrid | KnownMap, configuration: MonteCarloConfiguration, threads: int = 1, *,
+    source: str | Path | OccupancyGrid | KnownMap,
+    configuration: MonteCarloConfiguration,
+    threads: int = 1,
+    *,
     strict_thresholds: bool = False,
-) -> tuple[Path, KnownMap, tuple[str, ...]]:  # fmt: skip
+) -> tuple[Path, KnownMap, tuple[str, ...]]:
     """Read a map and lay it out; also gives its path, empty for a map at hand, and what is odd about its file.
 
     Raises InputError where a file is no map in which a robot could be.

@@ -153,9 +153,13 @@ class MapResult(Result):
         from gridslam.viz import draw_map  # only drawing pays for the import of Pillow
 
         return draw_map(
-            self.tiled_map, self.trajectory, title=self.source.name, caption=self.caption(), truth=self.truth,
+            self.tiled_map,
+            self.trajectory,
+            title=self.source.name,
+            caption=self.caption(),
+            truth=self.truth,
             closures=None if self.loop_summary is None else self._drawn(self.loop_summary),
-        )  # fmt: skip
+        )
 
     def _write_files(self, out: OutputFolder) -> None:
         write_map(out.file("map.yaml"), self.tiled_map)
@@ -353,33 +357,64 @@ def map_log(
         on_progress()
 
     state = run(
-        gate(source), build(configuration, threads), rng=np.random.default_rng(seed),
-        observers=[trajectory, statistics, *observers, note], stopwatch=watch,
-    )  # fmt: skip
+        gate(source),
+        build(configuration, threads),
+        rng=np.random.default_rng(seed),
+        observers=[trajectory, statistics, *observers, note],
+        stopwatch=watch,
+    )
     digest = compute_digest(source.path)
     watch.lap("finish")
     result = finish_mapping(
-        state, trajectory, statistics, record, configuration, seed=seed, threads=threads, log=source.statistics,
-        source=source.path, digest=digest, repair=find_repair(source), on_progress=on_progress, stopwatch=watch,
+        state,
+        trajectory,
+        statistics,
+        record,
+        configuration,
+        seed=seed,
+        threads=threads,
+        log=source.statistics,
+        source=source.path,
+        digest=digest,
+        repair=find_repair(source),
+        on_progress=on_progress,
+        stopwatch=watch,
         keep_particles=keep_particles,
-    )  # fmt: skip
+    )
     watch.lap("finish")
     return result
 
 
 def finish_mapping(
-    state: GridFastSlamState, trajectory: TrajectoryRecorder, statistics: StatisticsRecorder, record: RecordWriter,
-    configuration: Configuration, *, seed: int, threads: int, log: LogStatistics, source: Path, digest: str,
-    repair: Repair, on_progress: Callable[[], None] = lambda: None, stopwatch: Stopwatch, keep_particles: bool = True,
-) -> MapResult:  # fmt: skip
+    state: GridFastSlamState,
+    trajectory: TrajectoryRecorder,
+    statistics: StatisticsRecorder,
+    record: RecordWriter,
+    configuration: Configuration,
+    *,
+    seed: int,
+    threads: int,
+    log: LogStatistics,
+    source: Path,
+    digest: str,
+    repair: Repair,
+    on_progress: Callable[[], None] = lambda: None,
+    stopwatch: Stopwatch,
+    keep_particles: bool = True,
+) -> MapResult:
     """Refine the trajectory after the last scan, and put together what a run gives; the arguments are `MapResult`'s."""
     maps_bytes = state.maps.nbytes
     if not keep_particles:
         state.keep_best()
     full = full_slam(
-        state, trajectory.keys, trajectory.key_from_base, configuration.mapper, configuration.loop_closure,
-        configuration.final_refinement, on_progress,
-    )  # fmt: skip
+        state,
+        trajectory.keys,
+        trajectory.key_from_base,
+        configuration.mapper,
+        configuration.loop_closure,
+        configuration.final_refinement,
+        on_progress,
+    )
     stopwatch.lap("final refinement")
     online = trajectory.online_trajectory()
     return MapResult(

@@ -193,20 +193,29 @@ def view_command(**options: Any) -> None:  # noqa: ANN401
 @click.argument("log", type=PATH)
 @out_option
 @click.option(
-    "--method", type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph", "ekf-localization"]), default="fastslam2",
-    show_default=True, help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM, or EKF localization in a known landmark map.",
-)  # fmt: skip
-@click.option("--particles", type=click.IntRange(1, 100_000), metavar="N",
-              help="Number of FastSLAM particles.  [default: 100 for 1.0, 20 for 2.0, 200 with --unknown]")  # fmt: skip
+    "--method",
+    type=click.Choice(["ekf", "fastslam1", "fastslam2", "graph", "ekf-localization"]),
+    default="fastslam2",
+    show_default=True,
+    help="EKF SLAM, FastSLAM 1.0 or 2.0, GraphSLAM, or EKF localization in a known landmark map.",
+)
+@click.option(
+    "--particles",
+    type=click.IntRange(1, 100_000),
+    metavar="N",
+    help="Number of FastSLAM particles.  [default: 100 for 1.0, 20 for 2.0, 200 with --unknown]",
+)
 @seed_option
 @click.option("--unknown", is_flag=True, help="Estimate the correspondences, even if LOG contains them.")
 @click.option(
     "--landmarks", type=PATH, help="Landmark map to localize in, a landmarks.csv.  [default: the true landmarks of LOG]"
 )
 @click.option(
-    "--initial-pose", metavar="X,Y,THETA", callback=read_pose,
+    "--initial-pose",
+    metavar="X,Y,THETA",
+    callback=read_pose,
     help="Initial pose, m and rad.  [default: the true pose; with --landmarks the origin]",
-)  # fmt: skip
+)
 @json_option
 def landmarks_command(**options: Any) -> None:  # noqa: ANN401
     """Estimate the landmarks and the trajectory of LOG.
@@ -227,19 +236,32 @@ def landmarks_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--trajectory", type=PATH, required=True, help="Trajectory of the robot, a file in TUM format.")
 @out_option
 @click.option(
-    "--model", type=click.Choice(["bayes", "counting"]), default="bayes", show_default=True,
+    "--model",
+    type=click.Choice(["bayes", "counting"]),
+    default="bayes",
+    show_default=True,
     help="Inverse sensor model with log-odds (bayes), or reflection probability per cell (counting).",
-)  # fmt: skip
+)
 @click.option(
-    "--decay", "half_life_scans", type=float, metavar="N",
+    "--decay",
+    "half_life_scans",
+    type=float,
+    metavar="N",
     help="Half-life of the evidence of a cell, in scans that observe it.  [default: infinite]",
-)  # fmt: skip
+)
 @click.option(
     "--resolution", "resolution_m", type=float, metavar="M", help="Map resolution, m per cell.  [default: 0.05]"
 )
 @click.option("--laser", metavar="NAME", help="Laser model; sets range limits and map resolution (see gridslam map).")
-@click.option("--max-gap", "max_gap_s", type=float, default=1.0, show_default=True, metavar="S",
-              help="Longest gap between poses to interpolate across, s.")  # fmt: skip
+@click.option(
+    "--max-gap",
+    "max_gap_s",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="S",
+    help="Longest gap between poses to interpolate across, s.",
+)
 @click.option("--no-deskew", is_flag=True, help="Ignore the beam times; do not deskew.")
 @repair_option(help="Faults corrected before the log is used, as in gridslam map.")
 @threads_option
@@ -263,16 +285,23 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--map", "map_path", type=PATH, required=True, help="Map YAML file (map_server or nav2).")
 @click.option("-o", "--out", type=PATH, help="Output folder; created if missing.")
 @click.option(
-    "--initial-pose", metavar="X,Y,THETA", callback=read_pose, default="global", show_default=True,
+    "--initial-pose",
+    metavar="X,Y,THETA",
+    callback=read_pose,
+    default="global",
+    show_default=True,
     help="Initial pose, m and rad; global: unknown.",
-)  # fmt: skip
+)
 @seed_option
 @click.option("--particles", type=click.IntRange(min=1), help="Maximum number of particles.  [default: 20000]")
 @threads_option
 @click.option(
-    "--preset", type=click.Choice(["default", "amcl", "nav2"]), default="default", show_default=True,
+    "--preset",
+    type=click.Choice(["default", "amcl", "nav2"]),
+    default="default",
+    show_default=True,
     help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
-)  # fmt: skip
+)
 @assignment_option(help="Set one parameter, by its gridslam or AMCL name.")
 @click.option(
     "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."
@@ -301,8 +330,14 @@ def localize_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("--robust", is_flag=True, help="Reject outlier loop closures by graduated non-convexity.")
 @click.option("--no-guess", is_flag=True, help="Ignore the poses in FILE; compute the initial guess from the edges.")
 @click.option("--skip-unknown", is_flag=True, help="Skip lines with unknown tags and report their number.")
-@click.option("--max-iterations", type=click.IntRange(min=1), default=100, show_default=True, metavar="N",
-              help="Maximum number of iterations per initial guess.")  # fmt: skip
+@click.option(
+    "--max-iterations",
+    type=click.IntRange(min=1),
+    default=100,
+    show_default=True,
+    metavar="N",
+    help="Maximum number of iterations per initial guess.",
+)
 @json_option
 def graph_command(**options: Any) -> None:  # noqa: ANN401
     """Solve FILE, a pose graph, by GraphSLAM.
@@ -320,8 +355,15 @@ def graph_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("evaluate")
 @click.argument("trajectory", type=PATH)
 @click.argument("reference", type=PATH)
-@click.option("--distance", "distance_m", type=float, default=1.0, show_default=True, metavar="M",
-              help="Path length between the pose pairs of the RPE, m.")  # fmt: skip
+@click.option(
+    "--distance",
+    "distance_m",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="M",
+    help="Path length between the pose pairs of the RPE, m.",
+)
 @json_option
 def evaluate_command(**options: Any) -> None:  # noqa: ANN401
     """Compute the errors of TRAJECTORY with respect to REFERENCE.
@@ -341,12 +383,33 @@ def evaluate_command(**options: Any) -> None:  # noqa: ANN401
 @click.option("-o", "--out", type=PATH, required=True, help="Output log, .clf, .clf.gz or .clf.bz2.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the noise and of random worlds.")
 @click.option("--beams", type=click.IntRange(min=2), default=180, show_default=True, help="Beams per scan.")
-@click.option("--fov", "fov_deg", type=click.FloatRange(0, 360, min_open=True), default=180.0, show_default=True,
-              metavar="DEG", help="Field of view, degrees.")  # fmt: skip
-@click.option("--range-max", "range_max_m", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
-              metavar="M", help="Maximum range, m.")  # fmt: skip
-@click.option("--rate", "rate_hz", type=click.FloatRange(0, 1000, min_open=True), default=5.0, show_default=True,
-              metavar="HZ", help="Scan rate, Hz.")  # fmt: skip
+@click.option(
+    "--fov",
+    "fov_deg",
+    type=click.FloatRange(0, 360, min_open=True),
+    default=180.0,
+    show_default=True,
+    metavar="DEG",
+    help="Field of view, degrees.",
+)
+@click.option(
+    "--range-max",
+    "range_max_m",
+    type=click.FloatRange(0, min_open=True),
+    default=30.0,
+    show_default=True,
+    metavar="M",
+    help="Maximum range, m.",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(0, 1000, min_open=True),
+    default=5.0,
+    show_default=True,
+    metavar="HZ",
+    help="Scan rate, Hz.",
+)
 @click.option("--people", type=click.IntRange(min=0), default=0, show_default=True, help="Number of walking people.")
 @click.option("--duration", "duration_s", type=float, metavar="S", help="Duration of the log, s.")
 @json_option
@@ -402,9 +465,12 @@ def ros1_command(**options: Any) -> None:  # noqa: ANN401
 @gridslam.command("ros2", context_settings=_NODE_SETTINGS)
 @node_options
 @click.option(
-    "--transport", type=click.Choice(["auto", "rclpy", "dds"]), default="auto", show_default=True,
+    "--transport",
+    type=click.Choice(["auto", "rclpy", "dds"]),
+    default="auto",
+    show_default=True,
     help="rclpy of a sourced ROS 2, or Cyclone DDS without ROS (extra: ros2).",
-)  # fmt: skip
+)
 @click.option("--interface", "interfaces", multiple=True, help="Network interface of DDS; repeatable.")
 def ros2_command(**options: Any) -> None:  # noqa: ANN401
     """Run the ROS 2 node: subscribes to /scan and /tf, publishes /map.

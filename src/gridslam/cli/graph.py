@@ -64,9 +64,13 @@ def _import_algebra() -> None:
 
 
 def _document(
-    file: Path, source: G2oGraph, solver: GraphSlam, solution: GraphSolution, rejected: NDArray[np.bool_] | None,
+    file: Path,
+    source: G2oGraph,
+    solver: GraphSlam,
+    solution: GraphSolution,
+    rejected: NDArray[np.bool_] | None,
     watch: Stopwatch,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Build the content of graph.json, except for the times of writing."""
     graph = source.graph
     document = {
@@ -96,9 +100,13 @@ def _document(
 
 
 def _write(
-    folder: OutputFolder, source: G2oGraph, solution: GraphSolution, rejected: NDArray[np.bool_] | None,
-    document: dict[str, Any], watch: Stopwatch,
-) -> None:  # fmt: skip
+    folder: OutputFolder,
+    source: G2oGraph,
+    solution: GraphSolution,
+    rejected: NDArray[np.bool_] | None,
+    document: dict[str, Any],
+    watch: Stopwatch,
+) -> None:
     """Write the files, and how long that took into the document."""
     write_g2o(folder.file(_GRAPH), solution.graph, source.ids, source.order)
     if rejected is not None:

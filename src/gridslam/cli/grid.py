@@ -41,10 +41,19 @@ def grid_to_folder(
         name_option(half_life_scans="--decay", resolution_m="--resolution", max_gap_s="--max-gap"),
     ):
         result = map_with_poses(
-            source, trajectory, model=model, half_life_scans=half_life_scans, max_gap_s=max_gap_s,
-            deskew=not no_deskew, resolution_m=resolution_m, laser=laser, threads=threads, repair=repair,
-            on_progress=on_progress, stopwatch=watch,
-        )  # fmt: skip
+            source,
+            trajectory,
+            model=model,
+            half_life_scans=half_life_scans,
+            max_gap_s=max_gap_s,
+            deskew=not no_deskew,
+            resolution_m=resolution_m,
+            laser=laser,
+            threads=threads,
+            repair=repair,
+            on_progress=on_progress,
+            stopwatch=watch,
+        )
         document = result.write(folder)
     warn(*(f"{log}: {warning}" for warning in _find_warnings(result)))
     print_result(document, _summarize(document, result, out), as_json)

@@ -46,9 +46,14 @@ def landmarks_to_folder(
     source = open_landmark_log(log)
     with open_output(out) as folder, name_option(particles="--particles"):
         result = map_landmarks(
-            source, method, unknown=unknown, particles=particles, seed=seed, on_progress=stop_if_interrupted,
+            source,
+            method,
+            unknown=unknown,
+            particles=particles,
+            seed=seed,
+            on_progress=stop_if_interrupted,
             stopwatch=watch,
-        )  # fmt: skip
+        )
         if not source.statistics.observations:
             raise InputError(log, "expected landmark observations, got none")
         document = result.write(folder)

@@ -59,10 +59,19 @@ def localize_to_folder(
             name_option(pose="--initial-pose"),
         ):
             result = localize(
-                source, map_path, pose=read.pose if initial_pose is None else initial_pose, covariance=read.covariance,
-                strict_thresholds=strict_thresholds, configuration=read.configuration, seed=seed, threads=threads,
-                repair=repair, on_progress=on_progress, stopwatch=watch, **viewers.watch(source, watch),
-            )  # fmt: skip
+                source,
+                map_path,
+                pose=read.pose if initial_pose is None else initial_pose,
+                covariance=read.covariance,
+                strict_thresholds=strict_thresholds,
+                configuration=read.configuration,
+                seed=seed,
+                threads=threads,
+                repair=repair,
+                on_progress=on_progress,
+                stopwatch=watch,
+                **viewers.watch(source, watch),
+            )
             document = result.document() if folder is None else result.write(folder)
         warn(*_find_warnings(result, read.ignored))
         print_result(document, _summarize(document, result, out), as_json)

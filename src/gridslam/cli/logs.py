@@ -17,9 +17,15 @@ from gridslam.io.log import Log, LogOptions, open_log
 from gridslam.io.output import OutputFolder
 
 __all__ = [
-    "CONVERSION_SCHEMA", "DATASETS_SCHEMA", "EXIT_FOUND_ERRORS", "check_log", "convert", "doctor_log", "get_dataset",
+    "CONVERSION_SCHEMA",
+    "DATASETS_SCHEMA",
+    "EXIT_FOUND_ERRORS",
+    "check_log",
+    "convert",
+    "doctor_log",
+    "get_dataset",
     "list_datasets",
-]  # fmt: skip
+]
 
 CONVERSION_SCHEMA = "gridslam.conversion/1"
 DATASETS_SCHEMA = "gridslam.datasets/1"
@@ -91,10 +97,16 @@ def convert(log: Path, out: Path, options: LogOptions, to: str | None, as_json: 
     if conversion.lost:
         warn(f"{out}: lost in the format {form}: {_describe_lost(conversion)}")
     content = {
-        "schema": CONVERSION_SCHEMA, "log": str(log), "out": str(out), "format": form, "scans": read.scan_count,
-        "written": conversion.scans, "duration_s": read.duration_s, "lost": conversion.lost,
+        "schema": CONVERSION_SCHEMA,
+        "log": str(log),
+        "out": str(out),
+        "format": form,
+        "scans": read.scan_count,
+        "written": conversion.scans,
+        "duration_s": read.duration_s,
+        "lost": conversion.lost,
         "truncated": read.truncated,
-    }  # fmt: skip
+    }
     summary = [
         f"{log}: {read.scan_count} scans, {read.duration_s:.0f} s",
         f"{out}: {conversion.scans} {'poses' if form == 'tum' else 'scans'} in the format {form}",

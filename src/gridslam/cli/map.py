@@ -68,10 +68,17 @@ def map_with_progress(
     with mapping_progress(lambda: source.statistics, shown=shown) as progress:
         watching = viewers.watch(source, watch)
         result = map_log(
-            source, configuration=configuration, seed=seed, threads=threads, repair=repair, gate=watching["gate"],
-            observers=[progress, *watching["observers"]], on_progress=progress.on_progress, stopwatch=watch,
+            source,
+            configuration=configuration,
+            seed=seed,
+            threads=threads,
+            repair=repair,
+            gate=watching["gate"],
+            observers=[progress, *watching["observers"]],
+            on_progress=progress.on_progress,
+            stopwatch=watch,
             keep_particles=viewers.page is not None,
-        )  # fmt: skip
+        )
         viewers.show_result(result)
         return result
 
@@ -99,9 +106,13 @@ def summarize(document: dict[str, Any], result: MapResult, out: Path) -> list[st
 
 
 def _build_configuration(
-    name: str, particles: int | None, laser: str | None, path: Path | None, assignments: Sequence[str],
+    name: str,
+    particles: int | None,
+    laser: str | None,
+    path: Path | None,
+    assignments: Sequence[str],
     no_loop_closure: bool,
-) -> Configuration:  # fmt: skip
+) -> Configuration:
     """Build the configuration; --particles and --no-loop-closure override preset, laser, file and assignments."""
     config = preset(name, particles)
     config = config if laser is None else apply_laser(config, laser)

@@ -17,10 +17,24 @@ if TYPE_CHECKING:
     from gridslam.live.options import LiveOptions
 
 __all__ = [
-    "PATH", "SEED", "SETTINGS", "THREADS", "add_options", "assignment_option", "host_options", "json_option",
-    "live_options", "log_options", "name_option", "out_option", "read_pose", "repair_option", "rerun_option",
-    "seed_option", "threads_option",
-]  # fmt: skip
+    "PATH",
+    "SEED",
+    "SETTINGS",
+    "THREADS",
+    "add_options",
+    "assignment_option",
+    "host_options",
+    "json_option",
+    "live_options",
+    "log_options",
+    "name_option",
+    "out_option",
+    "read_pose",
+    "repair_option",
+    "rerun_option",
+    "seed_option",
+    "threads_option",
+]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -70,9 +84,16 @@ _LOG_OPTIONS = (
     click.option("--every", type=click.IntRange(min=1), default=1, metavar="N", help="Use only every N-th scan."),
 )
 _LOG_FIELDS = (
-    "scan_topics", "odometry_topic", "odometry_frame", "base_frame", "no_odometry", "keep_truncated", "start_s",
-    "duration_s", "every",
-)  # fmt: skip
+    "scan_topics",
+    "odometry_topic",
+    "odometry_frame",
+    "base_frame",
+    "no_odometry",
+    "keep_truncated",
+    "start_s",
+    "duration_s",
+    "every",
+)
 _HOST_OPTIONS = (
     click.option("--live-port", type=int, metavar="PORT", help="Port of the page; 0: any free one.  [default: 8642]"),
     click.option(

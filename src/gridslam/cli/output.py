@@ -24,9 +24,16 @@ if TYPE_CHECKING:
     from gridslam.types import StepReport
 
 __all__ = [
-    "Progress", "handle_signals", "mapping_progress", "open_output", "print_json", "print_result", "reading_progress",
-    "stop_if_interrupted", "warn",
-]  # fmt: skip
+    "Progress",
+    "handle_signals",
+    "mapping_progress",
+    "open_output",
+    "print_json",
+    "print_result",
+    "reading_progress",
+    "stop_if_interrupted",
+    "warn",
+]
 
 _BAR_EVERY_S = 0.25
 _LINE_EVERY_S = 5.0

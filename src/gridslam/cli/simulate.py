@@ -78,9 +78,16 @@ def simulate_to_log(
     length_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
     duration_s = float(np.ptp(truth.stamps_ns)) * 1e-9
     document = {
-        "schema": SIMULATION_SCHEMA, "world": world, "seed": seed, "log": str(out), "truth": str(truth_path),
-        "scans": len(truth), "walls": len(log.walls), "duration_s": duration_s, "length_m": length_m,
-    }  # fmt: skip
+        "schema": SIMULATION_SCHEMA,
+        "world": world,
+        "seed": seed,
+        "log": str(out),
+        "truth": str(truth_path),
+        "scans": len(truth),
+        "walls": len(log.walls),
+        "duration_s": duration_s,
+        "length_m": length_m,
+    }
     summary = [
         f"{world}: {len(truth)} scans, {duration_s:.0f} s, {length_m:.0f} m driven",
         f"log: {out}",

@@ -15,4 +15,4 @@ __all__ = [
     "loads",
     "override",
     "preset",
-]  # fmt: skip
+]

@@ -105,36 +105,38 @@ class Laser(NamedTuple):
     fine: bool = False
 
 
-LASERS: Final[Mapping[str, Laser]] = MappingProxyType({
-    # LMS 200 / 211 / 220 / 221 / 291 technical description: 361 readings of 0.5 or 181 of 1 degree, the mirror turns 75
-    # times a second; 81.91 m is the largest reading in units of 10 mm; statistical error 5 to 10 mm.
-    "sick-lms": Laser("SICK LMS 200 or 291: 180 degrees, up to 80 m, 10 mm", 0.05, 30.0),
-    # PLS technical description.
-    "sick-pls": Laser("SICK PLS: 180 degrees, up to 50 m, noise of centimetres", 0.05, 30.0),
-    # SCIP 2.0 specification C-42-03320B, answer to the command PP: DMIN 20 mm, DMAX 5600 mm, steps 44 to 725 of 1024 a
-    # turn, 600 turns a minute.
-    "hokuyo-urg-04lx": Laser("Hokuyo URG-04LX: 240 degrees, 0.02 to 5.6 m, 10 mm or 1 %", 0.02, 5.6, fine=True),
-    # UTM-30LX-EW specification: accuracy 30 mm up to 10 m and 50 mm up to 30 m, 40 scans a second; SCIP 2.0
-    # specification C-42-03320B: steps 0 to 1080 of 1440 a turn.
-    "hokuyo-utm-30lx": Laser("Hokuyo UTM-30LX: 270 degrees, 0.1 to 30 m, 30 to 50 mm", 0.1, 30.0, fine=True),
-    # RPLIDAR A1M8 data sheet, measurement performance: resolution below 0.5 mm up to 1.5 m and 1 % of the distance
-    # beyond; 5.5 scans a second of 1 degree steps.
-    "rplidar-a1": Laser("Slamtec RPLIDAR A1 (TurtleBot 4): 360 degrees, 0.15 to 12 m, 1 %", 0.15, 12.0),
-    # RPLIDAR A2M8 data sheet, rev. 2.5: 12 m (8 m up to hardware revision 3); 10 scans a second of 0.45 degree steps;
-    # triangulation as in the A1.
-    "rplidar-a2": Laser("Slamtec RPLIDAR A2M8: 360 degrees, 0.15 to 12 m, 1 %", 0.15, 12.0),
-    # LD19 data sheet, optical performance: 4500 ranges a second, 10 scans a second; from 0.3 m on a standard deviation
-    # of 10 mm about a mean that is within 45 mm.
-    "ld19": Laser("LDROBOT LD19: 360 degrees, 0.02 to 12 m, noise of 10 mm", 0.02, 12.0, fine=True),
-    # X4 data sheet, performance parameters, and the maker's ROS 2 driver: 0.12 to 10 m, 5000 ranges a second,
-    # triangulated.
-    "ydlidar-x4": Laser("YDLIDAR X4: 360 degrees, 0.12 to 10 m, percents", 0.12, 10.0),
-    # TurtleBot3 e-Manual, LDS-01: precision 3.5 % from 0.5 m on; 5 scans a second of 1 degree steps.
-    "lds-01": Laser("LDS-01 (TurtleBot3 until 2021): 360 degrees, 0.12 to 3.5 m, 3.5 %", 0.12, 3.5),
-    # TurtleBot3 e-Manual, LDS-02: accuracy 10 mm up to 0.3 m and 3 % up to 6 m, precision 5 % beyond; 5 scans a second
-    # or more of 1 degree steps.
-    "lds-02": Laser("LDS-02 (TurtleBot3 since 2022): 360 degrees, 0.16 to 8 m, 3 to 5 %", 0.16, 8.0),
-})  # fmt: skip
+LASERS: Final[Mapping[str, Laser]] = MappingProxyType(
+    {
+        # LMS 200 / 211 / 220 / 221 / 291 technical description: 361 readings of 0.5 or 181 of 1 degree, the mirror
+        # turns 75 times a second; 81.91 m is the largest reading in units of 10 mm; statistical error 5 to 10 mm.
+        "sick-lms": Laser("SICK LMS 200 or 291: 180 degrees, up to 80 m, 10 mm", 0.05, 30.0),
+        # PLS technical description.
+        "sick-pls": Laser("SICK PLS: 180 degrees, up to 50 m, noise of centimetres", 0.05, 30.0),
+        # SCIP 2.0 specification C-42-03320B, answer to the command PP: DMIN 20 mm, DMAX 5600 mm, steps 44 to 725 of
+        # 1024 a turn, 600 turns a minute.
+        "hokuyo-urg-04lx": Laser("Hokuyo URG-04LX: 240 degrees, 0.02 to 5.6 m, 10 mm or 1 %", 0.02, 5.6, fine=True),
+        # UTM-30LX-EW specification: accuracy 30 mm up to 10 m and 50 mm up to 30 m, 40 scans a second; SCIP 2.0
+        # specification C-42-03320B: steps 0 to 1080 of 1440 a turn.
+        "hokuyo-utm-30lx": Laser("Hokuyo UTM-30LX: 270 degrees, 0.1 to 30 m, 30 to 50 mm", 0.1, 30.0, fine=True),
+        # RPLIDAR A1M8 data sheet, measurement performance: resolution below 0.5 mm up to 1.5 m and 1 % of the distance
+        # beyond; 5.5 scans a second of 1 degree steps.
+        "rplidar-a1": Laser("Slamtec RPLIDAR A1 (TurtleBot 4): 360 degrees, 0.15 to 12 m, 1 %", 0.15, 12.0),
+        # RPLIDAR A2M8 data sheet, rev. 2.5: 12 m (8 m up to hardware revision 3); 10 scans a second of 0.45 degree
+        # steps; triangulation as in the A1.
+        "rplidar-a2": Laser("Slamtec RPLIDAR A2M8: 360 degrees, 0.15 to 12 m, 1 %", 0.15, 12.0),
+        # LD19 data sheet, optical performance: 4500 ranges a second, 10 scans a second; from 0.3 m on a standard
+        # deviation of 10 mm about a mean that is within 45 mm.
+        "ld19": Laser("LDROBOT LD19: 360 degrees, 0.02 to 12 m, noise of 10 mm", 0.02, 12.0, fine=True),
+        # X4 data sheet, performance parameters, and the maker's ROS 2 driver: 0.12 to 10 m, 5000 ranges a second,
+        # triangulated.
+        "ydlidar-x4": Laser("YDLIDAR X4: 360 degrees, 0.12 to 10 m, percents", 0.12, 10.0),
+        # TurtleBot3 e-Manual, LDS-01: precision 3.5 % from 0.5 m on; 5 scans a second of 1 degree steps.
+        "lds-01": Laser("LDS-01 (TurtleBot3 until 2021): 360 degrees, 0.12 to 3.5 m, 3.5 %", 0.12, 3.5),
+        # TurtleBot3 e-Manual, LDS-02: accuracy 10 mm up to 0.3 m and 3 % up to 6 m, precision 5 % beyond; 5 scans a
+        # second or more of 1 degree steps.
+        "lds-02": Laser("LDS-02 (TurtleBot3 since 2022): 360 degrees, 0.16 to 8 m, 3 to 5 %", 0.16, 8.0),
+    }
+)
 """Lasers of which the maker's figures are known."""
 
 

@@ -24,9 +24,16 @@ else:
     import tomli as tomllib
 
 __all__ = [
-    "Table", "describe_error", "names", "nest", "read_assignments", "replace_parameters", "suggest_names", "to_table",
+    "Table",
+    "describe_error",
+    "names",
+    "nest",
+    "read_assignments",
+    "replace_parameters",
+    "suggest_names",
+    "to_table",
     "value_of",
-]  # fmt: skip
+]
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")

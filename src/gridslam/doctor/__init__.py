@@ -5,6 +5,17 @@ from gridslam.doctor.finding import Figure, Finding, Mark, Series, Severity
 from gridslam.doctor.repair import Repair, RepairedLog
 
 __all__ = [
-    "CheckedLog", "Diagnosis", "Doctor", "Figure", "Finding", "LaserFacts", "Mark", "Repair", "RepairedLog", "Series",
-    "Severity", "diagnose", "quick_check",
-]  # fmt: skip
+    "CheckedLog",
+    "Diagnosis",
+    "Doctor",
+    "Figure",
+    "Finding",
+    "LaserFacts",
+    "Mark",
+    "Repair",
+    "RepairedLog",
+    "Series",
+    "Severity",
+    "diagnose",
+    "quick_check",
+]

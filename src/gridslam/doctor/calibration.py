@@ -186,10 +186,24 @@ def calibrate(motion: LaserMotion) -> MotionCalibration:
     drift = ParameterEstimate(scale.value * turn_drift.value, scale.value * turn_drift.sigma, turn_drift.determined)
     noise = np.array([_spread(np.hypot(*residuals[:, :2].T), 1.1774), _spread(np.abs(residuals[:, 2]), 0.6745)])
     return MotionCalibration(
-        reflected, turns.agreement, scale, turns.turn_scale, drift, yaw, turns.skew, x, y,
-        float(np.hypot(laser[:, 0], laser[:, 1]).sum()), float(np.abs(laser[:, 2]).sum()), float(way.sum()),
-        float(np.abs(ways.odometry[:, 2]).sum()), motion.mounting, ways, residuals, noise,
-    )  # fmt: skip
+        reflected,
+        turns.agreement,
+        scale,
+        turns.turn_scale,
+        drift,
+        yaw,
+        turns.skew,
+        x,
+        y,
+        float(np.hypot(laser[:, 0], laser[:, 1]).sum()),
+        float(np.abs(laser[:, 2]).sum()),
+        float(way.sum()),
+        float(np.abs(ways.odometry[:, 2]).sum()),
+        motion.mounting,
+        ways,
+        residuals,
+        noise,
+    )
 
 
 def _chords(ways: Intervals, laser: FloatArray) -> FloatArray:
@@ -242,10 +256,12 @@ def _design(laser: FloatArray) -> FloatArray:
     """Design (N, 2, 4) of the ways: parameters scale cos(yaw), scale sin(yaw), scale x, scale y."""
     c = np.cos(laser[:, 2])
     s = np.sin(laser[:, 2])
-    return np.array([
-        [laser[:, 0], -laser[:, 1], 1 - c, s],
-        [laser[:, 1], laser[:, 0], -s, 1 - c],
-    ]).transpose(2, 0, 1)  # fmt: skip
+    return np.array(
+        [
+            [laser[:, 0], -laser[:, 1], 1 - c, s],
+            [laser[:, 1], laser[:, 0], -s, 1 - c],
+        ]
+    ).transpose(2, 0, 1)
 
 
 class _Turns(NamedTuple):

@@ -135,11 +135,19 @@ class _Laser:
         bearings = geometry.bearings
         rate_hz = self.stamps.rate_hz
         return LaserFacts(
-            self.beams.scans, rate_hz if math.isfinite(rate_hz) else None, self.beams.usual_count,
-            field_of_view_rad(bearings), len(bearings) > 1 and bool(bearings[0] > bearings[-1]),
-            self.ranges.range_min_m, self.ranges.range_max_m, self.beams.invalid / beams, self.beams.no_return / beams,
-            planar_mounting(geometry), self.mounting.tilt_rad, bool(geometry.base_from_laser[2, 2] < 0),
-        )  # fmt: skip
+            self.beams.scans,
+            rate_hz if math.isfinite(rate_hz) else None,
+            self.beams.usual_count,
+            field_of_view_rad(bearings),
+            len(bearings) > 1 and bool(bearings[0] > bearings[-1]),
+            self.ranges.range_min_m,
+            self.ranges.range_max_m,
+            self.beams.invalid / beams,
+            self.beams.no_return / beams,
+            planar_mounting(geometry),
+            self.mounting.tilt_rad,
+            bool(geometry.base_from_laser[2, 2] < 0),
+        )
 
 
 @final
@@ -231,10 +239,17 @@ def diagnose(
     except InputError as error:
         if not scans:
             raise
-        found.append(Finding(
-            "unreadable", Severity.ERROR, f"The log cannot be read to its end: {error}", scans, "scans",
-            "Record it again or repair it; a log that is cut off is mapped as far as it goes with --keep-truncated.",
-        ))  # fmt: skip
+        found.append(
+            Finding(
+                "unreadable",
+                Severity.ERROR,
+                f"The log cannot be read to its end: {error}",
+                scans,
+                "scans",
+                "Record it again or repair it; "
+                "a log that is cut off is mapped as far as it goes with --keep-truncated.",
+            )
+        )
     return doctor.diagnosis(source, [*found, *doctor.findings(), *reader_findings(source.statistics), doctor.cost()])
 
 

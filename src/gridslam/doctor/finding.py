@@ -139,8 +139,10 @@ class Trace:
             self._values[-1] = value
         self._count += 1
         if len(self._values) > self._MOST:  # keep the greater of each two stretches
-            greater = [max(range(k, min(k + 2, len(self._values))), key=self._values.__getitem__)
-                       for k in range(0, len(self._values), 2)]  # fmt: skip
+            greater = [
+                max(range(k, min(k + 2, len(self._values))), key=self._values.__getitem__)
+                for k in range(0, len(self._values), 2)
+            ]
             self._times = [self._times[k] for k in greater]
             self._values = [self._values[k] for k in greater]
             self._each *= 2

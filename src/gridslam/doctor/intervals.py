@@ -134,8 +134,9 @@ def _hermite(times: FloatArray, values: FloatArray, at: FloatArray) -> FloatArra
     h = width[left, None]
     u = ((at - times[left]) / width[left])[:, None]
     found: FloatArray = (
-        values[left] * (1 + 2 * u) * (1 - u) ** 2 + values[left + 1] * u**2 * (3 - 2 * u)
+        values[left] * (1 + 2 * u) * (1 - u) ** 2
+        + values[left + 1] * u**2 * (3 - 2 * u)
         + h * (slopes[left] * u * (1 - u) ** 2 - slopes[left + 1] * u**2 * (1 - u))
-    )  # fmt: skip
+    )
     found[(at < times[0]) | (at > times[-1])] = np.nan
     return found

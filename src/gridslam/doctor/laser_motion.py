@@ -233,9 +233,18 @@ class LaserMotionEstimator:
         geometry = self._first or ScanGeometry(np.zeros(0))
         covariances = _covariances(rows[:, 8:].reshape(-1, 3, 3), rows[:, :3], rows[:, 3], len(self._directions))
         return LaserMotion(
-            self._sensor, stamps[:, 0], rows[:, :3], covariances, rows[:, 3], rows[:, 4].astype(np.int64), rows[:, 5:8],
-            stamps[:, 1], planar_mounting(geometry), bool(geometry.base_from_laser[2, 2] < 0), self._scans,
-        )  # fmt: skip
+            self._sensor,
+            stamps[:, 0],
+            rows[:, :3],
+            covariances,
+            rows[:, 3],
+            rows[:, 4].astype(np.int64),
+            rows[:, 5:8],
+            stamps[:, 1],
+            planar_mounting(geometry),
+            bool(geometry.base_from_laser[2, 2] < 0),
+            self._scans,
+        )
 
 
 def laser_motion(measurements: Iterable[Measurement], sensor: str | None = None) -> LaserMotion:

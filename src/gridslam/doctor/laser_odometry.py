@@ -55,9 +55,18 @@ class LaserOdometry:
     """
 
     __slots__ = (
-        "_active", "_backward", "_due", "_inserted", "_maps", "_period_s", "_scans", "_stamp_ns", "_twist", "pose",
+        "_active",
+        "_backward",
+        "_due",
+        "_inserted",
+        "_maps",
+        "_period_s",
+        "_scans",
+        "_stamp_ns",
+        "_twist",
+        "pose",
         "track",
-    )  # fmt: skip
+    )
 
     def __init__(self) -> None:
         """Wait for the first scan."""

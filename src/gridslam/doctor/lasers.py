@@ -104,22 +104,27 @@ class BeamStatistics:
         most = max(self.counts)
         numbers = np.array(sorted(self.counts.items()), np.float64)
         return Finding(
-            "beam_count_varies", Severity.WARNING,
+            "beam_count_varies",
+            Severity.WARNING,
             f"The number of beams varies from {least} to {most}; {self.counts[self.usual_count]} of {self.scans} scans "
             f"have {self.usual_count}.",
-            most - least, "beams",
+            most - least,
+            "beams",
             "gridslam uses the angles of each scan: make sure that the driver sets angle_min and angle_increment "
             "for each scan, since a fixed increment with a varying number of beams bends the walls.",
             sensor,
             Figure("Beams of a scan", "beams", "scans", (Series("scans", numbers[:, 0], numbers[:, 1], "bars"),)),
-        )  # fmt: skip
+        )
 
     def _invalid(self, sensor: str) -> Finding:
         share = self.invalid / self.beams
         scattered = self.scattered / self.beams
         many = scattered > _MANY_LOST
-        kinds = [("not a number", self.not_numbers), ("zero", self.zeros),
-                 ("negative or too near", self.invalid - self.not_numbers - self.zeros)]  # fmt: skip
+        kinds = [
+            ("not a number", self.not_numbers),
+            ("zero", self.zeros),
+            ("negative or too near", self.invalid - self.not_numbers - self.zeros),
+        ]
         reported = ", ".join(f"{percent(count / self.beams)} {kind}" for kind, count in kinds if count)
         message = f"{percent(share)} of the beams are invalid ({reported})"
         if many:
@@ -136,20 +141,29 @@ class BeamStatistics:
         )
         course = Series("ratio of the beams of a scan", *self._invalid_trace.arrays())
         return Finding(
-            "invalid_beams", Severity.WARNING if many else Severity.INFO, message + ".", share, "share",
-            remedy if many else "", sensor, Figure("Invalid beams", "scan", "share", (course,)) if many else None,
-        )  # fmt: skip
+            "invalid_beams",
+            Severity.WARNING if many else Severity.INFO,
+            message + ".",
+            share,
+            "share",
+            remedy if many else "",
+            sensor,
+            Figure("Invalid beams", "scan", "share", (course,)) if many else None,
+        )
 
     def _few_hits(self, sensor: str) -> Finding:
         share = self.scans_without_hits / self.scans
         return Finding(
-            "few_hits", Severity.ERROR if share > 0.5 else Severity.WARNING,
+            "few_hits",
+            Severity.ERROR if share > 0.5 else Severity.WARNING,
             f"{percent(share)} of the scans have fewer than {_FEW_HITS} beams that hit anything "
             f"({percent(self.no_return / max(self.beams, 1))} of all beams return nothing, "
             f"{percent(self.invalid / max(self.beams, 1))} are invalid): they cannot be matched.",
-            share, "share",
-            "Drive where walls are within the laser's reach, and check its range limits.", sensor,
-        )  # fmt: skip
+            share,
+            "share",
+            "Drive where walls are within the laser's reach, and check its range limits.",
+            sensor,
+        )
 
 
 @final
@@ -197,20 +211,26 @@ def mounting_findings(lasers: Mapping[str, Mounting]) -> Iterator[Finding]:
     for sensor, laser in lasers.items():
         if laser.amplitude_rad > _TILTS_RAD:
             yield Finding(
-                "tilting_laser", Severity.ERROR,
+                "tilting_laser",
+                Severity.ERROR,
                 f"The laser tilts by {math.degrees(laser.amplitude_rad):.1f} degrees to either side while it scans: "
                 "this is a log of a 3D sensor, not of a level one.",
-                laser.amplitude_rad, "rad", "Hold the laser level and record again, or choose another laser with "
-                "--scan.", sensor,
-            )  # fmt: skip
+                laser.amplitude_rad,
+                "rad",
+                "Hold the laser level and record again, or choose another laser with --scan.",
+                sensor,
+            )
         elif laser.floor_m() < _NEAR_FLOOR_M:
             yield Finding(
-                "tilting_laser", Severity.WARNING,
+                "tilting_laser",
+                Severity.WARNING,
                 f"The laser is mounted {math.degrees(laser.tilt_rad):.1f} degrees from level, and its beams meet the "
                 f"floor from {laser.floor_m():.1f} m on: the floor is mapped as a wall.",
-                laser.tilt_rad, "rad", f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.",
+                laser.tilt_rad,
+                "rad",
+                f"Level the laser, or map with --set range_max_m={0.95 * laser.floor_m():.1f}.",
                 sensor,
-            )  # fmt: skip
+            )
 
 
 def _several(lasers: Mapping[str, Mounting]) -> Finding:
@@ -225,7 +245,10 @@ def _several(lasers: Mapping[str, Mounting]) -> Finding:
     if not same:
         return Finding("several_lasers", Severity.INFO, message, len(poses), "lasers")
     return Finding(
-        "several_lasers", Severity.WARNING, f"{message} Two cannot be in one place: a mounting is missing.",
-        len(poses), "lasers", "State the mounting of each laser (a static transform to the base), or choose one "
-        "laser with --scan.",
-    )  # fmt: skip
+        "several_lasers",
+        Severity.WARNING,
+        f"{message} Two cannot be in one place: a mounting is missing.",
+        len(poses),
+        "lasers",
+        "State the mounting of each laser (a static transform to the base), or choose one laser with --scan.",
+    )

@@ -121,12 +121,16 @@ class _Laser:
             return Finding("skewed_while_turning", Severity.INFO, message + ".", size, "rad", "", motion.sensor)
         smear = Series("turn during a scan", motion.seconds, rates * self.sweep_s)
         return Finding(
-            "skewed_while_turning", Severity.WARNING,
-            f"{message}, and the log has no beam times: walls are bent.", size, "rad",
+            "skewed_while_turning",
+            Severity.WARNING,
+            f"{message}, and the log has no beam times: walls are bent.",
+            size,
+            "rad",
             "Configure the driver to publish time_increment so that scans can be deskewed; until then turn more "
             "slowly.",
-            motion.sensor, Figure("Turn during a scan", "time, s", "rad", (smear,), (Mark("harmful", _SMEAR_RAD),)),
-        )  # fmt: skip
+            motion.sensor,
+            Figure("Turn during a scan", "time, s", "rad", (smear,), (Mark("harmful", _SMEAR_RAD),)),
+        )
 
 
 @final
@@ -170,12 +174,16 @@ def motion_findings(motion: LaserMotion, calibration: MotionCalibration | None =
 
 def _unrelated(motion: LaserMotion, found: MotionCalibration) -> Finding:
     return Finding(
-        "odometry_unrelated", Severity.ERROR,
+        "odometry_unrelated",
+        Severity.ERROR,
         f"Odometry turned by {found.odometry_rad:.1f} rad, the laser by {found.laser_rad:.1f} rad, but not at the same "
         f"times (correlation {found.agreement:+.2f}): it belongs to another robot or another time.",
-        found.agreement, "1", "Choose the odometry's topic, or map with --no-odometry.", motion.sensor,
+        found.agreement,
+        "1",
+        "Choose the odometry's topic, or map with --no-odometry.",
+        motion.sensor,
         _turns_figure(motion, 1.0),
-    )  # fmt: skip
+    )
 
 
 def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
@@ -183,27 +191,34 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
     if found.agreement < _OPPOSITE and found.laser_rad >= _TURNED_RAD:
         cause = (
             "the log declares the laser upside-down, and its beams come in the order of an upright one"
-            if motion.upside_down else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
-        )  # fmt: skip
+            if motion.upside_down
+            else "its beams run clockwise, or it is mounted upside-down, contrary to the log"
+        )
         yield Finding(
-            "reflected_laser", Severity.ERROR,
+            "reflected_laser",
+            Severity.ERROR,
             f"The laser sees the robot turn the other way than odometry does (correlation {found.agreement:+.2f} over "
             f"{found.laser_rad:.0f} rad): {cause}; the map would be a mirror image.",
-            found.agreement, "1",
+            found.agreement,
+            "1",
             "Reverse the signs of angle_min, angle_max and angle_increment, or mount it upside-down in /tf_static.",
-            motion.sensor, _turns_figure(motion, 1.0),
-        )  # fmt: skip
+            motion.sensor,
+            _turns_figure(motion, 1.0),
+        )
     yaw = found.yaw_rad
     if yaw.differs(0.0, _YAW):
         degrees = math.degrees(yaw.value)
         declared = math.degrees(found.mounting[2])
         yield Finding(
-            "yaw_offset", Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
+            "yaw_offset",
+            Severity.ERROR if abs(yaw.value) > _YAW_SPOILS else Severity.WARNING,
             f"The laser is rotated by {abs(degrees):.1f} +- {math.degrees(yaw.sigma):.1f} degrees to the "
             f"{_side(degrees)} relative to the declared mounting ({declared:.1f} degrees).",
-            yaw.value, "rad", f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.",
+            yaw.value,
+            "rad",
+            f"Set the yaw of the laser's mounting to {declared + degrees:.1f} degrees.",
             motion.sensor,
-        )  # fmt: skip
+        )
     skew = found.skew_s
     if skew.differs(0.0, _SKEW, _SKEW_SIGMAS):
         milliseconds = 1e3 * skew.value
@@ -211,16 +226,20 @@ def _laser_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[F
         wrong_rad = abs(skew.value) * float(np.quantile(np.abs(turn_rates(motion)), _FASTEST))
         harms = abs(skew.value) > _SKEW_HARMS_S or wrong_rad > _SKEW_HARMS_RAD
         yield Finding(
-            "clock_skew", Severity.WARNING if harms else Severity.INFO,
+            "clock_skew",
+            Severity.WARNING if harms else Severity.INFO,
             f"Scans are {abs(milliseconds):.0f} +- {1e3 * skew.sigma:.0f} ms {late} against odometry: the measured "
             f"turns agree when the scans' stamps are moved by {-milliseconds:+.0f} ms, or those of the odometry by "
             f"{milliseconds:+.0f} ms; the log does not determine which of the two is wrong. In turns the odometry errs "
             f"by up to {wrong_rad:.2f} rad{'' if harms else ', which matching compensates'}.",
-            skew.value, "s",
-            "Stamp both when they are measured, by one clock; --repair all takes it out before mapping." if harms
+            skew.value,
+            "s",
+            "Stamp both when they are measured, by one clock; --repair all takes it out before mapping."
+            if harms
             else "",
-            motion.sensor, _turns_figure(motion, -1.0 if found.reflected else 1.0),
-        )  # fmt: skip
+            motion.sensor,
+            _turns_figure(motion, -1.0 if found.reflected else 1.0),
+        )
 
 
 def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
@@ -229,31 +248,41 @@ def _odometry_findings(motion: LaserMotion, found: MotionCalibration) -> Iterato
     if scale.differs(1.0, _REPORTED_SCALE):
         percent = 100 * (scale.value - 1)
         yield Finding(
-            "odometry_scale", Severity.WARNING if scale.differs(1.0, _SCALE) else Severity.INFO,
+            "odometry_scale",
+            Severity.WARNING if scale.differs(1.0, _SCALE) else Severity.INFO,
             f"Odometry reports {abs(percent):.1f} +- {100 * scale.sigma:.1f} % {_more(percent)} distance than the "
             f"laser measures, over {found.laser_m:.0f} m.",
-            scale.value - 1, "m/m", f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}.",
+            scale.value - 1,
+            "m/m",
+            f"Divide the odometry's distances (the wheels' diameter) by {scale.value:.3f}.",
             motion.sensor,
-        )  # fmt: skip
+        )
     turn = found.turn_scale
     if turn.differs(1.0, _REPORTED_TURN_SCALE):
         percent = 100 * (turn.value - 1)
         yield Finding(
-            "odometry_rotation_bias", Severity.WARNING if turn.differs(1.0, _TURN_SCALE) else Severity.INFO,
+            "odometry_rotation_bias",
+            Severity.WARNING if turn.differs(1.0, _TURN_SCALE) else Severity.INFO,
             f"Odometry turns {abs(percent):.1f} +- {100 * turn.sigma:.1f} % {_more(percent)} than the laser measures, "
             f"over {found.laser_rad:.0f} rad.",
-            turn.value - 1, "rad/rad", f"Multiply the distance between the wheels by {turn.value:.3f}.", motion.sensor,
-        )  # fmt: skip
+            turn.value - 1,
+            "rad/rad",
+            f"Multiply the distance between the wheels by {turn.value:.3f}.",
+            motion.sensor,
+        )
     drift = found.drift_rad_per_m
     if drift.differs(0.0, _REPORTED_DRIFT):
         degrees = math.degrees(drift.value)
         yield Finding(
-            "odometry_drift", Severity.WARNING if drift.differs(0.0, _DRIFT) else Severity.INFO,
+            "odometry_drift",
+            Severity.WARNING if drift.differs(0.0, _DRIFT) else Severity.INFO,
             f"Odometry turns {abs(degrees):.2f} +- {math.degrees(drift.sigma):.2f} degrees to the {_side(degrees)} a "
             f"metre driven, beyond what the laser saw over {found.laser_m:.0f} m.",
-            drift.value, "rad/m",
-            f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.", motion.sensor,
-        )  # fmt: skip
+            drift.value,
+            "rad/m",
+            f"Make the {_side(-degrees)} wheel's diameter in the odometry smaller until it is gone.",
+            motion.sensor,
+        )
 
 
 def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Finding]:
@@ -272,14 +301,16 @@ def _slip_findings(motion: LaserMotion, found: MotionCalibration) -> Iterator[Fi
     )
     marks = tuple(Mark("slip", (slip.stamp_ns - first_ns) * 1e-9, "x") for slip in slips[:20])
     yield Finding(
-        "wheel_slip", Severity.WARNING if matters else Severity.INFO,
+        "wheel_slip",
+        Severity.WARNING if matters else Severity.INFO,
         f"The wheels slipped {times}, {sizes.sum():.2f} m and {turns.sum():.2f} rad in all; most after "
         f"{(largest.stamp_ns - first_ns) * 1e-9:.0f} s: {largest.metres:.2f} m and {largest.radians:.2f} rad in "
         f"{largest.duration_s:.1f} s.",
         *((np.median(sizes[ways]), "m") if ways.any() else (np.median(turns), "rad")),
         "Drive more gently there; scan matching compensates where walls constrain the motion.",
-        motion.sensor, Figure("Wheel slip", "time, s", "m", (course,), marks),
-    )  # fmt: skip
+        motion.sensor,
+        Figure("Wheel slip", "time, s", "m", (course,), marks),
+    )
 
 
 def _more(amount: float) -> str:

@@ -170,20 +170,25 @@ class OdometryExaminer:
         often = "once" if len(self._jumps) == 1 else f"{len(self._jumps)} times, most"
         size = (metres, "m") if metres > _LEAP_M else (radians, "rad")
         return Finding(
-            "odometry_jumps", Severity.WARNING,
+            "odometry_jumps",
+            Severity.WARNING,
             f"Odometry jumps {often} by {metres:.4g} m and {radians:.2f} rad after {at_s:.1f} s: no robot moves this "
             "fast from one scan to the next. The odometry was reset, or a reading is wrong.",
-            *size, "Look for what restarts or corrects the odometry; in a jump the motion is estimated from scans.",
-        )  # fmt: skip
+            *size,
+            "Look for what restarts or corrects the odometry; in a jump the motion is estimated from scans.",
+        )
 
     def _odometry_frozen(self) -> Finding:
         share = self._frozen_s / self._watched_s
         return Finding(
-            "odometry_frozen", Severity.ERROR if share > _FROZEN_SHARE else Severity.WARNING,
+            "odometry_frozen",
+            Severity.ERROR if share > _FROZEN_SHARE else Severity.WARNING,
             f"For {self._frozen_s:.0f} of {self._watched_s:.0f} s odometry stood still while the scans changed: it is "
             "frozen.",
-            self._frozen_s, "s", "Look for what stops odometry on the robot; map with --no-odometry until then.",
-        )  # fmt: skip
+            self._frozen_s,
+            "s",
+            "Look for what stops odometry on the robot; map with --no-odometry until then.",
+        )
 
     def _standing_still(self) -> Iterator[Finding]:
         share = self._still_s / self._watched_s
@@ -205,12 +210,16 @@ class OdometryExaminer:
             limit = self._limit(sensor)
             turns = Series("turn since the scan before", *self._turns.arrays())
             yield Finding(
-                "fast_turning", Severity.WARNING,
+                "fast_turning",
+                Severity.WARNING,
                 f"The robot turns by up to {self._fastest_rad:.2f} rad from one scan to the next, and by more than "
                 f"{limit:.2f} rad before {count} of {self.scans} scans: too little is seen in both.",
-                self._fastest_rad, "rad", "Turn more slowly, or let the laser scan faster.", sensor,
+                self._fastest_rad,
+                "rad",
+                "Turn more slowly, or let the laser scan faster.",
+                sensor,
                 Figure("Turn between scans", "scan", "rad", (turns,), (Mark("limit", limit),)),
-            )  # fmt: skip
+            )
 
 
 def _motion(before: _Place, after: _Place) -> tuple[float, float]:

@@ -125,12 +125,16 @@ class RangeCounts:
         if share > _BEYOND_SHARE:
             much = share > _MUCH_LOST
             yield Finding(
-                "range_limits", Severity.WARNING if much else Severity.INFO,
+                "range_limits",
+                Severity.WARNING if much else Severity.INFO,
                 f"{percent(share)} of the readings are ranges beyond the stated limit of {self.range_max_m:g} m, up to "
                 f"{farthest_m:.1f} m: they are taken for beams that hit nothing.",
-                self.range_max_m / farthest_m, "m/m", "Let the driver state the laser's true range_max.", sensor,
+                self.range_max_m / farthest_m,
+                "m/m",
+                "Let the driver state the laser's true range_max.",
+                sensor,
                 self._figure(Mark("stated limit", self.range_max_m, "x")),
-            )  # fmt: skip
+            )
 
     def _range_peak(self, sensor: str, peak: _RangePeak) -> Finding:
         limited = math.isfinite(self.range_max_m)
@@ -147,9 +151,15 @@ class RangeCounts:
             severity = Severity.ERROR if peak.share > _SPOILING else Severity.WARNING
             remedy = f"Map with --set range_max_m={peak.value_m - _MARGIN_M:.2f}, or let the driver report inf."
         return Finding(
-            "range_limits", severity, message + ".", self.range_max_m / peak.value_m if limited else None, "m/m",
-            remedy, sensor, self._figure(Mark(f"{peak.value_m:.2f} m", peak.value_m, "x")),
-        )  # fmt: skip
+            "range_limits",
+            severity,
+            message + ".",
+            self.range_max_m / peak.value_m if limited else None,
+            "m/m",
+            remedy,
+            sensor,
+            self._figure(Mark(f"{peak.value_m:.2f} m", peak.value_m, "x")),
+        )
 
     def _figure(self, mark: Mark) -> Figure:
         """How often each range is reported, in bins of 10 cm, up to the farthest; counts as 1 + their number."""

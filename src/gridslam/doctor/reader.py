@@ -37,10 +37,13 @@ def reader_findings(statistics: LogStatistics) -> Iterator[Finding]:
         yield _missing(reason + chain, scans, statistics.scan_count)
     if statistics.truncated:
         yield Finding(
-            "unreadable", Severity.WARNING,
+            "unreadable",
+            Severity.WARNING,
             f"The log is truncated after {statistics.scan_count} scans.",
-            statistics.scan_count, "scans", "Record it again, if the end matters.",
-        )  # fmt: skip
+            statistics.scan_count,
+            "scans",
+            "Record it again, if the end matters.",
+        )
     for remark, count in statistics.remarks.items():
         times = f" ({count} times)" if count > 1 else ""
         yield Finding("remark", Severity.INFO, f"{remark[:1].upper()}{remark[1:]}{times}.", count, "times")
@@ -59,9 +62,13 @@ def _missing(reason: str, scans: int, of: int) -> Finding:
         "robot's frames with --base-frame and --odom-frame."
     )
     return Finding(
-        "late_transform" if late else "missing_transform", Severity.INFO if few else Severity.WARNING,
-        f"{scans} of {of} scans ({percent(share)}) lack a transform; {reason}.", scans, "scans", "" if few else remedy,
-    )  # fmt: skip
+        "late_transform" if late else "missing_transform",
+        Severity.INFO if few else Severity.WARNING,
+        f"{scans} of {of} scans ({percent(share)}) lack a transform; {reason}.",
+        scans,
+        "scans",
+        "" if few else remedy,
+    )
 
 
 def _topics(statistics: LogStatistics) -> Finding:
@@ -83,11 +90,14 @@ def estimate_cost(scans: int, key_scans: int) -> Finding:
     memory = _START_BYTES + key_scans * _KEY_SCAN_BYTES
     remedy = "If that is too much, map with --no-loop-closure or fewer --particles." if memory > _MUCH_BYTES else ""
     return Finding(
-        "expected_cost", Severity.INFO,
+        "expected_cost",
+        Severity.INFO,
         f"Mapping takes about {_rounded(seconds)} s and {_rounded(memory / 1e6)} MB: {scans} scans, some "
         f"{_rounded(key_scans)} key scans.",
-        seconds, "s", remedy,
-    )  # fmt: skip
+        seconds,
+        "s",
+        remedy,
+    )
 
 
 def _rounded(number: float) -> str:

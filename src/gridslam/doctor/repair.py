@@ -23,9 +23,14 @@ from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, Odometry, ScanGeometry
 
 __all__ = [
-    "Repair", "RepairedLog", "calibrate_early", "find_full_repair", "find_needed_repair", "open_repaired",
+    "Repair",
+    "RepairedLog",
+    "calibrate_early",
+    "find_full_repair",
+    "find_needed_repair",
+    "open_repaired",
     "repair_measurements",
-]  # fmt: skip
+]
 
 _EARLY_SCANS = 1000
 _EARLY = (8.0, 6.0)  # m, rad
@@ -117,10 +122,14 @@ def find_full_repair(calibration: MotionCalibration, range_max_m: float | None =
         return estimate.value if estimate.differs(usual, 0.0) else usual
 
     return Repair(
-        find_needed_repair(calibration).reflected, sure(calibration.yaw_rad, 0.0), sure(calibration.skew_s, 0.0),
-        sure(calibration.scale, 1.0), sure(calibration.turn_scale, 1.0), sure(calibration.drift_rad_per_m, 0.0),
+        find_needed_repair(calibration).reflected,
+        sure(calibration.yaw_rad, 0.0),
+        sure(calibration.skew_s, 0.0),
+        sure(calibration.scale, 1.0),
+        sure(calibration.turn_scale, 1.0),
+        sure(calibration.drift_rad_per_m, 0.0),
         range_max_m,
-    )  # fmt: skip
+    )
 
 
 def calibrate_early(measurements: Iterable[Measurement]) -> MotionCalibration:

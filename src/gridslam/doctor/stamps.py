@@ -156,22 +156,29 @@ class StampStatistics:
             remedy = ""
             figure = None
         return Finding(
-            "backward_stamps", severity,
+            "backward_stamps",
+            severity,
             f"{self.backward} of {self.scans} scans are stamped before the one ahead, by up to "
             f"{self.farthest_back_s:.3g} s{meaning}.",
-            self.farthest_back_s, "s", remedy, sensor, figure,
-        )  # fmt: skip
+            self.farthest_back_s,
+            "s",
+            remedy,
+            sensor,
+            figure,
+        )
 
     def _repeated(self, sensor: str) -> Finding:
         share = self.repeated / self.scans
         many = share > _REPEATED
         return Finding(
-            "duplicate_stamps", Severity.WARNING if many else Severity.INFO,
+            "duplicate_stamps",
+            Severity.WARNING if many else Severity.INFO,
             f"{self.repeated} of {self.scans} scans ({percent(share)}) have the stamp of the scan before.",
-            share, "share",
+            share,
+            "share",
             "Stamp each scan by itself, with sufficient resolution; drop scans that are sent twice." if many else "",
             sensor,
-        )  # fmt: skip
+        )
 
 
 def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
@@ -186,11 +193,18 @@ def _gaps(sensor: str, gaps: list[_Pause], figure: Figure) -> Finding:
         turned = math.degrees(worst.radians)
         message += f", and {when} the robot moved {worst.metres:.2f} m and turned {turned:.0f} degrees"
     return Finding(
-        "gaps", Severity.WARNING if blind else Severity.INFO, message + ".", gaps[0].seconds, "s",
+        "gaps",
+        Severity.WARNING if blind else Severity.INFO,
+        message + ".",
+        gaps[0].seconds,
+        "s",
         f"Look for what stopped the recording at {worst.began_s:.1f} s (a full disk, a busy processor, a cable); map "
-        "the parts by themselves, with --start and --duration, if the map breaks there." if blind else "",
-        sensor, figure if blind else None,
-    )  # fmt: skip
+        "the parts by themselves, with --start and --duration, if the map breaks there."
+        if blind
+        else "",
+        sensor,
+        figure if blind else None,
+    )
 
 
 def _is_blind(gap: _Pause) -> bool:

@@ -14,8 +14,13 @@ from gridslam.geometry.se2 import transform_points
 from gridslam.types import FloatArray, IntArray, OccupancyGrid
 
 __all__ = [
-    "LandmarkErrors", "MapAgreement", "compare_maps", "landmark_errors", "pair_by_name", "pair_by_position",
-]  # fmt: skip
+    "LandmarkErrors",
+    "MapAgreement",
+    "compare_maps",
+    "landmark_errors",
+    "pair_by_name",
+    "pair_by_position",
+]
 
 
 @final

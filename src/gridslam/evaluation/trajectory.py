@@ -14,9 +14,18 @@ from gridslam.geometry.se2 import between, compose
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
-    "PoseErrors", "RelationErrors", "Relations", "absolute_errors", "align", "associate", "clip_to_truth",
-    "interpolate", "relation_errors", "relative_errors_by_distance", "relative_errors_by_step",
-]  # fmt: skip
+    "PoseErrors",
+    "RelationErrors",
+    "Relations",
+    "absolute_errors",
+    "align",
+    "associate",
+    "clip_to_truth",
+    "interpolate",
+    "relation_errors",
+    "relative_errors_by_distance",
+    "relative_errors_by_step",
+]
 
 
 @final

@@ -58,9 +58,13 @@ def from_matrix(matrix: ArrayLike) -> Rigid:
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = given.tolist()
     # The third row of a rotation is the cross product of the first two, which are of length 1 and orthogonal.
     worst = max(
-        abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f),
-        abs(b * f - c * e - g), abs(c * d - a * f - h), abs(a * e - b * d - i),
-    )  # fmt: skip
+        abs(a * a + b * b + c * c - 1),
+        abs(d * d + e * e + f * f - 1),
+        abs(a * d + b * e + c * f),
+        abs(b * f - c * e - g),
+        abs(c * d - a * f - h),
+        abs(a * e - b * d - i),
+    )
     if not worst <= _ROTATION_TOLERANCE or last != [0, 0, 0, 1] or not math.isfinite(x + y + z + worst):
         raise ArgumentError("matrix", "a rotation, a finite translation and a last row (0, 0, 0, 1)", given.tolist())
     trace = a + e + i
@@ -148,6 +152,11 @@ def interpolate(a: Rigid, b: Rigid, fraction: float) -> Rigid:
     if cosine < 0.0:
         t = -t
     return (
-        p * ax + q * bx, p * ay + q * by, p * az + q * bz,
-        s * ai + t * bi, s * aj + t * bj, s * ak + t * bk, s * aw + t * bw,
-    )  # fmt: skip
+        p * ax + q * bx,
+        p * ay + q * by,
+        p * az + q * bz,
+        s * ai + t * bi,
+        s * aj + t * bj,
+        s * ak + t * bk,
+        s * aw + t * bw,
+    )

@@ -21,10 +21,21 @@ from gridslam.errors import ArgumentError
 from gridslam.geometry.angles import normalize_weights, wrap
 
 __all__ = [
-    "adjoint", "between", "between_jacobians", "compose", "compose_jacobians", "compound_covariance", "exp",
-    "increment_covariance", "inverse", "lever_arm_jacobian", "log", "transform_points", "weighted_covariance",
+    "adjoint",
+    "between",
+    "between_jacobians",
+    "compose",
+    "compose_jacobians",
+    "compound_covariance",
+    "exp",
+    "increment_covariance",
+    "inverse",
+    "lever_arm_jacobian",
+    "log",
+    "transform_points",
+    "weighted_covariance",
     "weighted_mean",
-]  # fmt: skip
+]
 
 
 FloatArray = NDArray[np.float64]

@@ -23,8 +23,15 @@ from gridslam.scan import LONGEST_SCAN_S
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = [
-    "COLUMNS", "LASER", "ODOMETRY", "REQUIRED", "CsvLog", "angles_of_rotation", "rotation_of_angles", "write_csv_log",
-]  # fmt: skip
+    "COLUMNS",
+    "LASER",
+    "ODOMETRY",
+    "REQUIRED",
+    "CsvLog",
+    "angles_of_rotation",
+    "rotation_of_angles",
+    "write_csv_log",
+]
 
 ODOMETRY = "odom_x_m", "odom_y_m", "odom_theta_rad"
 """Columns of the odometry; all three are empty where a scan has none."""
@@ -36,14 +43,31 @@ REQUIRED = "stamp_s", "angle_min_rad", "angle_increment_rad", "ranges_m"
 """Columns without which there is no scan."""
 
 COLUMNS = (
-    "stamp_s", "sensor", "frame", *ODOMETRY, "odom_stamp_s", *LASER, "angle_min_rad", "angle_increment_rad",
-    "time_increment_s", "range_min_m", "range_max_m", "ranges_m",
-)  # fmt: skip
+    "stamp_s",
+    "sensor",
+    "frame",
+    *ODOMETRY,
+    "odom_stamp_s",
+    *LASER,
+    "angle_min_rad",
+    "angle_increment_rad",
+    "time_increment_s",
+    "range_min_m",
+    "range_max_m",
+    "ranges_m",
+)
 """All columns, as they are written; they are read in any order."""
 
 _OF_LASER = (
-    "sensor", "frame", *LASER, "angle_min_rad", "angle_increment_rad", "time_increment_s", "range_min_m", "range_max_m",
-)  # fmt: skip
+    "sensor",
+    "frame",
+    *LASER,
+    "angle_min_rad",
+    "angle_increment_rad",
+    "time_increment_s",
+    "range_min_m",
+    "range_max_m",
+)
 """Columns of what scans of one laser have in common."""
 
 _DEFAULTS = {"sensor": "laser", "frame": "laser", "range_max_m": "inf"} | dict.fromkeys((*LASER, "range_min_m"), "0")
@@ -55,11 +79,13 @@ def rotation_of_angles(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Rotation (3, 3) about the fixed axes x, y, z, one after the other, by angles in rad."""
     cr, cp, cy = np.cos([roll, pitch, yaw])
     sr, sp, sy = np.sin([roll, pitch, yaw])
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def angles_of_rotation(rotation: ArrayLike) -> tuple[float, float, float]:

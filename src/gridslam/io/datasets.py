@@ -57,18 +57,30 @@ class Dataset:
 
 DATASETS = (
     Dataset(
-        "intel", "intel.clf.bz2", "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a", 2_277_279,
-        "Intel Research Lab, Seattle: 13631 scans of 180 beams, 45 min, 508 m", f"D. Haehnel; {_BENCHMARK}",
+        "intel",
+        "intel.clf.bz2",
+        "d9ce4addefc9405d5e78fd883d2214766552537d262009f8e6f0137885f9f72a",
+        2_277_279,
+        "Intel Research Lab, Seattle: 13631 scans of 180 beams, 45 min, 508 m",
+        f"D. Haehnel; {_BENCHMARK}",
     ),
     Dataset(
-        "aces", "aces.clf.bz2", "b663e2976ed0621c2bec0cc20c4e7cc117b88db5bac6f921d3fbaa9685d2232a", 839_027,
-        "ACES building, Austin: 7374 scans of 180 beams, 23 min, 325 m", f"P. Beeson; {_BENCHMARK}",
+        "aces",
+        "aces.clf.bz2",
+        "b663e2976ed0621c2bec0cc20c4e7cc117b88db5bac6f921d3fbaa9685d2232a",
+        839_027,
+        "ACES building, Austin: 7374 scans of 180 beams, 23 min, 325 m",
+        f"P. Beeson; {_BENCHMARK}",
     ),
     Dataset(
-        "mit-csail", "mit-csail.clf.bz2", "e010703e450a20e71a97b0e8de88d9474040c8106e547ff894d885e67a309b47", 539_615,
-        "MIT CSAIL, Cambridge: 1988 scans of 361 beams, 7 min, 374 m", f"C. Stachniss; {_BENCHMARK}",
+        "mit-csail",
+        "mit-csail.clf.bz2",
+        "e010703e450a20e71a97b0e8de88d9474040c8106e547ff894d885e67a309b47",
+        539_615,
+        "MIT CSAIL, Cambridge: 1988 scans of 361 beams, 7 min, 374 m",
+        f"C. Stachniss; {_BENCHMARK}",
     ),
-)  # fmt: skip
+)
 
 
 def find_dataset(name: str) -> Dataset:

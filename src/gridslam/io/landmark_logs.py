@@ -23,9 +23,14 @@ from gridslam.models.landmark import NO_OBSERVATIONS, LandmarkObservations, Land
 from gridslam.types import FloatArray, IntArray, Trajectory
 
 __all__ = [
-    "LandmarkLog", "LandmarkLogStatistics", "LandmarkTruth", "MrclamLog", "VictoriaParkLog", "open_landmark_log",
+    "LandmarkLog",
+    "LandmarkLogStatistics",
+    "LandmarkTruth",
+    "MrclamLog",
+    "VictoriaParkLog",
+    "open_landmark_log",
     "open_landmark_log_if_path",
-]  # fmt: skip
+]
 
 _HEAD_BYTES = 4096
 _KNOWN = "an odometry file of UTIAS MRCLAM (.._Odometry.dat) or lines ODOMETRY and LANDMARK (Victoria Park)"
@@ -156,9 +161,12 @@ class MrclamLog:
     stamped = True
 
     def __init__(
-        self, path: str | Path, longest_ns: int = 250_000_000, delay_ns: int = 200_000_000,
+        self,
+        path: str | Path,
+        longest_ns: int = 250_000_000,
+        delay_ns: int = 200_000_000,
         depth_scale: float = 1.03,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Find the files and read the small ones."""
         self.path = Path(path)
         self.statistics = LandmarkLogStatistics()

@@ -15,10 +15,21 @@ from gridslam.types import BeamStatus, FloatArray, LaserScan
 __all__ = ["LogStatistics", "Mounting", "Topic"]
 
 _BY_SCAN = (
-    "selection", "span_read", "scans", "beam_counts", "invalid_beams", "no_return_beams", "without_odometry",
-    "odometry_length_m", "backward_stamps", "duplicate_stamps", "first_stamp_ns", "last_stamp_ns", "_last_sensor",
+    "selection",
+    "span_read",
+    "scans",
+    "beam_counts",
+    "invalid_beams",
+    "no_return_beams",
+    "without_odometry",
+    "odometry_length_m",
+    "backward_stamps",
+    "duplicate_stamps",
+    "first_stamp_ns",
+    "last_stamp_ns",
+    "_last_sensor",
     "_last_place",
-)  # fmt: skip
+)
 """What is counted of each scan, and not of the file as a whole."""
 
 

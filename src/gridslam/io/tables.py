@@ -17,9 +17,17 @@ from gridslam.io.text import read_numbered_lines
 from gridslam.types import FloatArray, IntArray
 
 __all__ = [
-    "Row", "Table", "check_rows", "format_stamp_ns", "parse_stamp_ns", "parse_tagged", "read_rows", "read_table",
-    "symmetric_of_upper", "upper_of_symmetric",
-]  # fmt: skip
+    "Row",
+    "Table",
+    "check_rows",
+    "format_stamp_ns",
+    "parse_stamp_ns",
+    "parse_tagged",
+    "read_rows",
+    "read_table",
+    "symmetric_of_upper",
+    "upper_of_symmetric",
+]
 
 
 _EXACT = Context(prec=1000)  # digits

@@ -14,9 +14,14 @@ from gridslam.io.tables import check_rows, format_stamp_ns, read_table, symmetri
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = [
-    "CSV_HEADER", "columns_of_trajectory", "read_relations", "read_trajectory_csv", "read_tum", "write_trajectory_csv",
+    "CSV_HEADER",
+    "columns_of_trajectory",
+    "read_relations",
+    "read_trajectory_csv",
+    "read_tum",
+    "write_trajectory_csv",
     "write_tum",
-]  # fmt: skip
+]
 
 CSV_HEADER = (
     "stamp_s,x_m,y_m,theta_rad,cov_xx_m2,cov_xy_m2,cov_xtheta_m_rad,cov_yy_m2,cov_ytheta_m_rad,cov_thetatheta_rad2"

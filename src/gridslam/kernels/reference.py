@@ -104,9 +104,18 @@ class _Field(NamedTuple):
 
 
 def distances(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    rows: Int32Array, poses: FloatArray, ends: FloatArray, resolution: float, reach_cells: float, threads: int,
-) -> FloatMap:  # fmt: skip
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    rows: Int32Array,
+    poses: FloatArray,
+    ends: FloatArray,
+    resolution: float,
+    reach_cells: float,
+    threads: int,
+) -> FloatMap:
     """Distance in m (K, B) float32 from points (B, 2) at poses (K, 3) to the nearest occupied cell's centre.
 
     Interpolated between cells; the field's reach where nothing is nearer.
@@ -119,10 +128,19 @@ def distances(
 
 
 def cast_rays(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    rows: Int32Array, poses: FloatArray, origin: FloatArray, directions: FloatArray, resolution: float, max_m: float,
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    rows: Int32Array,
+    poses: FloatArray,
+    origin: FloatArray,
+    directions: FloatArray,
+    resolution: float,
+    max_m: float,
     threads: int,
-) -> FloatMap:  # fmt: skip
+) -> FloatMap:
     """Range in m (K, B) float32 from `origin` (2,) along unit `directions` (B, 2) to the first occupied cell.
 
     The range is where the ray passes the cell's centre, in [0, `max_m`]; `max_m` where it meets none.
@@ -154,12 +172,27 @@ def cast_rays(
 
 
 def match(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    rows: Int32Array, guesses: FloatArray, priors: FloatArray, ends: FloatArray, resolution: float,
-    max_iterations: int, cauchy_cells: float, max_step_cells: float, max_step_rad: float,
-    stop_cells: float, stop_rad: float, reach_cells: float, min_information: float, dense_spacing_cells: float,
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    rows: Int32Array,
+    guesses: FloatArray,
+    priors: FloatArray,
+    ends: FloatArray,
+    resolution: float,
+    max_iterations: int,
+    cauchy_cells: float,
+    max_step_cells: float,
+    max_step_rad: float,
+    stop_cells: float,
+    stop_rad: float,
+    reach_cells: float,
+    min_information: float,
+    dense_spacing_cells: float,
     threads: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Gauss-Newton of a scan's `ends` (B, 2) on the distance field, from `guesses` (K, 3) with `priors` (K, 3, 3).
 
     Minimizes sum_b c^2 log(1 + (d_b / c)^2) + e^T P e with d_b the distance and c = `cauchy_cells` in cells, e the way
@@ -206,9 +239,14 @@ def match(
 
 
 def _linearize(
-    lookup: _Field, log_odds: NDArray[np.int16], poses: FloatArray, ends: FloatArray, walls: tuple[FloatMap, FloatMap],
-    cauchy_cells: float, reach_cells: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    lookup: _Field,
+    log_odds: NDArray[np.int16],
+    poses: FloatArray,
+    ends: FloatArray,
+    walls: tuple[FloatMap, FloatMap],
+    cauchy_cells: float,
+    reach_cells: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Normal matrix (K, 3, 3), gradient (K, 3) and sum of the weights (K,) at `poses` (K, 3), all in cells."""
     u, v = transform_to_world(poses, ends)
     value, du, dv = lookup.sample(u, v)
@@ -289,9 +327,13 @@ _AT_ONCE = 1 << 20  # look-ups: some 50 MB of intermediate arrays
 
 
 def sum_at_ends(
-    patches: NDArray[np.uint32], corner: FloatArray, resolution: float, poses: FloatArray, ends: FloatArray,
+    patches: NDArray[np.uint32],
+    corner: FloatArray,
+    resolution: float,
+    poses: FloatArray,
+    ends: FloatArray,
     threads: int,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Sum over beams of a field at their ends (B, 2), seen from poses (K, 3): (K,) float64.
 
     The field, 0 to 255, is known at the centres of cells, the first of which has its lower left corner at `corner`
@@ -357,10 +399,20 @@ def max_pyramid(likelihood: Bytes, levels: int) -> tuple[Bytes, Bytes]:
 
 
 def correlate(
-    fine: Bytes, top: Bytes, ends: FloatArray, headings: FloatArray, window: tuple[int, int, int, int],
-    centre: FloatArray, information: FloatArray, distance: float, count: int, min_sum: int, min_runner_up_ratio: float,
-    min_distance_cells: float, min_distance_rad: float,
-) -> Int32Array:  # fmt: skip
+    fine: Bytes,
+    top: Bytes,
+    ends: FloatArray,
+    headings: FloatArray,
+    window: tuple[int, int, int, int],
+    centre: FloatArray,
+    information: FloatArray,
+    distance: float,
+    count: int,
+    min_sum: int,
+    min_runner_up_ratio: float,
+    min_distance_cells: float,
+    min_distance_rad: float,
+) -> Int32Array:
     """The best lattice pose of a scan in a map, and the best ones that are other places.
 
     A lattice pose is the centre of a cell (x, y) with x0 <= x < x1 and y0 <= y < y1, and one of `headings` (A,). Its

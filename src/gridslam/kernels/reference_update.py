@@ -20,7 +20,7 @@ __all__ = [
     "transform_to_world",
     "update_field",
     "update_log_odds",
-]  # fmt: skip
+]
 
 TILE = 32
 """Rows and columns of cells in a tile."""
@@ -141,10 +141,17 @@ def tiles_near_cells(cells: Int32Array, reach: int) -> Int32Array:
 
 
 def make_tiles_writable(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    page_refs: Int32Array, tile_refs: Int32Array, free_pages: Int32Array, free_tiles: Int32Array,
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    page_refs: Int32Array,
+    tile_refs: Int32Array,
+    free_pages: Int32Array,
+    free_tiles: Int32Array,
     tiles_to_write: Int32Array,
-) -> tuple[int, int, int]:  # fmt: skip
+) -> tuple[int, int, int]:
     """Copy on write: give every touched tile (N, 3) = [row, tile y, tile x] to its map alone, in order.
 
     A page or tile that is empty or that more than one owner uses is copied to the last free id not yet taken. A table
@@ -202,10 +209,23 @@ def _counted(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 
 def update_log_odds(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    rows: Int32Array, poses: FloatArray, ends: FloatArray, origin: FloatArray, resolution: float,
-    hit: int, miss: int, min: int, max: int, occupied_above: int, threads: int,
-) -> Int32Array:  # fmt: skip
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    rows: Int32Array,
+    poses: FloatArray,
+    ends: FloatArray,
+    origin: FloatArray,
+    resolution: float,
+    hit: int,
+    miss: int,
+    min: int,
+    max: int,
+    occupied_above: int,
+    threads: int,
+) -> Int32Array:
     """Binary Bayes filter along the rays of a scan, in place, in maps that own all touched tiles.
 
     Each ray adds `miss` < 0 to the cells before its end, down to `min`, and `hit` > 0 to the cell at its end, up to
@@ -243,9 +263,15 @@ def update_log_odds(
 
 
 def update_field(
-    roots: Int32Array, first: tuple[int, int], pages: Int32Array, log_odds: NDArray[np.int16], field: NDArray[np.uint8],
-    cells: Int32Array, cone: NDArray[np.uint8], threads: int,
-) -> None:  # fmt: skip
+    roots: Int32Array,
+    first: tuple[int, int],
+    pages: Int32Array,
+    log_odds: NDArray[np.int16],
+    field: NDArray[np.uint8],
+    cells: Int32Array,
+    cone: NDArray[np.uint8],
+    threads: int,
+) -> None:
     """Let the distance field follow changed `cells` (M, 4) = [row, y, x, occupied], grouped by row, in place.
 
     The field is the grey dilation of the occupied cells, those at 255, by the `cone` (2 r + 1, 2 r + 1). Around a cell

@@ -136,8 +136,11 @@ class MappingMonitor:
             return Frame(path, tree, particles, ends.astype(np.float32))
 
         status = {
-            "particles": len(poses), "best": state.best, "closures": len(closures), "bytes": state.maps.nbytes,
-        }  # fmt: skip
+            "particles": len(poses),
+            "best": state.best,
+            "closures": len(closures),
+            "bytes": state.maps.nbytes,
+        }
         return StateView(maps, rows, state.maps.resolution_m, status, make_frame)
 
     def _written_box(self) -> Box | None:

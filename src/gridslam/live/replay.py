@@ -145,14 +145,25 @@ class ReplayViewer:
     def _scene(self) -> Scene:
         results = self._results
         status = {
-            **results.status(self._at, self._time_s), "at": self._at, "last": self._last, "time_s": self._time_s,
-            "total_s": float(results.times_s[-1]), "stage": "running" if self._playing else "paused",
-            "speed": self._speed, "selected_particle": self._selected, "message": results.missing,
-        }  # fmt: skip
+            **results.status(self._at, self._time_s),
+            "at": self._at,
+            "last": self._last,
+            "time_s": self._time_s,
+            "total_s": float(results.times_s[-1]),
+            "stage": "running" if self._playing else "paused",
+            "speed": self._speed,
+            "selected_particle": self._selected,
+            "message": results.missing,
+        }
         return Scene(
-            self._replay.run_info, status, self._replay.replica, self._frame, results.series, plan=results.path,
+            self._replay.run_info,
+            status,
+            self._replay.replica,
+            self._frame,
+            results.series,
+            plan=results.path,
             landmarks=results.landmarks,
-        )  # fmt: skip
+        )
 
 
 def _read_mapping(out: Path, document: dict[str, Any]) -> Results:

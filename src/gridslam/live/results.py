@@ -128,11 +128,15 @@ class MappedRun:
         record = self._record
         scan = max(int(np.searchsorted(self._scan_times_s, time_s, "right")) - 1, 0)
         return {
-            "keys": at + 1, "scans": scan + 1, "pose": self._trajectory.poses[scan].tolist(),
-            "n_eff": finite_or_none(float(record.n_eff[at])), "lost": bool(record.flags[at] & RecordFlag.LOST),
-            "best": int(record.parents[at, record.best[at]]), "closures": self._count_closures(at),
+            "keys": at + 1,
+            "scans": scan + 1,
+            "pose": self._trajectory.poses[scan].tolist(),
+            "n_eff": finite_or_none(float(record.n_eff[at])),
+            "lost": bool(record.flags[at] & RecordFlag.LOST),
+            "best": int(record.parents[at, record.best[at]]),
+            "closures": self._count_closures(at),
             "particles": self.particles,
-        }  # fmt: skip
+        }
 
     def _count_closures(self, at: int) -> int:
         return int(np.searchsorted(self._closure_steps, at, "right"))
@@ -207,9 +211,14 @@ class TrajectoryRun:
         lost, lost_probability, inlier_ratio, particles, _ = self._belief[at].tolist()
         n_eff = finite_or_none(float(self._belief[self._weighed[at], 4]))
         return {
-            **values, "scans": at + 1, "lost": bool(lost), "lost_probability": lost_probability,
-            "inlier_ratio": inlier_ratio, "particles": int(particles), "n_eff": n_eff,
-        }  # fmt: skip
+            **values,
+            "scans": at + 1,
+            "lost": bool(lost),
+            "lost_probability": lost_probability,
+            "inlier_ratio": inlier_ratio,
+            "particles": int(particles),
+            "n_eff": n_eff,
+        }
 
 
 @final

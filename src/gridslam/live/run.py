@@ -165,10 +165,14 @@ class LiveRun:
         row = self._rows.get(channel, -1)
         stage = "paused" if self._stage in ("waiting", "running") and self.control.paused else self._stage
         status = {
-            **self._status, "stage": stage, "message": self._message, "speed": self.control.speed,
-            "viewers": len(self._viewers), "channel": channel,
+            **self._status,
+            "stage": stage,
+            "message": self._message,
+            "speed": self.control.speed,
+            "viewers": len(self._viewers),
+            "channel": channel,
             "selected_particle": None if channel == BEST or stage in ("writing", "done") else row,
-        }  # fmt: skip
+        }
         replica = self._replicas.get(channel, self._replicas[BEST])
         return Scene(self._run_info, status, replica, self._frame, self._series.rows, self._scan)
 
@@ -190,10 +194,17 @@ class LiveRun:
         rates = {"scans_per_s": scans / wall_s, "real_time_factor": log_s / wall_s} if wall_s > 0 and scans else {}
         n_eff = finite_or_none(float(self._series.rows[-1, 1])) if snapshot.keys else None
         self._status = {
-            "scans": snapshot.scans, "keys": snapshot.keys, "time_s": stamp_s - first_s,
-            "pose": report.pose.tolist(), "covariance": report.covariance.tolist(), "lost": bool(report.lost),
-            "n_eff": n_eff, "progress": finite_or_none(snapshot.progress), **snapshot.view.status, **rates,
-        }  # fmt: skip
+            "scans": snapshot.scans,
+            "keys": snapshot.keys,
+            "time_s": stamp_s - first_s,
+            "pose": report.pose.tolist(),
+            "covariance": report.covariance.tolist(),
+            "lost": bool(report.lost),
+            "n_eff": n_eff,
+            "progress": finite_or_none(snapshot.progress),
+            **snapshot.view.status,
+            **rates,
+        }
         self.notify_viewers()
 
 

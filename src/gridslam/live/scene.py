@@ -17,9 +17,21 @@ from gridslam.particles.ancestry import Ancestry
 from gridslam.types import FloatArray, OccupancyGrid
 
 __all__ = [
-    "NO_LANDMARKS", "NO_POINTS", "NO_SERIES", "NO_TREE", "AncestryTree", "Float32Array", "Frame", "RowBuffer", "Scene",
-    "SentState", "finite_or_none", "full_tree", "make_run_info", "thin_tree",
-]  # fmt: skip
+    "NO_LANDMARKS",
+    "NO_POINTS",
+    "NO_SERIES",
+    "NO_TREE",
+    "AncestryTree",
+    "Float32Array",
+    "Frame",
+    "RowBuffer",
+    "Scene",
+    "SentState",
+    "finite_or_none",
+    "full_tree",
+    "make_run_info",
+    "thin_tree",
+]
 
 Float32Array: TypeAlias = NDArray[np.float32]
 
@@ -191,10 +203,17 @@ def make_run_info(
     is the meaning of a row of the series. The cells of a known `grid` lie off the tiles' by `offset_m`.
     """
     return {
-        "session": secrets.token_hex(8), "version": __version__, "title": title, "mode": mode, "layers": layers,
-        "step": step, "tile": TILE, "step_nats": STEP_NATS, "resolution_m": None if grid is None else grid.resolution_m,
+        "session": secrets.token_hex(8),
+        "version": __version__,
+        "title": title,
+        "mode": mode,
+        "layers": layers,
+        "step": step,
+        "tile": TILE,
+        "step_nats": STEP_NATS,
+        "resolution_m": None if grid is None else grid.resolution_m,
         "offset_m": (0.0, 0.0) if grid is None else tile_offset(grid),
-    }  # fmt: skip
+    }
 
 
 def finite_or_none(value: float) -> float | None:

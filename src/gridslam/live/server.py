@@ -99,10 +99,15 @@ class PageServer:
         self._options = options
         self._token = None if options.is_local else os.environ.get(_TOKEN) or secrets.token_urlsafe(12)
         config = uvicorn.Config(
-            _make_application(content, options.host, self._token), log_config=None, log_level="critical",
-            access_log=False, lifespan="off", ws_per_message_deflate=False, ws_max_size=2**16,
+            _make_application(content, options.host, self._token),
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            lifespan="off",
+            ws_per_message_deflate=False,
+            ws_max_size=2**16,
             timeout_graceful_shutdown=1,
-        )  # fmt: skip
+        )
         self._server = uvicorn.Server(config)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._running = threading.Event()

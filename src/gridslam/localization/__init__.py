@@ -12,4 +12,4 @@ __all__ = [
     "MonteCarloConfiguration",
     "MonteCarloLocalization",
     "MonteCarloState",
-]  # fmt: skip
+]

@@ -192,9 +192,15 @@ class HypothesisTracker:
     jitter_rad: float = Field(default=0.03, ge=0)
 
     def __call__(
-        self, hypotheses: PoseHypotheses, moved: FloatArray, estimate: PoseEstimate, poses: FloatArray,
-        weights: FloatArray, agree: PoseLikelihood, rng: np.random.Generator,
-    ) -> PoseHypotheses:  # fmt: skip
+        self,
+        hypotheses: PoseHypotheses,
+        moved: FloatArray,
+        estimate: PoseEstimate,
+        poses: FloatArray,
+        weights: FloatArray,
+        agree: PoseLikelihood,
+        rng: np.random.Generator,
+    ) -> PoseHypotheses:
         """Propagate hypotheses by a motion `moved` (3,), update them with the scan of `agree`, and add new ones.
 
         Parameters

@@ -174,8 +174,11 @@ class KnownMap:
         known = np.pad(self.grid.known, self._rim)
         return TileMaps.from_arrays(
             _tiles_of(np.where(known, 0, UNKNOWN).astype(np.int16), np.rint(field).astype(np.uint8)),
-            resolution_m=self.resolution_m, reach_cells=reach_cells, evidence=_NONE, threads=self.threads,
-        )  # fmt: skip
+            resolution_m=self.resolution_m,
+            reach_cells=reach_cells,
+            evidence=_NONE,
+            threads=self.threads,
+        )
 
     def _tabulate(self, sensor: LikelihoodField | CauchyEndPoint) -> FieldTable:
         """Log likelihood of an end point in each cell."""

@@ -300,9 +300,14 @@ class MonteCarloLocalization:
         return lambda poses: agree(poses) / len(beams)
 
     def _inject_particles(
-        self, poses: FloatArray, log_weights: FloatArray, share: float, beams: Beams, log_likelihood: PoseLikelihood,
+        self,
+        poses: FloatArray,
+        log_weights: FloatArray,
+        share: float,
+        beams: Beams,
+        log_likelihood: PoseLikelihood,
         rng: np.random.Generator,
-    ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    ) -> tuple[FloatArray, FloatArray]:
         """Mix particles into the belief that stand for a share of it, even over the map, and are weighed like it."""
         drawn, log_drawn = self.configuration.proposal(self.map, beams, log_likelihood, share, rng)
         if share == 1:
@@ -316,9 +321,14 @@ class MonteCarloLocalization:
         return report.injection_ratio > 0 or self.configuration.when_to_resample(report.n_eff, len(state.poses))
 
     def _report_update(
-        self, state: MonteCarloState, scan: LaserScan, moved: FloatArray, beams: Beams, share: float,
+        self,
+        state: MonteCarloState,
+        scan: LaserScan,
+        moved: FloatArray,
+        beams: Beams,
+        share: float,
         rng: np.random.Generator,
-    ) -> LocalizationReport:  # fmt: skip
+    ) -> LocalizationReport:
         """Report of an update, before resampling; stores the estimate and the pose hypotheses in the state."""
         weights = np.exp(state.log_weights)
         agree = self._inlier_ratio(beams)
@@ -329,15 +339,25 @@ class MonteCarloLocalization:
             state.hypotheses, moved, estimate, state.poses, weights, agree, rng
         )
         return LocalizationReport(
-            scan.stamp_ns, estimate.pose, *self._with_lost_probability(state, estimate.pose, estimate.covariance),
-            state.inlier_ratio, len(state.poses), effective_sample_size(state.log_weights), injection_ratio=share,
-            poses=state.poses, log_weights=state.log_weights,
-        )  # fmt: skip
+            scan.stamp_ns,
+            estimate.pose,
+            *self._with_lost_probability(state, estimate.pose, estimate.covariance),
+            state.inlier_ratio,
+            len(state.poses),
+            effective_sample_size(state.log_weights),
+            injection_ratio=share,
+            poses=state.poses,
+            log_weights=state.log_weights,
+        )
 
     def _report_skipped(
-        self, state: MonteCarloState, odometry: Odometry | None, scan: LaserScan, moved: FloatArray,
+        self,
+        state: MonteCarloState,
+        odometry: Odometry | None,
+        scan: LaserScan,
+        moved: FloatArray,
         reason: LocalizationSkip,
-    ) -> LocalizationReport:  # fmt: skip
+    ) -> LocalizationReport:
         """Report of a scan that did not update the particles: the pose of the last update, moved on by odometry."""
         state.last = odometry or state.last
         estimate = state.estimate
@@ -345,9 +365,13 @@ class MonteCarloLocalization:
         noise = self._motion(moved).moments(estimate.pose[None])[1][0]
         covariance = propagate_covariance(estimate.covariance, pose[:2] - estimate.pose[:2], noise)
         return LocalizationReport(
-            scan.stamp_ns, pose, *self._with_lost_probability(state, pose, covariance), state.inlier_ratio,
-            len(state.poses), skipped=reason,
-        )  # fmt: skip
+            scan.stamp_ns,
+            pose,
+            *self._with_lost_probability(state, pose, covariance),
+            state.inlier_ratio,
+            len(state.poses),
+            skipped=reason,
+        )
 
     def _with_lost_probability(
         self, state: MonteCarloState, pose: FloatArray, covariance: FloatArray

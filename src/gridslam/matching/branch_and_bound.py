@@ -165,11 +165,20 @@ class BranchAndBound:
         across, up = np.ceil(sides[:2] / cell).astype(int).tolist()
         unit = np.array([cell, cell, 1.0])
         places = backend.correlate(
-            pyramid.fine, pyramid.top, few / cell, headings, (x - across, x + across + 1, y - up, y + up + 1),
-            guess / unit - np.append(corner[::-1], 0), information * unit[:, None] * unit, 1.0,
-            2, math.ceil(self.min_score * 255 * len(few)), self.min_runner_up_ratio,
-            self.runner_up_distance_m / cell, self.runner_up_distance_rad,
-        )  # fmt: skip
+            pyramid.fine,
+            pyramid.top,
+            few / cell,
+            headings,
+            (x - across, x + across + 1, y - up, y + up + 1),
+            guess / unit - np.append(corner[::-1], 0),
+            information * unit[:, None] * unit,
+            1.0,
+            2,
+            math.ceil(self.min_score * 255 * len(few)),
+            self.min_runner_up_ratio,
+            self.runner_up_distance_m / cell,
+            self.runner_up_distance_rad,
+        )
         poses = np.column_stack([cell_centres(places[:, 2:] + corner, cell), wrap(headings[places[:, 1]])])
         matches = zip(poses, (places[:, 0] / (255 * len(few))).tolist(), strict=True)
         return LatticeMatch(*chain.from_iterable(matches)) if len(places) else None

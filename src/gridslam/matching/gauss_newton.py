@@ -81,10 +81,20 @@ class GaussNewton:
         cell = maps.resolution_m
         passes = self.max_iterations if len(beams) >= self.min_beams else 0
         found = maps.match(
-            rows, guesses, priors, beams.ends, passes, self.cauchy_m / cell, self.max_step_m / cell,
-            self.max_step_rad, self.stop_m / cell, self.stop_rad, maps.reach_cells, self.min_information,
+            rows,
+            guesses,
+            priors,
+            beams.ends,
+            passes,
+            self.cauchy_m / cell,
+            self.max_step_m / cell,
+            self.max_step_rad,
+            self.stop_m / cell,
+            self.stop_rad,
+            maps.reach_cells,
+            self.min_information,
             self.dense_spacing_m / cell,
-        )  # fmt: skip
+        )
         return Match(*found)
 
 

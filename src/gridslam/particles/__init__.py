@@ -39,4 +39,4 @@ __all__ = [
     "normalize",
     "repeat_pose",
     "sample_gaussian",
-]  # fmt: skip
+]

@@ -13,6 +13,17 @@ from gridslam.sim.world import Change, World
 from gridslam.sim.worlds import DRAWN_WORLDS, WORLDS, make_world
 
 __all__ = [
-    "DRAWN_WORLDS", "WORLDS", "Change", "LidarConfig", "OdometryNoise", "PeopleConfig", "RobotConfig", "SimulatedLog",
-    "SimulatedStream", "World", "make_world", "simulate", "simulate_stream",
-]  # fmt: skip
+    "DRAWN_WORLDS",
+    "WORLDS",
+    "Change",
+    "LidarConfig",
+    "OdometryNoise",
+    "PeopleConfig",
+    "RobotConfig",
+    "SimulatedLog",
+    "SimulatedStream",
+    "World",
+    "make_world",
+    "simulate",
+    "simulate_stream",
+]

@@ -18,9 +18,22 @@ from gridslam.sim.world import Change, World, distinct, wander
 from gridslam.types import FloatArray
 
 __all__ = [
-    "BARE_CORRIDORS", "EQUAL_ROOMS", "SYMMETRIC", "alleys", "bare_corridors", "bare_loop", "cross", "equal_rooms",
-    "facing_corridors", "long_way_round", "moved_furniture", "ring", "serpentine", "symmetric", "twins",
-]  # fmt: skip
+    "BARE_CORRIDORS",
+    "EQUAL_ROOMS",
+    "SYMMETRIC",
+    "alleys",
+    "bare_corridors",
+    "bare_loop",
+    "cross",
+    "equal_rooms",
+    "facing_corridors",
+    "long_way_round",
+    "moved_furniture",
+    "ring",
+    "serpentine",
+    "symmetric",
+    "twins",
+]
 
 _WALL_M = 0.15
 _LANE_M = 0.5  # furniture stays this far from the robot's way
@@ -52,9 +65,7 @@ def equal_rooms(rng: np.random.Generator) -> World:
     return EQUAL_ROOMS[rng.integers(len(EQUAL_ROOMS))](rng)
 
 
-def _world(
-    name: str, spaces: list[_Space], way: list[_Point], rng: np.random.Generator, *desks: FloatArray
-) -> World:  # fmt: skip
+def _world(name: str, spaces: list[_Space], way: list[_Point], rng: np.random.Generator, *desks: FloatArray) -> World:
     return World.of(name, join(carve(spaces), *desks), wander(distinct(way), rng)[0])
 
 
@@ -400,9 +411,12 @@ def _some(pieces: _Pieces, rng: np.random.Generator) -> _Pieces:
 
 
 def _scattered(
-    zone: _Space, sizes: tuple[tuple[float, float], tuple[float, float]], kept: _Pieces, lane: FloatArray,
+    zone: _Space,
+    sizes: tuple[tuple[float, float], tuple[float, float]],
+    kept: _Pieces,
+    lane: FloatArray,
     rng: np.random.Generator,
-) -> _Pieces:  # fmt: skip
+) -> _Pieces:
     """Add pieces to those that are kept, until there is one for each 8 m2 or no room is found for it."""
     x0, y0, x1, y1 = zone
     pieces = kept

@@ -23,10 +23,26 @@ from gridslam.io.measurement import Measurement
 from gridslam.types import BeamStatus, FloatArray, LaserScan, Odometry, ScanGeometry
 
 __all__ = [
-    "FAULTS", "Fault", "backward_stamps", "beam_count_varies", "clock_skew", "duplicate_stamps", "gaps",
-    "invalid_beams", "odometry_drift", "odometry_rotation_bias", "odometry_scale", "range_limits", "reflected_laser",
-    "standing_still", "tilted_laser", "tilting_laser", "wheel_slip", "with_fault", "yaw_offset",
-]  # fmt: skip
+    "FAULTS",
+    "Fault",
+    "backward_stamps",
+    "beam_count_varies",
+    "clock_skew",
+    "duplicate_stamps",
+    "gaps",
+    "invalid_beams",
+    "odometry_drift",
+    "odometry_rotation_bias",
+    "odometry_scale",
+    "range_limits",
+    "reflected_laser",
+    "standing_still",
+    "tilted_laser",
+    "tilting_laser",
+    "wheel_slip",
+    "with_fault",
+    "yaw_offset",
+]
 
 _SLIP_LASTS_S = 1.0
 _DRIVES_M_S = 0.05  # a robot slower than this does not slip
@@ -170,9 +186,12 @@ def beam_count_varies(
     def shorten(scan: LaserScan) -> LaserScan:
         count = max(1, len(scan) - int(rng.integers(0, int(fewer) + 1)))
         return replace(
-            scan, ranges=scan.ranges[:count], status=scan.status[:count], geometry=cut(scan.geometry, count),
+            scan,
+            ranges=scan.ranges[:count],
+            status=scan.status[:count],
+            geometry=cut(scan.geometry, count),
             beam_times_s=None if scan.beam_times_s is None else scan.beam_times_s[:count],
-        )  # fmt: skip
+        )
 
     return _with_scans(measurements, shorten)
 
@@ -312,10 +331,15 @@ def _measured(
 ) -> LaserScan:
     """Build the same scan from other ranges, and from other angles and limits where they are given."""
     return LaserScan.from_ranges(
-        scan.stamp_ns, ranges, geometry or scan.geometry, range_min_m=scan.range_min_m,
-        range_max_m=scan.range_max_m if range_max_m is None else range_max_m, sensor=scan.sensor, frame=scan.frame,
+        scan.stamp_ns,
+        ranges,
+        geometry or scan.geometry,
+        range_min_m=scan.range_min_m,
+        range_max_m=scan.range_max_m if range_max_m is None else range_max_m,
+        sensor=scan.sensor,
+        frame=scan.frame,
         beam_times_s=scan.beam_times_s,
-    )  # fmt: skip
+    )
 
 
 class Fault(NamedTuple):
@@ -331,24 +355,26 @@ def _certain(fault: Callable[[Iterable[Measurement], float], Iterator[Measuremen
     return Fault(lambda measurements, size, _: fault(measurements, size), size, unit)
 
 
-FAULTS: Final[Mapping[str, Fault]] = MappingProxyType({
-    "reflected_laser": Fault(lambda measurements, *_: reflected_laser(measurements), 1.0, "yes or no"),
-    "yaw_offset": _certain(yaw_offset, math.pi, "rad"),
-    "clock_skew": _certain(clock_skew, 0.03, "s"),
-    "odometry_scale": _certain(odometry_scale, 0.03, "m/m"),
-    "odometry_rotation_bias": _certain(odometry_rotation_bias, 0.05, "rad/rad"),
-    "odometry_drift": _certain(odometry_drift, 0.02, "rad/m"),
-    "wheel_slip": Fault(wheel_slip, 0.3, "m"),
-    "beam_count_varies": Fault(beam_count_varies, 6.0, "beams"),
-    "invalid_beams": Fault(invalid_beams, 0.2, "share"),
-    "range_limits": _certain(range_limits, 2.0, "m/m"),
-    "tilted_laser": _certain(tilted_laser, 0.1, "rad"),
-    "tilting_laser": _certain(tilting_laser, 0.3, "rad"),
-    "gaps": Fault(gaps, 2.0, "s"),
-    "backward_stamps": Fault(backward_stamps, 0.05, "s"),
-    "duplicate_stamps": Fault(duplicate_stamps, 0.02, "share"),
-    "standing_still": Fault(standing_still, 60.0, "s"),
-})  # fmt: skip
+FAULTS: Final[Mapping[str, Fault]] = MappingProxyType(
+    {
+        "reflected_laser": Fault(lambda measurements, *_: reflected_laser(measurements), 1.0, "yes or no"),
+        "yaw_offset": _certain(yaw_offset, math.pi, "rad"),
+        "clock_skew": _certain(clock_skew, 0.03, "s"),
+        "odometry_scale": _certain(odometry_scale, 0.03, "m/m"),
+        "odometry_rotation_bias": _certain(odometry_rotation_bias, 0.05, "rad/rad"),
+        "odometry_drift": _certain(odometry_drift, 0.02, "rad/m"),
+        "wheel_slip": Fault(wheel_slip, 0.3, "m"),
+        "beam_count_varies": Fault(beam_count_varies, 6.0, "beams"),
+        "invalid_beams": Fault(invalid_beams, 0.2, "share"),
+        "range_limits": _certain(range_limits, 2.0, "m/m"),
+        "tilted_laser": _certain(tilted_laser, 0.1, "rad"),
+        "tilting_laser": _certain(tilting_laser, 0.3, "rad"),
+        "gaps": Fault(gaps, 2.0, "s"),
+        "backward_stamps": Fault(backward_stamps, 0.05, "s"),
+        "duplicate_stamps": Fault(duplicate_stamps, 0.02, "share"),
+        "standing_still": Fault(standing_still, 60.0, "s"),
+    }
+)
 """The faults; those that `gridslam doctor` detects have the codes of its findings as names."""
 
 

@@ -199,9 +199,13 @@ def _walk(route: FloatArray, people: PeopleConfig, rng: np.random.Generator) -> 
 
 
 def _record(
-    lidar: LidarConfig, way: Drive, world: World, drive: tuple[FloatArray, IntArray], crowd: _Crowd,
+    lidar: LidarConfig,
+    way: Drive,
+    world: World,
+    drive: tuple[FloatArray, IntArray],
+    crowd: _Crowd,
     rng: np.random.Generator,
-) -> Iterator[LaserScan]:  # fmt: skip
+) -> Iterator[LaserScan]:
     """Scans of one lidar, with the robot at true poses (N, 3) on legs (N,) of its route.
 
     `rng` is left as after the whole drive, at once: the scans draw from copies of it.
@@ -230,10 +234,14 @@ def _record(
             rows = measure(ranges, lidar, noise, losses)
             for stamp_s, count, row in zip(seconds[part].tolist(), counts[part].tolist(), rows, strict=True):
                 yield LaserScan.from_ranges(
-                    round(1e9 * stamp_s), row[:count], geometry(count), range_max_m=lidar.range_max_m,
-                    sensor=lidar.sensor, frame=lidar.sensor,
+                    round(1e9 * stamp_s),
+                    row[:count],
+                    geometry(count),
+                    range_max_m=lidar.range_max_m,
+                    sensor=lidar.sensor,
+                    frame=lidar.sensor,
                     beam_times_s=lidar.beam_times(count) if lidar.scan_time_s and lidar.reports_beam_times else None,
-                )  # fmt: skip
+                )
 
     return scans()
 

@@ -18,9 +18,18 @@ from gridslam.sim.world import World, tour, wander
 from gridslam.types import FloatArray
 
 __all__ = [
-    "DRAWN_WORLDS", "WORLDS", "campus", "corridor", "demo", "fleet", "hall", "loop", "make_world", "random_building",
+    "DRAWN_WORLDS",
+    "WORLDS",
+    "campus",
+    "corridor",
+    "demo",
+    "fleet",
+    "hall",
+    "loop",
+    "make_world",
+    "random_building",
     "rooms",
-]  # fmt: skip
+]
 
 _ROOM_M = 4.2  # what the width of a room is about
 _LANE_M = 0.5  # furniture stays this far from the robot's way
@@ -308,10 +317,17 @@ WORLDS: Mapping[str, Callable[[], World]] = MappingProxyType(
 )
 """The worlds that are always the same, by name."""
 
-DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProxyType({
-    "random": random_building, "equal_rooms": equal_rooms, "symmetric": symmetric, "bare_corridors": bare_corridors,
-    "moved_furniture": moved_furniture, "campus": campus, "fleet": fleet,
-})  # fmt: skip
+DRAWN_WORLDS: Mapping[str, Callable[[np.random.Generator], World]] = MappingProxyType(
+    {
+        "random": random_building,
+        "equal_rooms": equal_rooms,
+        "symmetric": symmetric,
+        "bare_corridors": bare_corridors,
+        "moved_furniture": moved_furniture,
+        "campus": campus,
+        "fleet": fleet,
+    }
+)
 """Kinds of worlds of which each seed draws another, by name."""
 
 

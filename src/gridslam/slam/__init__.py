@@ -26,4 +26,4 @@ __all__ = [
     "TrackedScan",
     "Tracker",
     "TrackerState",
-]  # fmt: skip
+]

@@ -56,4 +56,4 @@ __all__ = [
     "describe_time",
     "require_measurement",
     "require_step",
-]  # fmt: skip
+]

@@ -15,11 +15,36 @@ from PIL import Image, ImageDraw, ImageFont
 from gridslam.types import FloatArray, Trajectory
 
 __all__ = [
-    "CLOSURE", "FAINT", "FREE", "LOST", "MARGIN", "OCCUPIED", "REJECTED", "RULE", "TEXT_LINE", "TEXT_SIZE",
-    "TIME_ENDS", "TITLE_LINE", "TRUTH", "UNKNOWN", "Colour", "Layout", "disc", "dots", "fit_page", "font", "label_time",
-    "mark_ends", "paint_caption", "paint_footer", "paint_path", "paint_scale", "round_length", "stroke",
+    "CLOSURE",
+    "FAINT",
+    "FREE",
+    "LOST",
+    "MARGIN",
+    "OCCUPIED",
+    "REJECTED",
+    "RULE",
+    "TEXT_LINE",
+    "TEXT_SIZE",
+    "TIME_ENDS",
+    "TITLE_LINE",
+    "TRUTH",
+    "UNKNOWN",
+    "Colour",
+    "Layout",
+    "disc",
+    "dots",
+    "fit_page",
+    "font",
+    "label_time",
+    "mark_ends",
+    "paint_caption",
+    "paint_footer",
+    "paint_path",
+    "paint_scale",
+    "round_length",
+    "stroke",
     "time_colours",
-]  # fmt: skip
+]
 
 Colour: TypeAlias = tuple[int, int, int]
 

@@ -171,9 +171,11 @@ class RerunRecording:
         x, y, theta = pose.tolist()
         rerun = self._rerun
         heading = rerun.Arrows3D(
-            origins=[[x, y, _HEIGHT_M["scan"]]], vectors=[[0.6 * math.cos(theta), 0.6 * math.sin(theta), 0.0]],
-            radii=0.05, colors=[TIME_ENDS[0]],
-        )  # fmt: skip
+            origins=[[x, y, _HEIGHT_M["scan"]]],
+            vectors=[[0.6 * math.cos(theta), 0.6 * math.sin(theta), 0.0]],
+            radii=0.05,
+            colors=[TIME_ENDS[0]],
+        )
         self._recording.log("map/robot", heading)
         if self._scan is not None:
             ends = self._scan.beams(0.05, self._range_max_m).ends
@@ -188,9 +190,12 @@ class RerunRecording:
         height, width = cells.shape
         form = rerun.components.ImageFormat(width=width, height=height, color_model="L", channel_datatype="U8")
         picture = rerun.GridMap(
-            data=np.flipud(cells).tobytes(), format=form, cell_size=grid.resolution_m, translation=[*grid.origin, 0.0],
+            data=np.flipud(cells).tobytes(),
+            format=form,
+            cell_size=grid.resolution_m,
+            translation=[*grid.origin, 0.0],
             colormap=rerun.components.Colormap.RvizMap,
-        )  # fmt: skip
+        )
         self._recording.log("map/grid", picture, static=static)
 
     def _points(self, name: str, poses: FloatArray, radius_m: float, colour: tuple[int, int, int]) -> None:

@@ -16,14 +16,24 @@ from support.browsing import emulated
 from support.loops import loop_drive
 
 FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
-    "--disable-background-networking", "--disable-component-update", "--hide-scrollbars",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--hide-scrollbars",
+)
 # What a browser says of a server that goes away, which is ordinary to the page.
 GONE = (
-    "ERR_CONNECTION", "ERR_EMPTY_RESPONSE", "ERR_SOCKET_NOT_CONNECTED", "before receiving a handshake response",
+    "ERR_CONNECTION",
+    "ERR_EMPTY_RESPONSE",
+    "ERR_SOCKET_NOT_CONNECTED",
+    "before receiving a handshake response",
     "closed before the connection is established",
-)  # fmt: skip
+)
 BROWSERS = "chromium", "chromium-browser", "google-chrome"
 
 

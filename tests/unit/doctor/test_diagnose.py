@@ -68,10 +68,15 @@ def test_a_healthy_log_is_said_to_be_healthy(rooms):
 @pytest.mark.parametrize(
     "fault",
     [
-        "beam_count_varies", "invalid_beams", "range_limits", "tilting_laser", "gaps", "backward_stamps",
+        "beam_count_varies",
+        "invalid_beams",
+        "range_limits",
+        "tilting_laser",
+        "gaps",
+        "backward_stamps",
         "standing_still",
     ],
-)  # fmt: skip
+)
 def test_each_fault_that_needs_no_matching_is_named_with_its_size(rooms, fault):
     found = findings(with_fault(rooms.measurements, fault, np.random.default_rng(1)))
     assert found[fault].size == pytest.approx(FAULTS[fault].size, rel=0.2)
@@ -196,10 +201,12 @@ def test_the_report_tells_the_worst_first_and_fits_into_json():
 @pytest.mark.parametrize(
     ("chosen", "words"),
     [
-        ((0,), "This log is healthy"), ((0, 1), "No fault makes the map unusable; 1 warning."),
-        ((2,), "The map would be unusable: 1 fault."), ((1, 2), "The map would be unusable: 1 fault; 1 warning."),
+        ((0,), "This log is healthy"),
+        ((0, 1), "No fault makes the map unusable; 1 warning."),
+        ((2,), "The map would be unusable: 1 fault."),
+        ((1, 2), "The map would be unusable: 1 fault; 1 warning."),
     ],
-)  # fmt: skip
+)
 def test_the_verdict(chosen, words):
     assert words in verdict(diagnosis_of(*(FINDINGS[k] for k in chosen)))
 

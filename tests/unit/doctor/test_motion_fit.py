@@ -44,15 +44,26 @@ def test_deviations_hold_for_noise_of_unequal_and_correlated_terms():
 
 @settings(max_examples=15, deadline=None)
 @given(
-    scale=st.floats(0.8, 1.25), turn_scale=st.floats(0.9, 1.1), drift=st.floats(-0.05, 0.05),
-    skew_s=st.floats(-0.6, 0.6), yaw=st.floats(-3.1, 3.1), x=st.floats(-0.3, 0.3), reflected=st.booleans(),
-)  # fmt: skip
+    scale=st.floats(0.8, 1.25),
+    turn_scale=st.floats(0.9, 1.1),
+    drift=st.floats(-0.05, 0.05),
+    skew_s=st.floats(-0.6, 0.6),
+    yaw=st.floats(-3.1, 3.1),
+    x=st.floats(-0.3, 0.3),
+    reflected=st.booleans(),
+)
 def test_what_went_in_comes_out(scale, turn_scale, drift, skew_s, yaw, x, reflected):
     """Without noise only interpolation between 10 Hz is left, cubic: 1e-3 of each."""
     motion = perfect(
-        60.0, scale=scale, turn_scale=turn_scale, drift=drift, skew_s=skew_s, reflected=reflected,
-        mounting=(x, 0.1, yaw), declared_yaw=0.5,
-    )  # fmt: skip
+        60.0,
+        scale=scale,
+        turn_scale=turn_scale,
+        drift=drift,
+        skew_s=skew_s,
+        reflected=reflected,
+        mounting=(x, 0.1, yaw),
+        declared_yaw=0.5,
+    )
     found = calibrate(motion)
     assert found.reflected == reflected
     assert found.skew_s.value == pytest.approx(skew_s, abs=2e-3)
@@ -73,11 +84,16 @@ def test_deviations_of_the_calibration_hold():
     rng, scores = np.random.default_rng(2), []
     for _ in range(25):
         found = calibrate(perfect(60.0, noise=(0.005, 0.002), rng=rng))
-        scores.append([
-            (found.scale.value - 1) / found.scale.sigma, (found.turn_scale.value - 1) / found.turn_scale.sigma,
-            found.drift_rad_per_m.value / found.drift_rad_per_m.sigma, found.yaw_rad.value / found.yaw_rad.sigma,
-            found.skew_s.value / found.skew_s.sigma, (found.x_m.value - 0.1) / found.x_m.sigma,
-        ])  # fmt: skip
+        scores.append(
+            [
+                (found.scale.value - 1) / found.scale.sigma,
+                (found.turn_scale.value - 1) / found.turn_scale.sigma,
+                found.drift_rad_per_m.value / found.drift_rad_per_m.sigma,
+                found.yaw_rad.value / found.yaw_rad.sigma,
+                found.skew_s.value / found.skew_s.sigma,
+                (found.x_m.value - 0.1) / found.x_m.sigma,
+            ]
+        )
     squares = np.square(scores).mean(axis=0)
     assert squares.max() < 2.1
     assert squares[1:].min() > 0.1

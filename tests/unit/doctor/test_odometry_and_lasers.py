@@ -103,8 +103,10 @@ def test_a_narrow_view_bears_less_turning():
 
     def log(width):
         geometry = ScanGeometry(np.linspace(-width / 2, width / 2, 181))
-        return [seen(k / 5, m.scan.ranges, (0.0, 0.0, math.remainder(0.6 * k, math.tau)), geometry)
-                for k, m in enumerate(drive())]  # fmt: skip
+        return [
+            seen(k / 5, m.scan.ranges, (0.0, 0.0, math.remainder(0.6 * k, math.tau)), geometry)
+            for k, m in enumerate(drive())
+        ]
 
     assert "fast_turning" in findings(log(math.radians(60)))
     assert "fast_turning" not in findings(log(math.radians(180)))

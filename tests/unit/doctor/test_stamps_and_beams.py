@@ -198,10 +198,14 @@ def test_a_limit_that_cuts_off_walls(limit_m, severity):
 
 def test_codes_for_no_return_are_not_ranges():
     log = [
-        seen(m.scan.stamp_ns * 1e-9, np.where(np.arange(181) % 3, m.scan.ranges, 65.533), tuple(m.odometry.pose),
-             range_max_m=30.0)
+        seen(
+            m.scan.stamp_ns * 1e-9,
+            np.where(np.arange(181) % 3, m.scan.ranges, 65.533),
+            tuple(m.odometry.pose),
+            range_max_m=30.0,
+        )
         for m in drive()
-    ]  # fmt: skip
+    ]
     assert "range_limits" not in findings(log)
 
 

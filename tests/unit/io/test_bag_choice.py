@@ -150,9 +150,11 @@ def test_another_base_frame(tmp_path):
 
 def test_a_chain_with_a_hole_is_told(tmp_path):
     said = [
-        *moving("/odom", frames=("odom", "base_footprint")), transform(0.0, "odom", "base_footprint", topic="/tf"),
-        transform(0.0, "base_link", "laser"), scan("/scan", 1.0, FOUR),
-    ]  # fmt: skip
+        *moving("/odom", frames=("odom", "base_footprint")),
+        transform(0.0, "odom", "base_footprint", topic="/tf"),
+        transform(0.0, "base_link", "laser"),
+        scan("/scan", 1.0, FOUR),
+    ]
     message = refused(tmp_path, said)
     assert "no transform joins the frames base_footprint and laser" in message
     assert "odom <- base_footprint and base_link <- laser" in message

@@ -105,8 +105,11 @@ def test_the_static_transforms_are_kept_for_who_comes_late(tmp_path, name):
         told = {connection.topic: connection.ext for connection in reader.connections}
     if name == "log.bag":
         assert {topic: ext.latching for topic, ext in told.items()} == {
-            "/odom": None, "/tf": None, "/tf_static": 1, "/scan": None,
-        }  # fmt: skip
+            "/odom": None,
+            "/tf": None,
+            "/tf_static": 1,
+            "/scan": None,
+        }
     else:
         assert [qos.durability for qos in told["/tf_static"].offered_qos_profiles] == [QosDurability.TRANSIENT_LOCAL]
         assert told["/scan"].offered_qos_profiles == []
@@ -161,8 +164,13 @@ def test_several_lasers(tmp_path):
     write_bag(tmp_path / "log.mcap", (Measurement(odometry, one) for one in scans))
     messages = read(tmp_path / "log.mcap")
     assert [topic for topic, _, _ in messages if topic != "/tf_static"] == [
-        "/odom", "/tf", "/scan", "/scan_re_ar", "/r1/top_scan", "/scan_scan_",
-    ]  # fmt: skip
+        "/odom",
+        "/tf",
+        "/scan",
+        "/scan_re_ar",
+        "/r1/top_scan",
+        "/scan_scan_",
+    ]
     frames = [message.header.frame_id for topic, _, message in messages if "scan" in topic]
     assert frames == ["laser", "laser_2", "base_link", "laser_2"]
     known = of_topic(messages, "/tf_static")[-1].transforms
@@ -176,8 +184,11 @@ def test_names_that_are_taken_get_another(tmp_path):
     write_bag(tmp_path / "log.bag", (Measurement(None, one) for one in scans))
     messages = read(tmp_path / "log.bag")
     assert [topic for topic, _, _ in messages if topic != "/tf_static"] == [
-        "/tf_2", "/tf_2_2", "/scan_b_c", "/scan_b_c_2",
-    ]  # fmt: skip
+        "/tf_2",
+        "/tf_2_2",
+        "/scan_b_c",
+        "/scan_b_c_2",
+    ]
     assert of_topic(messages, "/tf_2")[0].header.frame_id == "odom_2"
 
 

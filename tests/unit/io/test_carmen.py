@@ -239,9 +239,11 @@ def test_an_offset_of_metres_is_not_plausible(read):
 
 def test_parameters_mount_the_laser_where_lines_are_silent(read):
     measurements, statistics = read(
-        "PARAM robot_frontlaser_offset 0.3 h 0", "PARAM robot_rearlaser_offset -0.4 h 0",
-        flaser([1.0, 2.0]), flaser([1.0, 2.0], tag="RLASER"),
-    )  # fmt: skip
+        "PARAM robot_frontlaser_offset 0.3 h 0",
+        "PARAM robot_rearlaser_offset -0.4 h 0",
+        flaser([1.0, 2.0]),
+        flaser([1.0, 2.0], tag="RLASER"),
+    )
     front, rear = (m.scan.geometry for m in measurements)
     assert statistics.mountings["front"].source == "parameters"
     np.testing.assert_allclose(front.origin, [0.3, 0])

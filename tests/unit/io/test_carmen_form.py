@@ -34,9 +34,14 @@ def taken(*measurements):
 
 @settings(deadline=None, max_examples=80)
 @given(
-    st.integers(1, 40), st.floats(-3, 3), st.floats(0.01, 0.15), st.booleans(), st.booleans(), st.floats(-3.1, 3.1),
+    st.integers(1, 40),
+    st.floats(-3, 3),
+    st.floats(0.01, 0.15),
+    st.booleans(),
+    st.booleans(),
+    st.floats(-3.1, 3.1),
     st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(0, 1)),
-)  # fmt: skip
+)
 def test_the_very_same_beams_come_back(tmp_path_factory, beams, first, step, clockwise, upside_down, yaw, place):
     bearings = first + (-step if clockwise else step) * np.arange(beams)
     geometry = mounted(bearings, math.pi if upside_down else 0.0, 0.0, yaw, place)

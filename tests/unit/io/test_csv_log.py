@@ -37,10 +37,15 @@ def measurements(draw: st.DrawFn) -> Measurement:
     ranges = draw(st.lists(lengths, min_size=beams, max_size=beams))
     least, most = draw(st.floats(0, 1)), draw(st.floats(2, 50) | st.just(math.inf))
     scan = LaserScan.from_ranges(
-        stamp, ranges, geometry, range_min_m=least, range_max_m=most,
-        sensor=draw(st.sampled_from(["front", "/a/scan", 'of "two", left', "Gerät"])), frame="laser",
+        stamp,
+        ranges,
+        geometry,
+        range_min_m=least,
+        range_max_m=most,
+        sensor=draw(st.sampled_from(["front", "/a/scan", 'of "two", left', "Gerät"])),
+        frame="laser",
         beam_times_s=draw(st.none() | st.just(np.arange(beams) * 1e-4)),
-    )  # fmt: skip
+    )
     pose = [draw(finite), draw(finite), draw(st.floats(-3.1, 3.1))]
     odometry = draw(st.none() | st.just(Odometry.at(stamp + draw(st.sampled_from([0, 0, 7])), pose)))
     return Measurement(odometry, scan)
@@ -172,7 +177,7 @@ def test_lasers_that_tilt_do_not_pile_up(tmp_path):
         (HEADER + ROW + "2.5,-1.5,1.5,1 2 3", None, "the last line has no line end: it is cut off; 1 scans were read"),
         (gzip.compress((HEADER + ROW).encode(), mtime=0)[:-4], None, "the compressed file is cut off"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_told_with_line_and_column(tmp_path, text, line, problem):
     with pytest.raises(InputError) as caught:
         read(tmp_path, text)

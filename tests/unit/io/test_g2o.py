@@ -108,7 +108,7 @@ TWO = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
         ("", None, "empty"),
         ("VERTEX_SE2 0 \x00\n", None, "binary"),
     ],
-)  # fmt: skip
+)
 def test_bad_files(file, text, line, said):
     path = file(text)
     with pytest.raises(InputError) as caught:

@@ -15,9 +15,11 @@ def test_what_is_written_is_read(tmp_path, count):
     rng = np.random.default_rng(count)
     roots = rng.normal(size=(count, 2, 2))
     told = LandmarkMap(
-        rng.permutation(100)[:count].astype(np.int64), rng.normal(0, 50, (count, 2)), roots @ roots.swapaxes(1, 2),
+        rng.permutation(100)[:count].astype(np.int64),
+        rng.normal(0, 50, (count, 2)),
+        roots @ roots.swapaxes(1, 2),
         rng.integers(1, 99, count),
-    )  # fmt: skip
+    )
     write_landmarks(tmp_path / "a.csv", told)
     found = read_landmarks(tmp_path / "a.csv")
     assert found.names.tolist() == told.names.tolist()

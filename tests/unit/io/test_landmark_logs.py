@@ -25,9 +25,13 @@ def mrclam(tmp_path):
 
     def write(**replaced):
         files = {
-            "Robot2_Odometry": ODOMETRY, "Robot2_Measurement": MEASUREMENT, "Barcodes": BARCODES,
-            "Landmark_Groundtruth": LANDMARKS, "Robot2_Groundtruth": "10 0 0 0\n11 1 0 6.3\n", **replaced,
-        }  # fmt: skip
+            "Robot2_Odometry": ODOMETRY,
+            "Robot2_Measurement": MEASUREMENT,
+            "Barcodes": BARCODES,
+            "Landmark_Groundtruth": LANDMARKS,
+            "Robot2_Groundtruth": "10 0 0 0\n11 1 0 6.3\n",
+            **replaced,
+        }
         for name, text in files.items():
             if text is not None:
                 (tmp_path / f"set_{name}.dat").write_text(text)
@@ -120,7 +124,7 @@ def test_files_of_mrclam_may_be_compressed_and_without_truth_of_the_robot(mrclam
         ("Robot2_Measurement", None, "expected set_Robot2_Measurement.dat .* beside it, got none"),
         ("Robot2_Groundtruth", "10 0 0\n", "Groundtruth.dat, line 1: expected 4 numbers"),
     ],
-)  # fmt: skip
+)
 def test_bad_files_of_mrclam(mrclam, name, text, said):
     path = mrclam(**{name: text})
     with pytest.raises(InputError, match=said):

@@ -53,10 +53,13 @@ def test_what_is_no_saved_localization(known, measurements, tmp_path):
     write_localization(path, SavedLocalization(mcl.configuration, state, rng))
     whole = dict(np.load(path))
     for name, wrong in (
-        ("state.poses", np.zeros((4, 2))), ("state.log_weights", np.zeros(3)),
+        ("state.poses", np.zeros((4, 2))),
+        ("state.log_weights", np.zeros(3)),
         ("state.hypotheses.log_odds", np.zeros(99)),
-        ("generator", np.array("{}")), ("configuration", np.array('{"max_beams": 0}')), ("schema", np.array("other/1")),
-    ):  # fmt: skip
+        ("generator", np.array("{}")),
+        ("configuration", np.array('{"max_beams": 0}')),
+        ("schema", np.array("other/1")),
+    ):
         np.savez(path, **{**whole, name: wrong})
         with pytest.raises(InputError, match=r"saved\.npz"):
             read_localization(path)

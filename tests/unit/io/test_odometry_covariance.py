@@ -77,10 +77,22 @@ def test_covariances_that_grow_tell_the_noise_from_scan_to_scan(tmp_path, kind):
         lambda at_s: np.diag([1e-3, 1e-3, 1e-3]) if round(at_s * 20) % 2 else np.diag([1e-2, 1e-2, 1e-2]),
     ],
     ids=[
-        "zero", "constant", "absurd heading", "two constants", "huge", "nan", "infinite", "large as can be", "negative",
-        "no heading", "heading that does not grow", "falling", "growing by metres", "alternating",
+        "zero",
+        "constant",
+        "absurd heading",
+        "two constants",
+        "huge",
+        "nan",
+        "infinite",
+        "large as can be",
+        "negative",
+        "no heading",
+        "heading that does not grow",
+        "falling",
+        "growing by metres",
+        "alternating",
     ],
-)  # fmt: skip
+)
 def test_what_tells_nothing_is_absent(tmp_path, covariance):
     assert covariances(tmp_path, drive(covariance=covariance)) == [None] * 20
 

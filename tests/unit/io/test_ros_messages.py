@@ -133,10 +133,15 @@ def test_a_count_beyond_the_data_is_refused():
 @pytest.mark.parametrize(
     ("type_", "kind"),
     [
-        ("sensor_msgs/LaserScan", "scan"), ("sensor_msgs/msg/LaserScan", "scan"), ("tf/tfMessage", "transforms"),
-        ("tf/msg/tfMessage", "transforms"), ("tf2_msgs/msg/TFMessage", "transforms"),
-        ("nav_msgs/msg/Odometry", "odometry"), ("sensor_msgs/msg/MultiEchoLaserScan", ""), ("", ""),
+        ("sensor_msgs/LaserScan", "scan"),
+        ("sensor_msgs/msg/LaserScan", "scan"),
+        ("tf/tfMessage", "transforms"),
+        ("tf/msg/tfMessage", "transforms"),
+        ("tf2_msgs/msg/TFMessage", "transforms"),
+        ("nav_msgs/msg/Odometry", "odometry"),
+        ("sensor_msgs/msg/MultiEchoLaserScan", ""),
+        ("", ""),
     ],
-)  # fmt: skip
+)
 def test_kinds(type_, kind):
     assert kind_of(type_) == kind

@@ -14,9 +14,12 @@ from gridslam.types import Trajectory
 ROW = "1.5,1,2,3,1,0,0,1,0,1"
 metres = st.floats(-1e4, 1e4)
 rows = st.tuples(
-    st.integers(-(10**18), 4 * 10**18), metres, metres, st.floats(-np.pi, np.pi, exclude_max=True),
+    st.integers(-(10**18), 4 * 10**18),
+    metres,
+    metres,
+    st.floats(-np.pi, np.pi, exclude_max=True),
     st.lists(st.floats(-1e3, 1e3), min_size=9, max_size=9),
-)  # fmt: skip
+)
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)

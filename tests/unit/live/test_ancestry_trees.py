@@ -22,11 +22,15 @@ def record_of(steps, seed, share=0.4):
     parents = np.where(resampled[:, None], np.sort(rng.integers(0, N, (steps, N)), axis=1), np.arange(N))
     poses = rng.integers(-999, 999, (steps, N, 3)).astype(np.float32) / 64  # which rounding leaves as they are
     return Record(
-        stamps_ns=np.arange(steps, dtype=np.int64), poses=poses,
-        log_weights=np.full((steps, N), -np.log(N)), parents=parents.astype(np.int32),
-        best=np.zeros(steps, np.int32), n_eff=np.ones(steps),
-        flags=(resampled * RecordFlag.RESAMPLED).astype(np.uint8), latency_s=np.ones(steps),
-    )  # fmt: skip
+        stamps_ns=np.arange(steps, dtype=np.int64),
+        poses=poses,
+        log_weights=np.full((steps, N), -np.log(N)),
+        parents=parents.astype(np.int32),
+        best=np.zeros(steps, np.int32),
+        n_eff=np.ones(steps),
+        flags=(resampled * RecordFlag.RESAMPLED).astype(np.uint8),
+        latency_s=np.ones(steps),
+    )
 
 
 def past_of(record, particle, key):

@@ -201,11 +201,24 @@ def test_other_hosts_need_the_token(monkeypatch):
 
 
 NONSENSE = [
-    "no json", "[1]", "3", "null", '{"x": 1}', '{"do": "fly"}', '{"do": "' + "\u00e9" * 200 + '"}', "[" * 60_000,
-    b"\x00\xff", '{"do": "speed"}', '{"do": "speed", "factor": "fast"}', '{"do": "speed", "factor": NaN}', '{"do": {}}',
-    '{"do": "select", "particle": 1e999}', '{"do": "select", "particle": "0"}', '{"do": "select", "particle": -1}',
+    "no json",
+    "[1]",
+    "3",
+    "null",
+    '{"x": 1}',
+    '{"do": "fly"}',
+    '{"do": "' + "\u00e9" * 200 + '"}',
+    "[" * 60_000,
+    b"\x00\xff",
+    '{"do": "speed"}',
+    '{"do": "speed", "factor": "fast"}',
+    '{"do": "speed", "factor": NaN}',
+    '{"do": {}}',
+    '{"do": "select", "particle": 1e999}',
+    '{"do": "select", "particle": "0"}',
+    '{"do": "select", "particle": -1}',
     '{"do": "seek", "at": 1e999}',
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("text", NONSENSE, ids=lambda text: str(text)[:30])

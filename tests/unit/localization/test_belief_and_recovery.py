@@ -63,9 +63,7 @@ def test_the_information_of_few_particles_is_unbiased():
         poses = rng.multivariate_normal([0, 0, 0], 0.1 * TRUE, 40)
         found.append(np.linalg.inv(estimate_pose(poses, np.full(40, 1 / 40)).covariance))
     # A diagonal entry from 40 has a deviation of about sqrt(2 / 35) of itself; its mean over 1500 of 0.6 %.
-    np.testing.assert_allclose(
-        np.diag(np.mean(found, axis=0)), np.diag(np.linalg.inv(0.1 * TRUE)), rtol=5 * 0.006
-    )  # fmt: skip
+    np.testing.assert_allclose(np.diag(np.mean(found, axis=0)), np.diag(np.linalg.inv(0.1 * TRUE)), rtol=5 * 0.006)
 
 
 def test_where_one_particle_has_all_weight_the_spread_is_that_of_all():
@@ -121,7 +119,7 @@ def test_weights_of_drawn_poses_add_up_to_the_evidence():
     for concentration in (0.0, 5.0):
         proposal = MeasurementProposal(
             concentration=concentration, draws=2000, samples_per_m2=200, jitter_m=0, jitter_rad=0
-        )  # fmt: skip
+        )
         sums = []
         for seed in range(40):
             _, log_weights = proposal(known, beams, weigh, 1.0, np.random.default_rng(seed))

@@ -97,9 +97,7 @@ def test_by_the_beam_model(known, log):
 def test_the_same_seed_gives_the_same_bytes_with_any_number_of_threads(log):
     runs = []
     for threads in (1, 2, 5):
-        reports, state = follow(
-            MonteCarloLocalization(KnownMap(flat_map(), threads=threads)), log.measurements[:30], 7
-        )  # fmt: skip
+        reports, state = follow(MonteCarloLocalization(KnownMap(flat_map(), threads=threads)), log.measurements[:30], 7)
         poses = np.array([report.pose for report in reports])
         runs.append((poses.tobytes(), state.poses.tobytes(), reports[-1].lost_probability))
     assert runs[0] == runs[1] == runs[2]
@@ -131,8 +129,11 @@ def test_weights_are_those_of_the_sensor(known, log):
     odometry, scan = log.measurements[0]
     _, report = mcl.step(mcl.init(poses), odometry, scan, np.random.default_rng(0))
     beams = scan.beams(0.05, 30.0)
-    thinned = replace(beams, indices=beams.indices[np.arange(120) * len(beams) // 120],
-                      ends=beams.ends[np.arange(120) * len(beams) // 120])  # fmt: skip
+    thinned = replace(
+        beams,
+        indices=beams.indices[np.arange(120) * len(beams) // 120],
+        ends=beams.ends[np.arange(120) * len(beams) // 120],
+    )
     at = report.poses[: len(poses)]
     expected = known.condition(mcl.configuration.sensor, thinned)(at) + np.where(known.is_free(at), 0, math.log(0.01))
     found = report.log_weights[: len(poses)]
@@ -214,8 +215,10 @@ def test_odometry_that_is_told_late_does_not_turn_the_pose(known):
     """Odometry of 0.2 s before; at 1 rad/s it is 0.2 rad behind where the robot turns, and the mean with it."""
     log = drive(1, rate_hz=5.0)
     before = [log.measurements[0], *log.measurements[:-1]]
-    late = [now._replace(odometry=Odometry.at(now.scan.stamp_ns, then.odometry.pose))
-            for now, then in zip(log.measurements, before, strict=True)]  # fmt: skip
+    late = [
+        now._replace(odometry=Odometry.at(now.scan.stamp_ns, then.odometry.pose))
+        for now, then in zip(log.measurements, before, strict=True)
+    ]
     (told, _), (mean, _) = (
         follow(mcl, late, 0, log.truth.poses[0])
         for mcl in (MonteCarloLocalization(known), MonteCarloLocalization(known, MEAN))

@@ -35,9 +35,7 @@ def counted(scans, **how) -> BeamCounts:
 
 def by_cell(counts: BeamCounts) -> dict[tuple[int, int], tuple[float, float]]:
     hits, misses, (row, column) = counts.rectangle()
-    return {
-        (y + row, x + column): (hits[y, x], misses[y, x]) for y, x in np.argwhere(hits + misses > 0).tolist()
-    }  # fmt: skip
+    return {(y + row, x + column): (hits[y, x], misses[y, x]) for y, x in np.argwhere(hits + misses > 0).tolist()}
 
 
 def test_every_ray_is_counted_once():

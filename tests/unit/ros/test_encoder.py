@@ -20,12 +20,18 @@ from gridslam.ros.ros2.dds import service_encoder
 STAMP = 1_700_000_000_123_456_789
 ENCODERS = {"ROS 1": MessageEncoder(is_ros1=True), "ROS 2": service_encoder()}
 NUMBERS = {
-    "bool": st.booleans(), "byte": st.integers(0, 127), "uint8": st.integers(0, 127), "int8": st.integers(-128, 127),
-    "int32": st.integers(-(2**31), 2**31 - 1), "uint32": st.integers(0, 2**32 - 1),
-    "int64": st.integers(-(2**63), 2**63 - 1), "uint64": st.integers(0, 2**64 - 1),
-    "float32": st.floats(width=32, allow_nan=False), "float64": st.floats(allow_nan=False),
+    "bool": st.booleans(),
+    "byte": st.integers(0, 127),
+    "uint8": st.integers(0, 127),
+    "int8": st.integers(-128, 127),
+    "int32": st.integers(-(2**31), 2**31 - 1),
+    "uint32": st.integers(0, 2**32 - 1),
+    "int64": st.integers(-(2**63), 2**63 - 1),
+    "uint64": st.integers(0, 2**64 - 1),
+    "float32": st.floats(width=32, allow_nan=False),
+    "float64": st.floats(allow_nan=False),
     "string": st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9),
-}  # fmt: skip
+}
 TYPES = [*TOPICS.values(), "sensor_msgs/LaserScan", "nav_msgs/Odometry", "rosgraph_msgs/Clock"]
 
 

@@ -129,10 +129,17 @@ def test_where_people_say_it_is_comes_as_a_message(map_file, which, monkeypatch)
 
 def test_amcl_s_parameters_by_their_names(map_file):
     given = {
-        "mode": "localization", "map_file": str(map_file), "min_particles": 50, "max_particles": 200,
-        "odom_frame_id": "wheels", "transform_tolerance": 0.2, "do_beamskip": True, "preset": "fast", "particels": 3,
+        "mode": "localization",
+        "map_file": str(map_file),
+        "min_particles": 50,
+        "max_particles": 200,
+        "odom_frame_id": "wheels",
+        "transform_tolerance": 0.2,
+        "do_beamskip": True,
+        "preset": "fast",
+        "particels": 3,
         "set": "max_beams=33",
-    }  # fmt: skip
+    }
     found = node_parameters(given)
     assert (found.settings.odom_frame, found.settings.tf_delay_s) == ("wheels", 0.2)
     parts = found.configuration.configuration

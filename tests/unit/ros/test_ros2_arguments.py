@@ -10,9 +10,26 @@ from gridslam.ros.ros2.arguments import RosArguments, parse_ros_arguments
 
 def test_parameters_remappings_and_names():
     found = parse_ros_arguments(
-        ["--ros-args", "-p", "particles:=80", "--param", "delta:=0.1", "-p", "use_sim_time:=True", "-p", "preset:=fast",
-         "-r", "scan:=front/scan", "-r", "__ns:=/robot1", "--remap", "__node:=mapper", "-r", "/tf:=/tf_robot"]
-    )  # fmt: skip
+        [
+            "--ros-args",
+            "-p",
+            "particles:=80",
+            "--param",
+            "delta:=0.1",
+            "-p",
+            "use_sim_time:=True",
+            "-p",
+            "preset:=fast",
+            "-r",
+            "scan:=front/scan",
+            "-r",
+            "__ns:=/robot1",
+            "--remap",
+            "__node:=mapper",
+            "-r",
+            "/tf:=/tf_robot",
+        ]
+    )
     assert found.parameters == {"particles": 80, "delta": 0.1, "use_sim_time": True, "preset": "fast"}
     assert (found.node, found.namespace) == ("mapper", "/robot1")
     assert found.resolve("scan") == "/robot1/front/scan"
@@ -37,11 +54,21 @@ def test_without_arguments():
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        (".5", 0.5), ("1e-3", 0.001), ("5.", 5.0), ("-2", -2), ("yes", True), ("Off", False), ("'30'", "30"),
-        ("[1, 2]", [1, 2]), ("base_link", "base_link"), ("a=1;b=[2]", "a=1;b=[2]"), ("~/maps", "~/maps"),
-        ("a: b", "a: b"), ("{", "{"),
+        (".5", 0.5),
+        ("1e-3", 0.001),
+        ("5.", 5.0),
+        ("-2", -2),
+        ("yes", True),
+        ("Off", False),
+        ("'30'", "30"),
+        ("[1, 2]", [1, 2]),
+        ("base_link", "base_link"),
+        ("a=1;b=[2]", "a=1;b=[2]"),
+        ("~/maps", "~/maps"),
+        ("a: b", "a: b"),
+        ("{", "{"),
     ],
-)  # fmt: skip
+)
 def test_values_are_those_of_yaml(text, value):
     found = parse_ros_arguments(["--ros-args", "-p", f"x:={text}"]).parameters["x"]
     assert (found, type(found)) == (value, type(value))

@@ -39,9 +39,15 @@ def test_a_list_without_limits_will_do():
 
 @pytest.mark.parametrize(
     ("told", "meant"),
-    [((0.0, 0.0), (0.0, math.inf)), ((-1.0, 5.0), (0.0, 5.0)), ((math.nan, math.nan), (0.0, math.inf)),
-     ((1.0, 0.5), (1.0, math.inf)), ((0.5, math.inf), (0.5, math.inf)), ((math.inf, math.inf), (0.0, math.inf))],
-)  # fmt: skip
+    [
+        ((0.0, 0.0), (0.0, math.inf)),
+        ((-1.0, 5.0), (0.0, 5.0)),
+        ((math.nan, math.nan), (0.0, math.inf)),
+        ((1.0, 0.5), (1.0, math.inf)),
+        ((0.5, math.inf), (0.5, math.inf)),
+        ((math.inf, math.inf), (0.0, math.inf)),
+    ],
+)
 def test_limits_that_mean_nothing_are_none(told, meant):
     scan = LaserScan.from_ros(0, [2.0], angle_min=0.0, angle_increment=0.1, range_min=told[0], range_max=told[1])
     assert (scan.range_min_m, scan.range_max_m) == meant
@@ -55,9 +61,12 @@ def test_times_that_mean_nothing_are_none(increment):
 
 @pytest.mark.parametrize(
     ("change", "argument"),
-    [({"angle_min": math.nan}, "angle_min"), ({"angle_increment": math.inf}, "angle_min, angle_increment"),
-     ({"base_from_laser": np.zeros((4, 4))}, "base_from_laser")],
-)  # fmt: skip
+    [
+        ({"angle_min": math.nan}, "angle_min"),
+        ({"angle_increment": math.inf}, "angle_min, angle_increment"),
+        ({"base_from_laser": np.zeros((4, 4))}, "base_from_laser"),
+    ],
+)
 def test_fields_that_are_none_are_refused(change, argument):
     with pytest.raises(ArgumentError, match=argument):
         LaserScan.from_ros(0, RANGES, **FIELDS | change)

@@ -17,9 +17,15 @@ from gridslam.types import BeamStatus
 EXACT = OdometryNoise(1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 QUICK = RobotConfig(omega_max_rad_s=3.0)
 SWEEPING = LidarConfig(
-    beams=60, field_of_view_rad=math.tau, sigma_range_m=0.0, no_return_probability=0.0, x_m=0.15, heading_rad=0.3,
-    rate_hz=1.0, scan_time_s=0.1,
-)  # fmt: skip
+    beams=60,
+    field_of_view_rad=math.tau,
+    sigma_range_m=0.0,
+    no_return_probability=0.0,
+    x_m=0.15,
+    heading_rad=0.3,
+    rate_hz=1.0,
+    scan_time_s=0.1,
+)
 
 
 def drive(lidar, robot=QUICK, odometry=EXACT, **others):

@@ -127,8 +127,13 @@ def test_walls_change_when_the_robot_leaves_the_waypoint():
     shelf, moved = polyline([(9.0, 0.0), (9.0, 4.0)]), polyline([(9.5, 0.0), (9.5, 4.0)])
     empty = box(0, 0, 10, 4)
     world = World.of("w", join(empty, shelf), [(1, 2), (7, 2), (3, 2), (7, 2)], [Change(2, join(empty, moved))])
-    log = simulate(world, RobotConfig(), EXACT, LidarConfig(181, sigma_range_m=0, no_return_probability=0, x_m=0.0),
-                   np.random.default_rng(0))  # fmt: skip
+    log = simulate(
+        world,
+        RobotConfig(),
+        EXACT,
+        LidarConfig(181, sigma_range_m=0, no_return_probability=0, x_m=0.0),
+        np.random.default_rng(0),
+    )
     poses = log.truth.poses
     east = np.abs(wrap(poses[:, 2])) < 1e-6
     ahead = np.array([m.scan.ranges[90] for m in log.measurements]) + poses[:, 0]

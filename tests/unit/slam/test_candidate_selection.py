@@ -45,9 +45,16 @@ def selection(likelihoods):
 
 @pytest.mark.parametrize(
     ("likelihoods", "best"),
-    [([-5.0], 0), ([-5.0, -4.0], 1), ([-4.0, -5.0], 0), ([-4.0, -4.0], 0), ([-6.0, -4.0, -4.0, -5.0], 1),
-     ([-6.0, -4.0, -5.0, -3.0], 3), ([0.0, -0.0, -1e-9], 0)],
-)  # fmt: skip
+    [
+        ([-5.0], 0),
+        ([-5.0, -4.0], 1),
+        ([-4.0, -5.0], 0),
+        ([-4.0, -4.0], 0),
+        ([-6.0, -4.0, -4.0, -5.0], 1),
+        ([-6.0, -4.0, -5.0, -3.0], 3),
+        ([0.0, -0.0, -1e-9], 0),
+    ],
+)
 def test_the_best_is_the_first_of_those_that_no_other_exceeds(likelihoods, best):
     held, judge, all_, _ = selection(likelihoods)
     assert held.best is all_[best]

@@ -67,7 +67,7 @@ def test_every_gap_begins_a_piece():
         ((1.01 * BLIND_SIGMA_M**2, 0.0), 2),
         ((0.0, 1.01 * BLIND_SIGMA_RAD**2), 2),
     ],
-)  # fmt: skip
+)
 def test_a_gap_is_where_the_position_or_the_heading_is_next_to_unknown(variances, pieces):
     assert len(told(chain(20, [9], variances))) == pieces
 

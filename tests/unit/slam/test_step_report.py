@@ -199,9 +199,7 @@ def played_bare(play, dense_spacing_m):
 @pytest.fixture(scope="module")
 def bare(play):
     """By `dense_spacing_m`: for each of three bare corridors the reports, and the way driven, beside the odometry's."""
-    return {
-        0.0: played_bare(play, 0.0), DEFAULT: played_bare(play, DEFAULT), ACROSS: played_bare(play, ACROSS)
-    }  # fmt: skip
+    return {0.0: played_bare(play, 0.0), DEFAULT: played_bare(play, DEFAULT), ACROSS: played_bare(play, ACROSS)}
 
 
 def test_along_a_bare_corridor_the_robot_drives_on(bare):

@@ -17,8 +17,10 @@ LEFT, TOP, RIGHT, BOTTOM = 130, 90, 1350, 710
 
 
 def chart(*series, marks=()):
-    drawn = tuple(SimpleNamespace(name=f"s{k}", x=np.array(x, float), y=np.array(y, float), style=style)
-                  for k, (x, y, style) in enumerate(series))  # fmt: skip
+    drawn = tuple(
+        SimpleNamespace(name=f"s{k}", x=np.array(x, float), y=np.array(y, float), style=style)
+        for k, (x, y, style) in enumerate(series)
+    )
     return SimpleNamespace(title="T", x_label="x, m", y_label="y, m", series=drawn, marks=marks)
 
 

@@ -37,7 +37,7 @@ def test_more_uncertain_landmarks_take_more_ink_and_truth_is_shown_where_there_i
     assert _count(large, TRUTH) == 0
     told = draw_landmarks(
         trajectory, positions, np.tile(0.02 * np.eye(2), (2, 1, 1)), truth=trajectory, true_positions=positions + 0.5
-    )  # fmt: skip
+    )
     assert _count(told, TRUTH) > 100
     assert min(told.size) > 800
 

@@ -231,10 +231,18 @@ class BagScanBuilder:
         key = message.angle_min, message.angle_increment, len(message.ranges), id(base_from_laser)
         kept = self._geometries.get(key)
         scan = LaserScan.from_ros(
-            stamp_ns, message.ranges, angle_min=message.angle_min, angle_increment=message.angle_increment,
-            range_min=message.range_min, range_max=message.range_max, time_increment=message.time_increment,
-            base_from_laser=base_from_laser, geometry=kept and kept[0], sensor=sensor, frame=message.frame,
-        )  # fmt: skip
+            stamp_ns,
+            message.ranges,
+            angle_min=message.angle_min,
+            angle_increment=message.angle_increment,
+            range_min=message.range_min,
+            range_max=message.range_max,
+            time_increment=message.time_increment,
+            base_from_laser=base_from_laser,
+            geometry=kept and kept[0],
+            sensor=sensor,
+            frame=message.frame,
+        )
         if kept is None:
             self._geometries[key] = scan.geometry, base_from_laser  # kept too: while it is, nothing else has its id
             if len(self._geometries) > _MOST_GEOMETRIES:

@@ -20,9 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "MessageError", "OdometryMessage", "ScanMessage", "StampedTransform", "Triangle", "Wire", "decode_odometry",
-    "decode_scan", "decode_transforms", "kind_of", "wire_of_cdr", "wire_of_ros1",
-]  # fmt: skip
+    "MessageError",
+    "OdometryMessage",
+    "ScanMessage",
+    "StampedTransform",
+    "Triangle",
+    "Wire",
+    "decode_odometry",
+    "decode_scan",
+    "decode_transforms",
+    "kind_of",
+    "wire_of_cdr",
+    "wire_of_ros1",
+]
 
 Values = tuple[float, float, float, float, float, float, float]
 """Position in m and quaternion xyzw, as the message has them: not necessarily finite or of norm 1."""

@@ -32,8 +32,16 @@ from gridslam.io.bags.source import BagSource
 from gridslam.io.selection import LogOptions
 
 __all__ = [
-    "Choice", "LinkInfo", "Step", "Survey", "TopicInfo", "choose", "decoded_messages", "differs", "survey",
-]  # fmt: skip
+    "Choice",
+    "LinkInfo",
+    "Step",
+    "Survey",
+    "TopicInfo",
+    "choose",
+    "decoded_messages",
+    "differs",
+    "survey",
+]
 
 _LOOK_NS = 10_000_000_000  # of the log, at least: transforms are published at 10 Hz and more often, static ones at once
 _SAMPLES = 200
@@ -49,8 +57,10 @@ _AGREES_M = 0.02  # odometry and transforms of one source are equal but for inte
 Decoded: TypeAlias = ScanMessage | OdometryMessage | list[StampedTransform]
 
 _DECODERS: Mapping[str, Callable[[bytes, Wire], Decoded]] = {
-    "scan": decode_scan, "odometry": decode_odometry, "transforms": decode_transforms,
-}  # fmt: skip
+    "scan": decode_scan,
+    "odometry": decode_odometry,
+    "transforms": decode_transforms,
+}
 
 
 class Step(NamedTuple):

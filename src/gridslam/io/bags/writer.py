@@ -29,9 +29,16 @@ _FILES = {".bag": "ros1", ".mcap": "mcap", ".db3": "sqlite3"}
 _ROS2_VERSION: Final = 8  # of the metadata: the later 9 is not read by ROS 2 before Jazzy
 _ALWAYS = QosTime(0, 0)
 _LATCHED = Qos(
-    QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, _ALWAYS, _ALWAYS,
-    QosLiveliness.AUTOMATIC, _ALWAYS, False,
-)  # fmt: skip
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _ALWAYS,
+    _ALWAYS,
+    QosLiveliness.AUTOMATIC,
+    _ALWAYS,
+    False,
+)
 
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _SCAN = "sensor_msgs/msg/LaserScan"

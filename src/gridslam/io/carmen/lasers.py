@@ -29,14 +29,22 @@ _ENOUGH_MOTION = (1.0, 0.5)  # m and rad driven: distinguishes a mounting from a
 _MOST_SCANS = 2000
 LASER_PARAMETERS = {
     "front": {
-        "x": "robot_frontlaser_offset", "y": "robot_frontlaser_side_offset", "theta": "robot_frontlaser_angular_offset",
-        "max": "robot_front_laser_max", "fov": "laser_front_laser_fov", "step": "laser_front_laser_resolution",
+        "x": "robot_frontlaser_offset",
+        "y": "robot_frontlaser_side_offset",
+        "theta": "robot_frontlaser_angular_offset",
+        "max": "robot_front_laser_max",
+        "fov": "laser_front_laser_fov",
+        "step": "laser_front_laser_resolution",
     },
     "rear": {
-        "x": "robot_rearlaser_offset", "y": "robot_rearlaser_side_offset", "theta": "robot_rearlaser_angular_offset",
-        "max": "robot_rear_laser_max", "fov": "laser_rear_laser_fov", "step": "laser_rear_laser_resolution",
+        "x": "robot_rearlaser_offset",
+        "y": "robot_rearlaser_side_offset",
+        "theta": "robot_rearlaser_angular_offset",
+        "max": "robot_rear_laser_max",
+        "fov": "laser_rear_laser_fov",
+        "step": "laser_rear_laser_resolution",
     },
-}  # fmt: skip
+}
 USED_PARAMETERS = frozenset(name for names in LASER_PARAMETERS.values() for name in names.values())
 """Parameters that describe a laser."""
 

@@ -102,9 +102,15 @@ class RecordWriter:
         flags |= RecordFlag.UNDETERMINED * (report.degenerate_direction is not None)
         parents = np.arange(len(report.poses)) if report.parents is None else report.parents
         row: dict[str, Any] = {
-            "stamps_ns": report.stamp_ns, "poses": report.poses, "log_weights": report.log_weights, "parents": parents,
-            "best": report.best, "n_eff": report.n_eff, "flags": int(flags), "latency_s": latency_s,
-        }  # fmt: skip
+            "stamps_ns": report.stamp_ns,
+            "poses": report.poses,
+            "log_weights": report.log_weights,
+            "parents": parents,
+            "best": report.best,
+            "n_eff": report.n_eff,
+            "flags": int(flags),
+            "latency_s": latency_s,
+        }
         for name, (dtype, _) in _FORMS.items():
             self._rows[name].append(np.array(row[name], dtype))
 

@@ -100,10 +100,17 @@ class MeasurementBuilder:
         step = float(message.angle_increment)
         time_increment = float(message.time_increment)
         scan = LaserScan.from_ros(
-            message.stamp_ns, message.ranges, angle_min=start, angle_increment=step, range_min=message.range_min,
-            range_max=message.range_max, time_increment=time_increment, sensor=sensor, frame=message.frame,
+            message.stamp_ns,
+            message.ranges,
+            angle_min=start,
+            angle_increment=step,
+            range_min=message.range_min,
+            range_max=message.range_max,
+            time_increment=time_increment,
+            sensor=sensor,
+            frame=message.frame,
             geometry=_make_geometry(mounting, start, step, len(message.ranges)),
-        )  # fmt: skip
+        )
         ranges: FloatArray = np.where(scan.status == BeamStatus.HIT, scan.ranges, _NO_HIT[scan.status])
         ranges.flags.writeable = False
         measurement = Measurement(odometry, replace(scan, ranges=ranges))
@@ -160,9 +167,17 @@ class ScanRecorder:
         laser = map(repr, (*accepted.mounting, accepted.angle_min, accepted.angle_increment))
         time_increment = "" if accepted.time_increment_s is None else repr(accepted.time_increment_s)
         cells = (
-            format_stamp_ns(scan.stamp_ns), _quote(scan.sensor), _quote(scan.frame), *pose, "", *laser, time_increment,
-            repr(scan.range_min_m), repr(scan.range_max_m), " ".join(map(repr, scan.ranges.tolist())),
-        )  # fmt: skip
+            format_stamp_ns(scan.stamp_ns),
+            _quote(scan.sensor),
+            _quote(scan.frame),
+            *pose,
+            "",
+            *laser,
+            time_increment,
+            repr(scan.range_min_m),
+            repr(scan.range_max_m),
+            " ".join(map(repr, scan.ranges.tolist())),
+        )
         self._write(",".join(cells))
 
     @property

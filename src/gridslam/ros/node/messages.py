@@ -13,8 +13,15 @@ from gridslam.io.bags.ros_messages import ScanMessage, StampedTransform
 from gridslam.types import FloatArray
 
 __all__ = [
-    "CloudMessage", "Diagnostics", "GridMessage", "Level", "Outputs", "PoseMessage", "ScanMessage", "StampedTransform",
-]  # fmt: skip
+    "CloudMessage",
+    "Diagnostics",
+    "GridMessage",
+    "Level",
+    "Outputs",
+    "PoseMessage",
+    "ScanMessage",
+    "StampedTransform",
+]
 
 
 class Level(IntEnum):

@@ -23,20 +23,61 @@ from gridslam.ros.node.session import Localization
 __all__ = ["GMAPPING_DEFAULTS", "NODE_DEFAULTS", "NodeParameters", "NodeSettings", "node_parameters"]
 
 GMAPPING_DEFAULTS: Final[Mapping[str, float | int | str]] = {
-    "throttle_scans": 1, "base_frame": "base_link", "map_frame": "map", "odom_frame": "odom",
-    "map_update_interval": 5.0, "maxUrange": 80.0, "sigma": 0.05, "kernelSize": 1, "lstep": 0.05, "astep": 0.05,
-    "iterations": 5, "lsigma": 0.075, "ogain": 3.0, "lskip": 0, "minimumScore": 0.0, "srr": 0.1, "srt": 0.2,
-    "str": 0.1, "stt": 0.2, "linearUpdate": 1.0, "angularUpdate": 0.5, "temporalUpdate": -1.0,
-    "resampleThreshold": 0.5, "particles": 30, "xmin": -100.0, "ymin": -100.0, "xmax": 100.0, "ymax": 100.0,
-    "delta": 0.05, "llsamplerange": 0.01, "llsamplestep": 0.01, "lasamplerange": 0.005, "lasamplestep": 0.005,
-    "transform_publish_period": 0.05, "tf_delay": 0.05, "occ_thresh": 0.25, "maxRange": 80.0,
-}  # fmt: skip
+    "throttle_scans": 1,
+    "base_frame": "base_link",
+    "map_frame": "map",
+    "odom_frame": "odom",
+    "map_update_interval": 5.0,
+    "maxUrange": 80.0,
+    "sigma": 0.05,
+    "kernelSize": 1,
+    "lstep": 0.05,
+    "astep": 0.05,
+    "iterations": 5,
+    "lsigma": 0.075,
+    "ogain": 3.0,
+    "lskip": 0,
+    "minimumScore": 0.0,
+    "srr": 0.1,
+    "srt": 0.2,
+    "str": 0.1,
+    "stt": 0.2,
+    "linearUpdate": 1.0,
+    "angularUpdate": 0.5,
+    "temporalUpdate": -1.0,
+    "resampleThreshold": 0.5,
+    "particles": 30,
+    "xmin": -100.0,
+    "ymin": -100.0,
+    "xmax": 100.0,
+    "ymax": 100.0,
+    "delta": 0.05,
+    "llsamplerange": 0.01,
+    "llsamplestep": 0.01,
+    "lasamplerange": 0.005,
+    "lasamplestep": 0.005,
+    "transform_publish_period": 0.05,
+    "tf_delay": 0.05,
+    "occ_thresh": 0.25,
+    "maxRange": 80.0,
+}
 """slam_gmapping's parameters and defaults; `maxRange` defaults to the laser's, `tf_delay` to the publish period."""
 
 NODE_DEFAULTS: Final[Mapping[str, float | int | str | bool]] = {
-    "preset": "", "config": "", "set": "", "seed": 0, "threads": 1, "odometry": "needed", "map_values": "trinary",
-    "transform_wait": 0.5, "queue": 0.75, "record": "", "out": "", "mode": "mapping", "map_file": "",
-}  # fmt: skip
+    "preset": "",
+    "config": "",
+    "set": "",
+    "seed": 0,
+    "threads": 1,
+    "odometry": "needed",
+    "map_values": "trinary",
+    "transform_wait": 0.5,
+    "queue": 0.75,
+    "record": "",
+    "out": "",
+    "mode": "mapping",
+    "map_file": "",
+}
 """The node's own parameters and defaults: see docs/ros.md."""
 
 _FILTER: Final[Mapping[str, str]] = {
@@ -73,17 +114,27 @@ _PATHS: Final[Mapping[str, tuple[str, ...]]] = {**{name: (path,) for name, path 
 _ALMOST_ZERO = 1e-9
 
 _NODE: Final[Mapping[str, str]] = {
-    "throttle_scans": "throttle_scans", "base_frame": "base_frame", "map_frame": "map_frame",
-    "odom_frame": "odom_frame", "map_update_interval": "map_update_interval_s",
-    "transform_publish_period": "transform_publish_period_s", "tf_delay": "tf_delay_s", "seed": "seed",
-    "threads": "threads", "odometry": "odometry", "map_values": "map_values", "transform_wait": "transform_wait_s",
+    "throttle_scans": "throttle_scans",
+    "base_frame": "base_frame",
+    "map_frame": "map_frame",
+    "odom_frame": "odom_frame",
+    "map_update_interval": "map_update_interval_s",
+    "transform_publish_period": "transform_publish_period_s",
+    "tf_delay": "tf_delay_s",
+    "seed": "seed",
+    "threads": "threads",
+    "odometry": "odometry",
+    "map_values": "map_values",
+    "transform_wait": "transform_wait_s",
     "queue": "queue_s",
-}  # fmt: skip
+}
 
 _AMCL_NODE: Final[Mapping[str, str]] = {
-    "base_frame_id": "base_frame", "odom_frame_id": "odom_frame", "global_frame_id": "map_frame",
+    "base_frame_id": "base_frame",
+    "odom_frame_id": "odom_frame",
+    "global_frame_id": "map_frame",
     "transform_tolerance": "tf_delay",
-}  # fmt: skip
+}
 """The node's names of AMCL's parameters."""
 
 _UNSUPPORTED: Final[Mapping[str, str]] = {

@@ -26,7 +26,7 @@ from gridslam.localization import (
     MonteCarloConfiguration,
     MonteCarloLocalization,
     MonteCarloState,
-)  # fmt: skip
+)
 from gridslam.observers import StatisticsRecorder, TrajectoryRecorder
 from gridslam.pipeline import Observer, Stopwatch, run
 from gridslam.ros.node.accepted_scan import AcceptedScan

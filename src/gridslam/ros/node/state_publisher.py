@@ -143,9 +143,10 @@ class StatePublisher:
         if abs(behind_s) * 1e9 > _MAX_CLOCK_OFFSET_NS:
             side = "before" if behind_s > 0 else "after"
             self._warn(
-                "clock differs", f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
+                "clock differs",
+                f"scans are stamped {abs(behind_s):.1f} s {side} the node's clock: synchronize the"
                 " clocks, or set use_sim_time when a log is played",
-            )  # fmt: skip
+            )
 
     def __call__(self, report: Report, state: GridFastSlamState | MonteCarloState, seconds: float) -> None:
         """Publish the report of one scan."""

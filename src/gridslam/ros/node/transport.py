@@ -32,7 +32,7 @@ __all__ = [
     "import_ros",
     "save_results",
     "set_pose_from_message",
-]  # fmt: skip
+]
 
 TOPICS: Final = {
     "map": "nav_msgs/OccupancyGrid",

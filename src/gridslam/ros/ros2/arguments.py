@@ -17,9 +17,11 @@ from gridslam.io.yaml import parse_yaml
 __all__ = ["RosArguments", "parse_ros_arguments"]
 
 _KINDS: Final[tuple[tuple[str, ...], ...]] = (
-    ("-p", "--param"), ("-r", "--remap"), ("--params-file",),
+    ("-p", "--param"),
+    ("-r", "--remap"),
+    ("--params-file",),
     ("--log-level", "--log-config-file", "-e", "--enclave"),  # without effect here
-)  # fmt: skip
+)
 _PARAMETER, _REMAP, _FILE, _OF_ROS = _KINDS
 _FLAG_OF_ROS = re.compile("--(enable|disable)-(rosout|stdout|external-lib)-logs")
 

@@ -121,9 +121,15 @@ class DdsParticipant:
         self._writers[topic] = self._dds.pub.DataWriter(self._participant, what, qos, listener)
 
     def add_reader(
-        self, topic: str, message_type: str, handle: Handler, *, reliable: bool = True, latched: bool = False,
+        self,
+        topic: str,
+        message_type: str,
+        handle: Handler,
+        *,
+        reliable: bool = True,
+        latched: bool = False,
         depth: int = 10,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add a handler for the bytes of each message on a DDS topic, before `start`."""
         dds = self._dds
         qos = self._qos(reliable=reliable, latched=latched, depth=depth)

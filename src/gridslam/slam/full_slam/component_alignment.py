@@ -333,9 +333,15 @@ class _Alignment:
             nearest = int(np.argmin(np.hypot(*(anchors[:, :2] - pose[:2]).T)))
             anchor = anchors[nearest]
             constraint = lenient.match(
-                closure_state, self.maps, key, int(submaps[nearest]), between(anchor, pose),
-                self.places.certain_sigma_m, ConstraintSource.RECOGNIZED, anchor,
-            )  # fmt: skip
+                closure_state,
+                self.maps,
+                key,
+                int(submaps[nearest]),
+                between(anchor, pose),
+                self.places.certain_sigma_m,
+                ConstraintSource.RECOGNIZED,
+                anchor,
+            )
             if isinstance(constraint, Constraint) and constraint.determined:
                 found.append(constraint)
         return found

@@ -150,9 +150,16 @@ class GridFastSlam:
         self.mapper(maps, poses, beams)
         equal = np.full(len(poses), -np.log(len(poses)))
         state = GridFastSlamState(
-            tracker, tracker.pose, {scan.sensor: tracker.pose}, poses, equal, np.zeros(len(poses)), np.zeros((3, 3)),
-            maps, Ancestry.start(poses),
-        )  # fmt: skip
+            tracker,
+            tracker.pose,
+            {scan.sensor: tracker.pose},
+            poses,
+            equal,
+            np.zeros(len(poses)),
+            np.zeros((3, 3)),
+            maps,
+            Ancestry.start(poses),
+        )
         state.covariance = self.reports.spread(state)
         if self.loop_closure is not None:
             state.closure_state = self.loop_closure.init(state, beams)

@@ -62,9 +62,15 @@ class ReportBuilder:
     def first_scan(state: GridFastSlamState, scan: LaserScan, n_eff: float) -> StepReport:
         """Report of the scan that the filter begins with: a key scan that weighs nothing."""
         return StepReport(
-            scan.stamp_ns, state.poses[state.best], state.covariance, np.zeros(3), best=state.best, n_eff=n_eff,
-            poses=state.poses, log_weights=state.log_weights,
-        )  # fmt: skip
+            scan.stamp_ns,
+            state.poses[state.best],
+            state.covariance,
+            np.zeros(3),
+            best=state.best,
+            n_eff=n_eff,
+            poses=state.poses,
+            log_weights=state.log_weights,
+        )
 
     def between_key_scans(
         self, state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, reason: SkipReason
@@ -78,21 +84,38 @@ class ReportBuilder:
         covariance[1, 1] += moved * self.drift_sigma_m**2
         covariance[2, 2] += moved * self.drift_sigma_rad**2
         return StepReport(
-            scan.stamp_ns, compose(state.poses[best], key_from_base), covariance, key_from_base, lost=state.lost,
-            skipped=reason, best=best,
-        )  # fmt: skip
+            scan.stamp_ns,
+            compose(state.poses[best], key_from_base),
+            covariance,
+            key_from_base,
+            lost=state.lost,
+            skipped=reason,
+            best=best,
+        )
 
     @staticmethod
     def key_scan(
-        state: GridFastSlamState, scan: LaserScan, key_from_base: FloatArray, estimate: Estimate, n_eff: float,
+        state: GridFastSlamState,
+        scan: LaserScan,
+        key_from_base: FloatArray,
+        estimate: Estimate,
+        n_eff: float,
         parents: IntArray | None,
-    ) -> StepReport:  # fmt: skip
+    ) -> StepReport:
         """Report of a key scan: the estimate from before resampling, and the best particle after it."""
         return StepReport(
-            scan.stamp_ns, estimate.pose, estimate.covariance, key_from_base,
-            degenerate_direction=estimate.degenerate_direction, lost=estimate.lost, best=state.best, n_eff=n_eff,
-            poses=estimate.poses, log_weights=estimate.log_weights, parents=parents,
-        )  # fmt: skip
+            scan.stamp_ns,
+            estimate.pose,
+            estimate.covariance,
+            key_from_base,
+            degenerate_direction=estimate.degenerate_direction,
+            lost=estimate.lost,
+            best=state.best,
+            n_eff=n_eff,
+            poses=estimate.poses,
+            log_weights=estimate.log_weights,
+            parents=parents,
+        )
 
     def estimate(self, state: GridFastSlamState, match: Match, beams: BeamEnds) -> Estimate:
         """Estimate the pose from the weighed particles and the `match` of `beams` at them."""

@@ -87,9 +87,13 @@ class Innovation:
     def select(self, chosen: NDArray[np.bool_]) -> Innovation:
         """Return those that are chosen (R,)."""
         return Innovation(
-            self.rows[chosen], self.columns[chosen], self.residuals[chosen], self.covariances[chosen],
-            self.by_pose[chosen], self.by_landmark[chosen],
-        )  # fmt: skip
+            self.rows[chosen],
+            self.columns[chosen],
+            self.residuals[chosen],
+            self.covariances[chosen],
+            self.by_pose[chosen],
+            self.by_landmark[chosen],
+        )
 
 
 @final
@@ -127,9 +131,14 @@ class LandmarkFilters:
         return np.argsort((squared + log_dets).min(axis=1, initial=math.inf), kind="stable")
 
     def correspond(
-        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief,
-        taken: IntArray, rng: np.random.Generator,
-    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        self,
+        state: LandmarkParticles,
+        observations: LandmarkObservations,
+        k: int,
+        belief: PoseBelief,
+        taken: IntArray,
+        rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:
         """Associate observation k with a landmark in each particle.
 
         Parameters
@@ -164,9 +173,14 @@ class LandmarkFilters:
         return columns, likelihood, seen.select(believed)
 
     def innovation(
-        self, state: LandmarkParticles, rows: IntArray, columns: IntArray, belief: PoseBelief,
-        observations: LandmarkObservations, k: int,
-    ) -> Innovation:  # fmt: skip
+        self,
+        state: LandmarkParticles,
+        rows: IntArray,
+        columns: IntArray,
+        belief: PoseBelief,
+        observations: LandmarkObservations,
+        k: int,
+    ) -> Innovation:
         """Predict observation k of R landmarks (rows, columns): h, H_x, H_m, and H_m Sigma H_m' + Q + H_x R H_x'."""
         predicted, H_x, H_m = self.sensor.linearize(belief.poses[rows], state.positions[rows, columns])
         L = transform_covariances(H_m, state.covariances[rows, columns]) + self.sensor.noise(observations)[k]
@@ -238,9 +252,15 @@ class LandmarkFilters:
         return float(log_density(self.association.outlier_distance, log_det))
 
     def _draw_correspondences(
-        self, state: LandmarkParticles, observations: LandmarkObservations, k: int, belief: PoseBelief,
-        taken: IntArray, within: MaximumLikelihood, rng: np.random.Generator,
-    ) -> tuple[IntArray, FloatArray, Innovation]:  # fmt: skip
+        self,
+        state: LandmarkParticles,
+        observations: LandmarkObservations,
+        k: int,
+        belief: PoseBelief,
+        taken: IntArray,
+        within: MaximumLikelihood,
+        rng: np.random.Generator,
+    ) -> tuple[IntArray, FloatArray, Innovation]:
         """Sample c ~ p(c | z), so that particles hold different correspondences; the weight is the sum of p(z | c)."""
         rows, columns = np.nonzero(self._may_match(state, observations, k, belief, within.new_gate))
         seen = self.innovation(state, rows, columns, belief, observations, k)

@@ -162,10 +162,14 @@ class LandmarkGraph:
         information[:, :2, :2] = inverse_2x2(covariances)
         information[np.unique(place, return_index=True)[1], 2, 2] = _ANY
         return cls(
-            increments, np.asarray(np.linalg.inv(spread_at_end), np.float64),
-            np.repeat(np.arange(1, len(steps) + 1), [len(step.observations) for step in steps]), place,
-            points, information, np.array(list(place_of), np.int64),
-        )  # fmt: skip
+            increments,
+            np.asarray(np.linalg.inv(spread_at_end), np.float64),
+            np.repeat(np.arange(1, len(steps) + 1), [len(step.observations) for step in steps]),
+            place,
+            points,
+            information,
+            np.array(list(place_of), np.int64),
+        )
 
     def __len__(self) -> int:
         """Return the number T of steps."""

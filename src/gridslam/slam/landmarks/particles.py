@@ -290,13 +290,25 @@ class LandmarkParticles:
 
 # What there is of each landmark of each particle, and what stands there where there is none.
 _OF_LANDMARKS = {
-    "positions": 0.0, "covariances": 0.0, "positions_by_bias": 0.0, "evidence": -np.inf, "confirmed": False,
-    "observations": 0, "landmark_in_local_frame": False,
-}  # fmt: skip
+    "positions": 0.0,
+    "covariances": 0.0,
+    "positions_by_bias": 0.0,
+    "evidence": -np.inf,
+    "confirmed": False,
+    "observations": 0,
+    "landmark_in_local_frame": False,
+}
 _OF_POSES = (
-    "state_means", "state_covariances", "pose_by_bias", "bias_before", "log_ancestry", "local_frames",
-    "local_frame_covariances", "in_local_frame", "local_frame_step",
-)  # fmt: skip
+    "state_means",
+    "state_covariances",
+    "pose_by_bias",
+    "bias_before",
+    "log_ancestry",
+    "local_frames",
+    "local_frame_covariances",
+    "in_local_frame",
+    "local_frame_step",
+)
 _OF_PARTICLES = *_OF_POSES, *_OF_LANDMARKS
 _ARRAYS = *_OF_PARTICLES, "log_weights", "names"
 

@@ -104,9 +104,16 @@ class PlaceMatching:
     matcher: GaussNewton = GaussNewton()
 
     def match(
-        self, closure_state: LoopClosureState, maps: TileMaps, key: int, submap: int, guess: FloatArray,
-        max_correction_m: float, source: ConstraintSource, anchor: FloatArray | None = None,
-    ) -> Constraint | RejectionReason:  # fmt: skip
+        self,
+        closure_state: LoopClosureState,
+        maps: TileMaps,
+        key: int,
+        submap: int,
+        guess: FloatArray,
+        max_correction_m: float,
+        source: ConstraintSource,
+        anchor: FloatArray | None = None,
+    ) -> Constraint | RejectionReason:
         """Match a key scan to a submap, within `max_correction_m` of a guess (3,) in its frame.
 
         That frame is at `anchor` (3,) in `maps`, by default at the origin.

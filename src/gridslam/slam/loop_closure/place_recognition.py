@@ -170,9 +170,14 @@ class PlaceRecognition(PlaceMatching):
         return None
 
     def _check_ambiguity(
-        self, closure_state: LoopClosureState, mapper: OccupancyGridMapping, key: int, guess: FloatArray,
-        covariance: FloatArray, points: FloatArray,
-    ) -> Constraint | RejectionReason:  # fmt: skip
+        self,
+        closure_state: LoopClosureState,
+        mapper: OccupancyGridMapping,
+        key: int,
+        guess: FloatArray,
+        covariance: FloatArray,
+        points: FloatArray,
+    ) -> Constraint | RejectionReason:
         """Check that no other place matches as well."""
         graph = closure_state.graph
         submaps = closure_state.search.ambiguity_submaps
@@ -194,9 +199,15 @@ class PlaceRecognition(PlaceMatching):
         anchor = graph.poses[anchor_of(submap)]
         max_correction_m = 3 * self.certain_sigma_m
         constraint = self.match(
-            closure_state, joint.maps, key, submap, between(anchor, found.pose), max_correction_m,
-            ConstraintSource.RECOGNIZED, anchor,
-        )  # fmt: skip
+            closure_state,
+            joint.maps,
+            key,
+            submap,
+            between(anchor, found.pose),
+            max_correction_m,
+            ConstraintSource.RECOGNIZED,
+            anchor,
+        )
         if isinstance(constraint, Constraint) and not constraint.determined:
             return RejectionReason.DEGENERATE
         return constraint

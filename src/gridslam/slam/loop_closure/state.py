@@ -26,7 +26,7 @@ __all__ = [
     "PlaceSearch",
     "RejectionReason",
     "SearchPhase",
-]  # fmt: skip
+]
 
 
 class RejectionReason(Enum):
