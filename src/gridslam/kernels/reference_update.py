@@ -202,8 +202,8 @@ def make_tiles_writable(
     return len(free_pages) - pages_left, len(free_tiles) - tiles_left, done
 
 
-def _counted(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Each distinct cell of (N, 2): as one sortable number, as [y, x], and how often it occurs."""
+def _count_cells(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Count cells (N, 2): each distinct one as a sortable number, as [y, x], and how often it occurs."""
     keys, counts = np.unique((cells[:, 0] << 32) + (cells[:, 1] + (1 << 31)), return_counts=True)
     return keys, np.stack([keys >> 32, (keys & 0xFFFFFFFF) - (1 << 31)], axis=1), counts
 
@@ -245,8 +245,8 @@ def update_log_odds(
     stored = log_odds.reshape(-1)
     changed = [np.zeros((0, 4), np.int32)]
     for row, start, tip in zip(rows, starts, tips, strict=True):
-        end_keys, end_cells, hits = _counted(tip)
-        keys, free_cells, misses = _counted(ray_cells(start, tip))
+        end_keys, end_cells, hits = _count_cells(tip)
+        keys, free_cells, misses = _count_cells(ray_cells(start, tip))
         free = ~np.isin(keys, end_keys, assume_unique=True)
         cells = np.concatenate([free_cells[free], end_cells])
         evidence = np.concatenate([misses[free] * miss, hits * hit])

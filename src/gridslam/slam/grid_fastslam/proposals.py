@@ -125,6 +125,8 @@ class ScanMatchedProposal:
     beam_sigma_m : float, m
         Standard deviation of a beam's distance to the map against which the motion model's information holds the match
         near its draw. Next to nothing: where a loop closes, a particle must be free to follow its map.
+    standstill_m, standstill_rad : float
+        Where the motion's mean is within both, particles are not matched: a scan at rest has nothing to correct.
 
     References
     ----------
