@@ -111,6 +111,13 @@ def test_a_wrong_example_is_seen(tmp_path):
         run_console("$ false\n", tmp_path)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_block_that_makes_an_example_ready_runs(page):
+    """What begins with <!-- setup ends with a line of its own, so that it is found."""
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<!-- setup") == sum(found["setup"] is not None for found in BLOCK.finditer(text))
+
+
 def test_the_pages_build_without_a_warning(tmp_path):
     for needed in ("sphinx", "furo", "myst_parser", "numpydoc"):
         pytest.importorskip(needed, reason="the extra docs is not installed")

@@ -86,15 +86,20 @@ def taught_wheel(weights: np.ndarray, size: int, rng: np.random.Generator) -> li
 
 def test_the_wheel_as_usually_taught_is_biased() -> None:
     # The first stop is in the slot of weight 1/10 with probability 1/12 (derived in ResamplingWheel's docstring). The
-    # standard error of 20000 repetitions is sqrt(1/12 * 11/12 / 20000) = 0.00195: 1/10 is 8.5 of them away.
+    # standard error of 20000 repetitions is sqrt(1/12 * 11/12 / 20000) = 0.00195: 1/10 is 8.5 of them away. The sum s
+    # of two steps has the density s / 1.8^2 up to 1.8 and (3.6 - s) / 1.8^2 beyond: from the beginning of the first
+    # slot the second stop is in the second one with probability 0.325 / 3.24, from that of the second with
+    # 0.32 / 3.24, so both draws together have 1/12 + 0.645 / 6.48. Its standard error is below
+    # sqrt(2 / 12 / 20000) = 0.0029, and 1/5 is 5.9 of them away.
     rng = np.random.default_rng(21)
     weights = np.array([0.9, 0.1])
+    for size, expected in ((1, 1 / 12), (2, 1 / 12 + 0.645 / 6.48)):
 
-    def first_stop() -> np.ndarray:
-        return np.bincount(taught_wheel(weights, 1, rng), minlength=2)
+        def draw(size: int = size) -> np.ndarray:
+            return np.bincount(taught_wheel(weights, size, rng), minlength=2)
 
-    assert np.abs(z_scores(first_stop, np.array([11 / 12, 1 / 12]), 20000)).max() < 4
-    assert np.abs(z_scores(first_stop, weights, 20000)).max() > 5
+        assert np.abs(z_scores(draw, np.array([size - expected, expected]), 20000)).max() < 4
+        assert np.abs(z_scores(draw, size * weights, 20000)).max() > 5
 
 
 @pytest.mark.parametrize("size", [1, 4, 9])
