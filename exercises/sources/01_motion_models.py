@@ -80,7 +80,7 @@ print("passed")
 rng = np.random.default_rng(0)
 poses = np.zeros((500, 3))
 for k in range(8):
-    poses = sample_odometry(poses, np.array([1.0, 0.0, 0.1 if k > 3 else 0.0]), [0.01, 0.005, 0.005, 0.005], rng)
+    poses = sample_odometry(poses, np.array([1.0, 0.0, 0.1 if k > 3 else 0.0]), [0.01, 0.02, 0.001, 0.001], rng)
     plt.scatter(poses[:, 0], poses[:, 1], s=1)
 plt.axis("equal")
 plt.xlabel("x, m")

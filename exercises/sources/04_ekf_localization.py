@@ -99,7 +99,7 @@ checks.correction_is_linearized(correct)
 print("passed")
 
 # %% [markdown]
-# A drive in a circle among landmarks, of which only four are in the map. The ellipses (two standard deviations) grow
+# A drive in a circle among landmarks, of which only two are in the map. The ellipses (five standard deviations) grow
 # until one of these is observed.
 
 # %%
@@ -109,13 +109,13 @@ angles = np.linspace(0, math.tau, 50)
 for k, step in enumerate(steps):
     mean, covariance = predict(mean, covariance, step.increment, step.noise)
     for name, z in zip(step.names, step.z, strict=True):
-        if name % 3 == 0:
+        if name % 6 == 0:
             mean, covariance = correct(mean, covariance, z, checks.RING[name], np.diag([0.1**2, 0.02**2]))
     path.append(mean)
     if k % 6 == 0:
         root = np.linalg.cholesky(covariance[:2, :2])
-        plt.plot(*(mean[:2, None] + 2 * root @ [np.cos(angles), np.sin(angles)]), "C1", linewidth=0.8)
+        plt.plot(*(mean[:2, None] + 5 * root @ [np.cos(angles), np.sin(angles)]), "C1", linewidth=0.8)
 plt.plot(*truth[:, :2].T, "k", *np.array(path)[:, :2].T, "C0")
-plt.plot(*checks.RING[::3].T, "k*")
+plt.plot(*checks.RING[::6].T, "k*")
 plt.axis("equal")
 plt.show()

@@ -126,15 +126,18 @@ checks.ring_is_mapped(ekf_slam)
 print("passed")
 
 # %% [markdown]
-# The correlations after one round, and after a round and a half: when the loop closes all landmarks become certain
-# relative to each other.
+# Standard deviations of the landmarks over time. A landmark is at first as uncertain as the robot. When the loop closes
+# the robot becomes certain, and with it, by the correlations, all landmarks.
 
 # %%
 steps, truth = checks.drive_in_a_circle(np.random.default_rng(1), 190)
-figure, axes = plt.subplots(1, 2)
-for axis, count in zip(axes, (110, 190), strict=True):
-    mean, P = ekf_slam(RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02), steps[:count])
-    sigma = np.sqrt(np.diag(P))
-    axis.imshow(P / np.outer(sigma, sigma), vmin=-1, vmax=1, cmap="coolwarm")
-    axis.set_title(f"{count} steps, largest sigma {sigma.max():.2f} m")
+counts = np.arange(5, 190, 5)
+sigmas = np.full((len(counts), len(checks.RING)), np.nan)
+for row, count in zip(sigmas, counts, strict=True):
+    _, P = ekf_slam(RangeBearing(sigma_range_m=0.1, sigma_bearing_rad=0.02), steps[:count])
+    variances = np.diag(P)[3:].reshape(-1, 2).sum(axis=1)
+    row[: len(variances)] = np.sqrt(variances)
+plt.plot(counts, sigmas)
+plt.xlabel("step")
+plt.ylabel("standard deviation of a landmark, m")
 plt.show()
