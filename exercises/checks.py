@@ -16,7 +16,6 @@ from gridslam import OccupancyGrid, PoseGraph, Trajectory
 from gridslam.evaluation import absolute_errors
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between, compose
-from gridslam.grid import TileMaps
 from gridslam.io.measurement import Measurement
 from gridslam.mapping import OccupancyGridMapping
 from gridslam.models import BeamRangeFinder, InverseSensorModel, LikelihoodField
@@ -24,7 +23,6 @@ from gridslam.models.landmark import LandmarkModel, LandmarkObservations, RangeB
 from gridslam.models.motion import GaussianIncrement
 from gridslam.sim import LidarConfig, OdometryNoise, RobotConfig, SimulatedLog, make_world, simulate
 from gridslam.slam.landmarks.ekf_slam import EkfSlam
-from gridslam.types import Beams
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -659,23 +657,21 @@ def poor_odometry_is_corrected(run: Callable[[Sequence[Measurement], Rng], Float
         assert worst < BAND_M, f"seed {seed}: a pose is {worst:.2f} m from the truth"
 
 
-FastSlamStep = Callable[[TileMaps, FloatArray, FloatArray, FloatArray, Beams, Rng], tuple[FloatArray, FloatArray]]
+FastSlamStep = Callable[[Measurement, FloatArray, FloatArray, Rng], tuple[FloatArray, FloatArray, list[OccupancyGrid]]]
 
 
 def survivors_keep_their_maps(step: FastSlamStep) -> None:
-    """`step(maps, poses, log_weights, increment, beams, rng)`: four particles far apart, of which one has all weight.
+    """`step(measurement, poses, log_weights, rng)` -> poses, log weights, maps: one of four particles has all weight.
 
-    A robot that stands still measures the same again: after resampling all poses and all maps are those of this one.
+    They are 40 m apart, have mapped the measurement, and get it again. All must end at the pose, and with the map, of
+    the one that survives.
     """
-    beams = poor_drive().measurements[0].scan.beams(0.05, 30.0)
-    mapper = OccupancyGridMapping()
+    measurement = poor_drive().measurements[0]
     poses = np.array([[40.0 * k, 0.0, 0.0] for k in range(4)])
-    maps = mapper.empty(4)
-    mapper(maps, poses, beams)
     log_weights = np.array([-1e3, -1e3, 0.0, -1e3])
-    found, log_weights = step(maps, poses, log_weights, np.zeros(3), beams, np.random.default_rng(0))
+    found, log_weights, maps = step(measurement, poses.copy(), log_weights, np.random.default_rng(0))
     assert np.abs(found - poses[2]).max() < 0.05, f"expected all poses near {poses[2]}, got {found.tolist()}"
     np.testing.assert_array_equal(log_weights, log_weights[0])
-    for row in range(4):
-        x, _ = maps.occupancy(row).origin
-        assert x > 40, f"the map of particle {row} is that of another one than its pose"
+    for row, grid in enumerate(maps):
+        x, _ = grid.origin
+        assert 40 < x < 80, f"the map of particle {row} is that of another particle than its pose"

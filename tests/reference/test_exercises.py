@@ -89,6 +89,14 @@ def test_grid_fastslam():
             poses.append(report.pose)
         return np.array(poses)
 
+    def step_again(measurement, poses, log_weights, rng):
+        slam = GridFastSlam(when_to_update=lambda translation_m, rotation_rad: True)
+        state, _ = slam.init(*measurement, poses)
+        state.log_weights = log_weights
+        state, _ = slam.step(state, *measurement, rng)
+        return state.poses, state.log_weights, [state.maps.occupancy(row) for row in range(len(poses))]
+
+    checks.survivors_keep_their_maps(step_again)
     checks.poor_odometry_is_corrected(run)
 
 
