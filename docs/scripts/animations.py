@@ -110,11 +110,13 @@ def particles_at_a_loop() -> None:
         if len(told) > 1:
             chart.curve(keys, n_eff, TRUTH)
             chart.curve(keys, spread, ORANGE)
-        film.add([whole, near, chart], hold=resampled or len(told) == 125)
+        film.add([whole, near, chart], hold=resampled or len(told) == 124)
         if resampled and not film.still:
             film.still = len(film.frames) - 1
 
     run(log.measurements, GridFastSlam(), particles=30, rng=np.random.default_rng(0), observers=[watch])
+    if not film.still:
+        raise SystemExit("particles_at_a_loop: expected a resampling, got none; choose another drive")
     film.save()
 
 
@@ -159,15 +161,17 @@ def kidnapping() -> None:
             most, film.still = places, len(film.frames) - 1
         if found > 12:
             break
+    if found < 2:
+        raise SystemExit("kidnapping: expected that the robot is localized again; choose another drive")
     film.save()
 
 
 def closure() -> None:
     """A map bent by odometry while the laser was covered, and what is left of the bend when the loop is closed."""
-    bad = OdometryNoise(turn_scale=0.9, bias_rad_per_m=0.02)
+    bad = OdometryNoise(turn_scale=0.85, bias_rad_per_m=0.02)
     log = drive("demo", 1, bad, LidarConfig(rate_hz=4.0, beams=90))
     measurements = list(log.measurements)
-    for k in range(100, 140):  # the laser is covered for 10 s
+    for k in range(100, 130):  # the laser is covered for 7.5 s
         scan = measurements[k].scan
         nothing = LaserScan.from_ranges(
             scan.stamp_ns, np.full(len(scan), np.nan), scan.geometry, range_max_m=scan.range_max_m
@@ -189,6 +193,8 @@ def closure() -> None:
     film = Film("closure", [("ends of the beams", OCCUPIED), ("loop closures", CLOSURE)])
     pairs = [(before, after[: len(before)]) for (before, _), (after, _) in pairwise(past)]
     moved = [float(np.hypot(*(after - before)[:, :2].T).max()) for before, after in pairs]
+    if max(moved) < 1.0:
+        raise SystemExit(f"closure: expected a correction by metres, got {max(moved):.2f} m; choose another drive")
     jump = int(np.argmax(moved))  # the last key scan before the correction
     everything = np.concatenate(
         [transform_points(pose, e) for pose, e in zip(past[jump][0], points[: jump + 1], strict=True)]
