@@ -9,6 +9,7 @@ from itertools import takewhile
 import numpy as np
 import pytest
 
+from gridslam.geometry.se2 import rotate_covariances
 from gridslam.matching import GaussNewton
 from gridslam.matching.gauss_newton import EVALUATE_ONLY
 from gridslam.particles import AlwaysResample, EffectiveSampleSizeBelow, normalize, sample_gaussian
@@ -105,13 +106,15 @@ def test_between_key_scans_a_random_walk_is_added(run):
     key = None
     for report in reports:
         if report.skipped is None:
-            key = report.covariance
+            key = report
             continue
-        moved = math.hypot(*report.key_from_base[:2]) + abs(report.key_from_base[2])
-        drift = moved * np.square(
-            [slam.reports.drift_sigma_m, slam.reports.drift_sigma_m, slam.reports.drift_sigma_rad]
-        )
-        np.testing.assert_allclose(report.covariance - key, np.diag(drift), atol=1e-15)
+        added = rotate_covariances(slam.reports.drift.covariance(report.key_from_base), report.pose[2])
+        grown = report.covariance - added
+        assert grown[2, 2] == pytest.approx(key.covariance[2, 2], rel=1e-9)
+        # what the heading has drifted by since the start turns what follows, too
+        turned = float(np.hypot(*(report.pose - key.pose)[:2])) * np.sqrt(key.covariance[2, 2])
+        of_key = np.sqrt(np.trace(key.covariance[:2, :2]))
+        assert of_key - turned <= np.sqrt(np.trace(grown[:2, :2])) <= of_key + turned
 
 
 def test_reports_read_the_state_and_never_write(run, drive):
@@ -121,7 +124,7 @@ def test_reports_read_the_state_and_never_write(run, drive):
     beams = scan.beams(0.05, 30.0)
     rows = np.arange(PARTICLES, dtype=np.int32)
     match = EVALUATE_ONLY(state.maps, rows, state.poses, np.zeros((PARTICLES, 3, 3)), beams)
-    estimate = slam.reports.estimate(state, match, beams)
+    estimate = slam.reports.estimate(state, np.zeros(3), match, beams)
     slam.reports.first_scan(state, scan, 1.0)
     slam.reports.between_key_scans(state, scan, np.ones(3), SkipReason.BETWEEN_KEY_SCANS)
     slam.reports.key_scan(state, scan, np.ones(3), estimate, 1.0, None)
@@ -212,6 +215,15 @@ def test_along_a_bare_corridor_the_position_is_undetermined(bare):
         assert len(keys) > 12
         assert len(axes) > 0.9 * len(keys)
         assert all(abs(axis[0]) > 0.99 and np.linalg.norm(axis) == pytest.approx(1.0) for axis in axes)
+
+
+def test_along_a_bare_corridor_the_covariance_grows_by_the_odometrys(bare):
+    """Along the axis as the odometry's error may, across it hardly."""
+    for reports, driven, _ in bare[True]:
+        sigmas = np.sqrt(reports[-1].covariance.diagonal())
+        assert 0.005 * driven < sigmas[0] < 0.1 * driven
+        assert sigmas[1] < 0.3 * sigmas[0]
+        assert abs(driven - 10.0) < 3 * sigmas[0]
 
 
 def test_straight_walls_tell_corridors_from_rooms(play):

@@ -215,7 +215,7 @@ def test_at_full_rate_no_scan_is_far_and_nothing_changes(whole):
         poses.append(step(tracker, state, odometry, scan).pose)
     never, _ = track(Tracker(search=NEVER), whole.measurements[:300])
     np.testing.assert_array_equal(np.array(poses), never)
-    assert state.rejected_match_m2 == 0
+    assert state.unmatched.position_m2 == 0
 
 
 @pytest.mark.parametrize(
@@ -276,7 +276,7 @@ def test_after_a_blind_gap_the_robot_is_where_the_odometry_has_it(halls, scans):
     way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
     assert off[0] < 0.04 * (way + 3.0)
     assert told.prediction_variances is not None  # particles are told how little is known
-    assert told.prediction_variances[0] == pytest.approx(state.rejected_match_m2)
+    assert told.prediction_variances[0] == pytest.approx(state.unmatched.position_m2)
 
 
 @pytest.mark.parametrize("scans", [37, 45])
@@ -285,7 +285,7 @@ def test_the_velocity_would_drag_a_scan_after_a_gap_back_to_where_it_fits(halls,
     _, ahead, state, off = after_a_gap(halls, scans, Tracker(search=NEVER))
     way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
     assert off[0] > 0.5 * way
-    assert state.rejected_match_m2 == 0
+    assert state.unmatched.position_m2 == 0
 
 
 def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
@@ -294,10 +294,10 @@ def test_a_blind_gap_makes_doubt_by_what_the_odometry_may_err(halls):
     for scans in (5, 9, 13, 25, 33, 45):
         _, ahead, state, _ = after_a_gap(halls, scans, Tracker())
         way = math.hypot(*(ahead - halls[1].matched_pose)[:2])
-        assert 0.15 * way < math.sqrt(state.rejected_match_m2)
-        assert state.rejected_match_rad2 > 0
-        doubts.append(state.rejected_match_m2)
-    assert halls[1].rejected_match_m2 == 0
+        assert 0.15 * way < math.sqrt(state.unmatched.position_m2)
+        assert state.unmatched.heading_rad2 > 0
+        doubts.append(state.unmatched.position_m2)
+    assert halls[1].unmatched.position_m2 == 0
     assert doubts[:3] == sorted(doubts[:3])
 
 
