@@ -153,8 +153,7 @@ class KnownMap:
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
         """
         places = np.pad(transform_points(poses[:, None], points), ((0, 0), (0, 0), (0, 1)))
-        table = FieldTable.of(self._distances, self._corner, self.resolution_m)
-        found = table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
+        found = self._distance_table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
         return found.reshape(places.shape[:2]).astype(np.float32)
 
     def cast_rays(
@@ -173,6 +172,10 @@ class KnownMap:
         rows = np.zeros(len(guesses), np.int32)
         found = matcher(self._tiles, rows, guesses - shift, np.repeat(prior[None], len(guesses), axis=0), beams)
         return replace(found, poses=found.poses + shift)
+
+    @cached_property
+    def _distance_table(self) -> FieldTable:
+        return FieldTable.of(self._distances, self._corner, self.resolution_m)
 
     @cached_property
     def _tiles(self) -> TileMaps:
