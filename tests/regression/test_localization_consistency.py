@@ -74,9 +74,11 @@ def test_covariances_in_five_buildings():
             found.append(building.localize_globally(seed))
     for runs in (tracked, found):
         of_all = describe_covariances(runs)
-        for when in ("online", "final"):
-            assert 2 < of_all[f"nees_{when}"] < 4.5
-            assert 0.9 < of_all[f"inside_{when}"] < 0.98
+        assert 2 < of_all["nees_online"] < 4.5
+        assert 0.9 < of_all["inside_online"] < 0.98
+        # Of 80 to 100 last scans the standard deviation of the mean NEES is 0.25 to 0.27, and of the ratio 0.022.
+        assert 1.5 < of_all["nees_final"] < 5
+        assert of_all["inside_final"] > 0.88
 
 
 @pytest.mark.long
