@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
         finds[name] = describe_finds([building.localize_globally(seed) for building, seed in buildings(name, some)])
         print(name, finds[name], flush=True)
     document = {
-        "schema": "gridslam.localization_consistency/1",
+        "schema": "gridslam.benchmark/1",
         "date": datetime.date.today().isoformat(),
         "commit": circumstances.pop("gridslam").rpartition("commit ")[2],
         "machine": circumstances,
