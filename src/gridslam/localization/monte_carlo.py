@@ -138,7 +138,7 @@ class MonteCarloConfiguration:
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
     verification: PlaceVerification = Field(default_factory=PlaceVerification)
-    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(dense_spacing_m=0.0))
+    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(point_to_line=False))
     match_covariance: MatchCovariance = Field(default_factory=MatchCovariance)
     beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)

@@ -12,7 +12,7 @@ from gridslam.localization.match_covariance import MatchCovariance
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.types import Beams, LaserScan, OccupancyGrid, ScanGeometry
 
-MATCHER = GaussNewton(dense_spacing_m=0.0)
+MATCHER = GaussNewton(point_to_line=False)
 BELIEF = np.diag([0.04, 0.04, 0.01])
 HERE = np.array([10.0, 1.53, 0.0])
 

@@ -13,7 +13,7 @@ from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import between
 from gridslam.mapping.occupancy_grid_mapping import OccupancyGridMapping
 from gridslam.matching.gauss_newton import GaussNewton
-from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource, recompute_information
+from gridslam.slam.loop_closure.constraints import Constraint, ConstraintSource
 from gridslam.slam.loop_closure.key_graph import KEY_SCANS_PER_SUBMAP, anchor_of, submap_of
 from gridslam.slam.loop_closure.state import LoopClosureState
 from gridslam.slam.loop_closure.submaps import ROW, build_map, key_scans_of
@@ -81,7 +81,7 @@ class KeyScanMatching:
                 if len(beams) < self.matcher.min_beams:
                     continue
                 guess = between(poses[anchor], poses[key])
-                match = recompute_information(self.matcher(maps, ROW, guess[None], loose, beams), maps, ROW, beams)
+                match = self.matcher(maps, ROW, guess[None], loose, beams)
                 moved = between(guess, match.poses[0])
                 score = float(match.score[0])
                 too_far = np.hypot(moved[0], moved[1]) > self.max_correction_m

@@ -55,7 +55,7 @@ _BASIN_M = 0.1
 _BASIN_RAD = 0.05
 """Basin of convergence of the particles' scan matching."""
 
-_CALIBRATED_INFORMATION = 0.05
+_CALIBRATED_INFORMATION = 0.02
 """Calibrated odometry constrains weak directions better than the scan, see `GaussNewton.min_information`."""
 
 
