@@ -119,6 +119,38 @@ def test_names_of_amcl(place, capsys):
     assert "tf_broadcast: not supported, ignored" in warned
 
 
+def test_a_parameter_file_of_nav2(place, tmp_path, capsys):
+    """Taken as it is; one line names what is ignored, and --set overrides it."""
+    x, y, yaw = drive(1).truth.poses[0]
+    (tmp_path / "nav2.yaml").write_text(
+        f"""
+amcl:
+  ros__parameters:
+    max_particles: 900
+    min_particles: 300
+    recovery_alpha_fast: 0.0
+    recovery_alpha_slow: 0.0
+    tf_broadcast: true
+    set_initial_pose: true
+    initial_pose: {{x: {x}, y: {y}, z: 0.0, yaw: {yaw}}}
+bt_navigator:
+  ros__parameters: {{rate: 1}}
+"""
+    )
+    arguments = (place / "flat.clf", "--map", place / "flat.yaml", "--config", tmp_path / "nav2.yaml", "--json")
+    status, text, warned = run(capsys, *arguments, "--set", "recovery_alpha_fast=0.", "--set", "max_beams=50")
+    assert status == 0
+    document = json.loads(text)
+    configuration = document["configuration"]
+    assert (configuration["kld"]["particles_max"], configuration["max_beams"]) == (900, 50)
+    assert document["initial_pose"] == pytest.approx([x, y, yaw])
+    assert "tf_broadcast, initial_pose.z, /bt_navigator: not supported, ignored" in warned
+    (tmp_path / "nav2.yaml").write_text("amcl: {ros__parameters: {max_beams: none}}")
+    status, _, problem = run(capsys, *arguments)
+    assert (status, problem.count("\n")) == (2, 1)
+    assert "nav2.yaml: max_beams: expected" in problem
+
+
 def test_the_same_seed_gives_the_same_bytes(place, tmp_path):
     for name, threads in (("a", 1), ("b", 2)):
         localize(place / "flat.clf", place / "flat.yaml", seed=5, threads=threads).save(tmp_path / name)

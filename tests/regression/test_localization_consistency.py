@@ -8,10 +8,14 @@ import pytest
 from global_localization import Building, GlobalRun
 from gridslam.evaluation.consistency import nees
 from gridslam.localization import KnownMap, MonteCarloConfiguration, MonteCarloLocalization
+from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.place_verification import PlaceVerification
+from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import LikelihoodField
+from localization_consistency import ALIKE, WORLDS, buildings, describe_covariances, describe_finds
 from support.localization_world import RandomWalk, drive, flat_map
 
-RUNS = 100
+RUNS = 50
 FIRST = np.diag([0.01, 0.01, 0.0025])
 
 
@@ -20,13 +24,15 @@ def known():
     return KnownMap(flat_map())
 
 
-def test_nees_with_the_simulators_true_noise(known):
-    """Mean NEES of 100 runs between 0.5 and 2 times its expectation of 3.
+def test_nees_of_the_belief_with_the_simulators_true_noise(known):
+    """Mean NEES of 50 runs between 0.5 and 2 times its expectation of 3, of the particles' mean.
 
     The noise of odometry and of a range is the simulator's own (1 cm); the map is of 5 cm cells, whose rounding the
     filter adds, and the beams are tempered, since they share it: less than by default, as this map has no other errors.
     """
-    parts = MonteCarloConfiguration(sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.1))
+    parts = MonteCarloConfiguration(
+        sensor=LikelihoodField(sigma_hit_m=0.01, tempering=0.1), matcher=GaussNewton(max_iterations=0)
+    )
     mcl, found = MonteCarloLocalization(known, parts, motion=RandomWalk()), []
     for seed in range(1, RUNS + 1):
         log, rng = drive(seed), np.random.default_rng(seed)
@@ -37,12 +43,62 @@ def test_nees_with_the_simulators_true_noise(known):
             reports.append(report)
         poses, covariances = (np.array([getattr(r, name) for r in reports]) for name in ("pose", "covariance"))
         found.append(nees(poses, truth, covariances))
-    mean = np.mean(found)
-    assert 0.5 * 3 < mean < 2 * 3
-    # The median of chi-square with 3 degrees of freedom is 2.37: no step of the way is far above or below it.
-    by_step = np.median(found, axis=0)
-    assert by_step.max() < 2 * 2.37
-    assert by_step.min() > 0.1 * 2.37
+    assert 0.5 * 3 < np.mean(found) < 2 * 3
+
+
+def test_nees_of_the_matched_pose():
+    """Tracked in an office by default parameters, with seeds by which nothing was chosen.
+
+    The errors of a map are common to the scans of a place, so few of the 1000 scans are independent: the band is that
+    of `test_covariances_in_five_buildings`, with a margin. The belief, which was reported before, is far too wide (NEES
+    0.1), and rounding without residuals far too narrow.
+    """
+    building = Building.of("demo", 300)
+
+    def average(parts: MonteCarloConfiguration) -> float:
+        runs = [building.track(seed, configuration=parts) for seed in range(300, 306)]
+        return float(GlobalRun.joined(runs).nees.mean())
+
+    assert 1.5 < average(MonteCarloConfiguration()) < 5
+    assert average(MonteCarloConfiguration(matcher=GaussNewton(max_iterations=0))) < 1.5
+    assert average(MonteCarloConfiguration(match_covariance=MatchCovariance(patch_m=0.01, residual_factor=0))) > 5
+
+
+@pytest.mark.long
+def test_covariances_in_five_buildings():
+    """Seeds by which nothing was chosen, 20 runs each, tracked and found: 2 to 4.5 on average, 90 to 98 % inside."""
+    tracked, found = [], []
+    for name in WORLDS:
+        for building, seed in buildings(name, range(400, 420)):
+            tracked.append(building.track(seed))
+            found.append(building.localize_globally(seed))
+    for runs in (tracked, found):
+        of_all = describe_covariances(runs)
+        assert 2 < of_all["nees_online"] < 4.5
+        assert 0.9 < of_all["inside_online"] < 0.98
+        # Of 80 to 100 last scans the standard deviation of the mean NEES is 0.25 to 0.27, and of the ratio 0.022.
+        assert 1.5 < of_all["nees_final"] < 5
+        assert of_all["inside_final"] > 0.88
+
+
+@pytest.mark.long
+def test_nobody_is_found_where_it_is_not_in_a_hundred_starts():
+    """In equal corridors and rooms; without verification some are."""
+    runs = [
+        building.localize_globally(seed)
+        for name, count in ALIKE.items()
+        for building, seed in buildings(name, range(400, 400 + count))
+    ]
+    assert len(runs) == 100
+    assert describe_finds(runs)["false_starts"] == 0
+
+
+def test_a_place_is_verified_before_it_counts_as_found():
+    """A start in bare corridors at which the robot was found at 50 scans, where it was not."""
+    building = Building.of("bare_corridors", 0)
+    unverified = MonteCarloConfiguration(verification=PlaceVerification(scans=0))
+    assert building.localize_globally(24, configuration=unverified).false > 0.5
+    assert building.localize_globally(24).false == 0
 
 
 def test_who_is_told_to_be_found_is_there(known):
@@ -69,7 +125,7 @@ def test_where_places_look_alike_nobody_is_told_to_be_found_where_it_is_not():
     """
     runs = [Building.of(name, seed).localize_globally(0, 20.0) for name, seed in (("equal_rooms", 0), ("symmetric", 1))]
     for run in runs:
-        assert run.wrong.mean() > 0.2
+        assert run.wrong.mean() > 0.1
         assert run.false < 0.05
     both = GlobalRun.joined(runs)
     assert both.doubt[both.wrong].min() > 0.2

@@ -60,6 +60,7 @@ INNER_RANKS = {
         "log_statistics": 1,
         "maps": 1,
         "results": 1,
+        "ros_parameters": 1,
         "tables": 1,
         "carmen": 2,
         "csv": 2,

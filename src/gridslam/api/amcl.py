@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
 from gridslam.config.tables import Table, nest, read_assignments, replace_parameters, suggest_names, to_table
-from gridslam.errors import ConfigurationError
+from gridslam.errors import ConfigurationError, InputError
+from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.localization.monte_carlo import MonteCarloConfiguration
+from gridslam.models.motion import OdometryMotion
 from gridslam.types import FloatArray
 
-__all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration"]
+__all__ = ["AMCL_DEFAULTS", "AMCL_NAMES", "AmclParameters", "from_amcl", "override_configuration", "read_amcl"]
 
 AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
     "amcl": {
@@ -71,7 +75,7 @@ AMCL_DEFAULTS: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 """The defaults of ROS 1's amcl and of nav2's, each by its own names."""
 
-_NAV2: Final[Mapping[str, str]] = {
+_ALIASES: Final[Mapping[str, str]] = {
     "pf_err": "kld_err",
     "pf_z": "kld_z",
     "alpha1": "odom_alpha1",
@@ -90,6 +94,12 @@ _NAV2: Final[Mapping[str, str]] = {
     "initial_pose.x": "initial_pose_x",
     "initial_pose.y": "initial_pose_y",
     "initial_pose.yaw": "initial_pose_a",
+    "initial_pose_yaw": "initial_pose_a",
+    **{
+        f"initial_pose{mark}covariance_{beluga}": f"initial_cov_{amcl}"
+        for mark in "._"  # of its ROS 2 node, and of its nodelet
+        for beluga, amcl in (("x", "xx"), ("y", "yy"), ("yaw", "aa"), ("xy", "xy"), ("xyaw", "xa"), ("yyaw", "ya"))
+    },
 }
 _PLACES: Final[Mapping[str, str]] = {
     "min_particles": "kld.particles_min",
@@ -113,8 +123,18 @@ _PLACES: Final[Mapping[str, str]] = {
 }
 _SHARES = {f"laser_z_{kind}": f"z_{kind}" for kind in ("hit", "short", "max", "rand")}
 _POSE = ("initial_pose_x", "initial_pose_y", "initial_pose_a")
-_COVARIANCE = ("initial_cov_xx", "initial_cov_yy", "initial_cov_aa")
-_DECIDES = ("laser_model_type", "odom_model_type", "selective_resampling", "laser_lambda_short")
+_COVARIANCE: Final[Mapping[str, tuple[int, int]]] = {
+    "initial_cov_xx": (0, 0),
+    "initial_cov_yy": (1, 1),
+    "initial_cov_aa": (2, 2),
+    "initial_cov_xy": (0, 1),
+    "initial_cov_xa": (0, 2),
+    "initial_cov_ya": (1, 2),
+}
+_BINS = ("spatial_resolution_x", "spatial_resolution_y", "spatial_resolution_theta")
+_DECIDES = ("laser_model_type", "odom_model_type", "selective_resampling", "laser_lambda_short", "set_initial_pose")
+_COUNTS = ("min_particles", "max_particles", "resample_interval", "laser_max_beams")
+_ALMOST_ZERO = 1e-9
 _IGNORED = (
     "odom_alpha5",
     "do_beamskip",
@@ -130,15 +150,28 @@ _IGNORED = (
     "save_pose_rate",
     "use_map_topic",
     "first_map_only",
-    "set_initial_pose",
     "always_reset_initial_pose",
     "scan_topic",
     "map_topic",
+    "map_service",
     "initial_pose.z",
+    "initial_pose_topic",
     "use_sim_time",
+    "execution_policy",
+    "model_unknown_space",
+    "freespace_downsampling",
+    "random_seed",
+    "restore_defaults",
+    "bond_heartbeat_period",
+    "introspection_mode",
+    "force_update_after_initialpose",
+    "force_update_after_set_map",
+    "std_warn_level_x",
+    "std_warn_level_y",
+    "std_warn_level_yaw",
 )
 
-AMCL_NAMES: Final = frozenset((*_PLACES, *_SHARES, *_POSE, *_COVARIANCE, *_DECIDES, *_IGNORED, *_NAV2))
+AMCL_NAMES: Final = frozenset((*_PLACES, *_SHARES, *_POSE, *_COVARIANCE, *_BINS, *_DECIDES, *_IGNORED, *_ALIASES))
 """Every name that `from_amcl` knows."""
 
 
@@ -150,7 +183,7 @@ class AmclParameters(NamedTuple):
     ----------
     configuration : MonteCarloConfiguration
     pose : (3,) float64 or None
-        Initial pose, where one of its coordinates is given.
+        Initial pose, where one of its coordinates is given and `set_initial_pose` is not false.
     covariance : (3, 3) float64
         Of that pose; AMCL's default where none is given.
     ignored : tuple of str
@@ -164,7 +197,10 @@ class AmclParameters(NamedTuple):
 
 
 def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | None = None) -> AmclParameters:
-    """Read AMCL's parameters, by the names of ROS 1 or nav2; parameters that are not given stay as in `base`.
+    """Read AMCL's parameters, by the names of ROS 1, nav2 or Beluga; parameters that are not given stay as in `base`.
+
+    A pose whose `set_initial_pose` is false is ignored, as in nav2. A holonomic robot keeps gridslam's own motion
+    model, which has noise across the motion, and its `alpha`s are ignored.
 
     Parameters
     ----------
@@ -176,23 +212,65 @@ def from_amcl(parameters: Mapping[str, Any], base: MonteCarloConfiguration | Non
     Raises
     ------
     ConfigurationError
-        A name is unknown, a value is of a wrong type or out of range, or the robot is holonomic ("omni").
+        A name is unknown, or a value is of a wrong type or out of range.
     """
     unknown = [name for name in parameters if name not in AMCL_NAMES]
     if unknown:
         raise ConfigurationError(f"{unknown[0]}: AMCL has no such parameter{suggest_names(unknown[0], AMCL_NAMES)}")
-    _check_numbers(parameters)
-    given = {_NAV2.get(name, name): value for name, value in parameters.items()}
+    _check_values(parameters)
+    spelled = {_ALIASES.get(name, name): name for name in parameters}
+    given = {meaning: _as_count(meaning, parameters[name]) for meaning, name in spelled.items()}
     configuration = base or MonteCarloConfiguration()
     if isinstance(most := given.get("max_particles"), int) and 0 < most < configuration.kld.particles_min:
         given.setdefault("min_particles", most)
-    configuration = replace_parameters(configuration, _changes(given, configuration))
-    ignored = [name for name in parameters if _NAV2.get(name, name) in _IGNORED]
+    unused = {name for name in given if name in _IGNORED or (_is_holonomic(given) and name.startswith("odom_alpha"))}
+    given = {name: value for name, value in given.items() if name not in unused}
+    try:
+        configuration = replace_parameters(configuration, _changes(given, configuration))
+    except ConfigurationError as error:
+        raise _with_amcl_name(error, spelled) from None
     if "laser_lambda_short" in given and "lambda_short_per_m" not in to_table(configuration.sensor):
-        ignored.append("lambda_short" if "lambda_short" in parameters else "laser_lambda_short")
-    pose = np.array([float(given.get(name, 0.0)) for name in _POSE]) if any(name in given for name in _POSE) else None
-    variances = (float(given.get(name, default)) for name, default in zip(_COVARIANCE, _AMCL_VARIANCES, strict=True))
-    return AmclParameters(configuration, pose, np.diag(list(variances)), tuple(ignored))
+        unused.add("laser_lambda_short")
+    pose = None
+    if given.get("set_initial_pose", any(name in given for name in _POSE)):
+        pose = np.array([float(given.get(name, 0.0)) for name in _POSE])
+    else:
+        unused.update(name for name in given if name in _POSE or name in _COVARIANCE)
+    ignored = tuple(name for meaning, name in spelled.items() if meaning in unused)
+    return AmclParameters(configuration, pose, _read_covariance(given), ignored)
+
+
+def read_amcl(path: str | Path, base: MonteCarloConfiguration | None = None) -> AmclParameters:
+    """Read a parameter file of AMCL as it is: of ROS 1's amcl, of nav2 or of Beluga.
+
+    In a file with the parameters of many nodes those of `amcl` are read, and before them those of all nodes (`/**`).
+    `ignored` then contains the parameters that AMCL does not have, as ROS ignores them, and the names of other nodes.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is no YAML, or it has no parameters of AMCL, or those of several robots.
+    ConfigurationError
+        A value is of a wrong type or out of range; names file and parameter.
+    """
+    nodes = read_parameter_file(path)
+    robots = [name for name, _ in nodes if re.fullmatch("(.*[/_])?amcl", name)] or [name for name, _ in nodes][:1]
+    if len(robots) > 1:
+        raise InputError(path, f"expected the parameters of one node amcl, got {' and '.join(robots)}")
+    everybody = [name for name, _ in nodes if name.endswith("*") and name not in robots]
+    values: dict[str, Any] = {}
+    for name, table in sorted(nodes, key=lambda node: node[0] in robots):
+        if name in (*everybody, *robots):
+            values |= {key.removeprefix("amcl."): value for key, value in table.items()}
+    known = {name: value for name, value in values.items() if name in AMCL_NAMES}
+    if not known:
+        raise InputError(path, "expected parameters of AMCL such as max_particles, got none")
+    try:
+        read = from_amcl(known, base)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    others = [name for name, _ in nodes if name not in (*robots, *everybody)]
+    return read._replace(ignored=(*read.ignored, *(name for name in values if name not in known), *others))
 
 
 def override_configuration(configuration: MonteCarloConfiguration, assignments: Iterable[str]) -> AmclParameters:
@@ -212,35 +290,74 @@ def override_configuration(configuration: MonteCarloConfiguration, assignments: 
 _AMCL_VARIANCES = 0.25, 0.25, (math.pi / 12) ** 2
 
 
-def _check_numbers(parameters: Mapping[str, Any]) -> None:
-    """Refuse what is no number among the parameters that are not handed on to a part, which checks its own."""
+def _read_covariance(given: Mapping[str, Any]) -> FloatArray:
+    """Covariance (3, 3) of the initial pose; AMCL's where none is given."""
+    covariance = np.diag(_AMCL_VARIANCES)
+    for name, (row, column) in _COVARIANCE.items():
+        if name in given:
+            covariance[row, column] = covariance[column, row] = given[name]
+    if (np.linalg.eigvalsh(covariance) < 0).any():
+        raise ConfigurationError(f"initial pose: expected a covariance, got {covariance.tolist()}")
+    return covariance
+
+
+def _check_values(parameters: Mapping[str, Any]) -> None:
+    """Refuse what is no number, or no boolean, among the parameters that are not handed on to a part."""
     for name, value in parameters.items():
-        meaning = _NAV2.get(name, name)
-        least = -math.inf if meaning in _POSE else 0.0
-        if meaning not in (*_POSE, *_COVARIANCE, *_SHARES):
+        meaning = _ALIASES.get(name, name)
+        if meaning in ("selective_resampling", "set_initial_pose") and not isinstance(value, bool):
+            raise ConfigurationError(f"{name}: expected true or false, got {value!r}")
+        if meaning not in (*_POSE, *_COVARIANCE, *_SHARES, *_BINS):
             continue
+        row, column = _COVARIANCE.get(meaning, (0, 0))
+        least = -math.inf if meaning in _POSE or row != column else 0.0
         number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not number or value < least:
             raise ConfigurationError(f"{name}: expected a number{'' if least else ' >= 0'}, got {value!r}")
 
 
+def _as_count(meaning: str, value: Any) -> Any:  # noqa: ANN401
+    """Convert a value as roscpp does: 500.0 is a number of particles."""
+    return int(value) if meaning in _COUNTS and isinstance(value, float) and value.is_integer() else value
+
+
+def _with_amcl_name(error: ConfigurationError, spelled: Mapping[str, str]) -> ConfigurationError:
+    """Replace gridslam's name of a parameter by the one that was given."""
+    path, _, problem = str(error).partition(": ")
+    places = {**_PLACES, "laser_lambda_short": "sensor.lambda_short_per_m"}
+    own = [name for meaning, name in spelled.items() if places.get(meaning, meaning) == path]
+    return ConfigurationError(f"{own[0] if own else path}: {problem}")
+
+
 def _changes(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
     """Nested changes to the parts."""
-    changes = _sensor(given, configuration) | _motion(given)
+    changes = _sensor(given, configuration) | _motion(given, configuration)
     for name, value in given.items():
         if name in _PLACES and not (name.endswith("_range") and value == -1):  # -1: the sensor's own
-            changes[_PLACES[name]] = value
+            every_scan = name.startswith("update_min_") and value == 0
+            changes[_PLACES[name]] = _ALMOST_ZERO if every_scan else value
     if "selective_resampling" in given:
         selective = given["selective_resampling"]
         changes["when_to_resample.kind"] = "EffectiveSampleSizeBelow" if selective else "AlwaysResample"
+    sides = [given[name] for name in _BINS[:2] if name in given]
+    if sides:
+        changes["kld.bin_m"] = min(sides)
+    if _BINS[2] in given:
+        changes["kld.bin_rad"] = given[_BINS[2]]
     return nest(changes)
 
 
-def _motion(given: Mapping[str, Any]) -> Table:
-    model = str(given.get("odom_model_type", "diff"))
-    if "omni" in model.lower():
-        raise ConfigurationError(f"odom_model_type: expected a differential drive, got {model}")
-    named = "odom_model_type" in given or any(name.startswith("odom_alpha") for name in given)
+def _is_holonomic(given: Mapping[str, Any]) -> bool:
+    return "omni" in str(given.get("odom_model_type")).lower()
+
+
+def _motion(given: Mapping[str, Any], configuration: MonteCarloConfiguration) -> Table:
+    model = given.get("odom_model_type")
+    if _is_holonomic(given):
+        return {"motion.kind": "GMappingMotion"} if isinstance(configuration.motion, OdometryMotion) else {}
+    if model is not None and "diff" not in str(model).lower():
+        raise ConfigurationError(f"odom_model_type: expected diff or omni, got {model!r}")
+    named = model is not None or any(name.startswith("odom_alpha") for name in given)
     return {"motion.kind": "OdometryMotion"} if named else {}
 
 

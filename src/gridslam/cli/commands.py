@@ -302,6 +302,7 @@ def grid_command(**options: Any) -> None:  # noqa: ANN401
     show_default=True,
     help="Base parameters: gridslam's, or the AMCL defaults of ROS 1 or nav2.",
 )
+@click.option("--config", type=PATH, help="Parameter file of AMCL, nav2 or Beluga (YAML); overrides the preset.")
 @assignment_option(help="Set one parameter, by its gridslam or AMCL name.")
 @click.option(
     "--strict-thresholds", is_flag=True, help="Apply the map's thresholds literally, also to pixel value 205."

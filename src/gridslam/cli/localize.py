@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration
+from gridslam.api.amcl import AMCL_DEFAULTS, AmclParameters, from_amcl, override_configuration, read_amcl
 from gridslam.api.localization import LocalizationResult, localize
 from gridslam.cli import STARTED_S
 from gridslam.cli.live import open_viewers
@@ -36,6 +36,7 @@ def localize_to_folder(
     initial_pose: tuple[float, float, float] | None,
     strict_thresholds: bool,
     preset: str,
+    config: Path | None,
     particles: int | None,
     assignments: Sequence[str],
     seed: int,
@@ -48,7 +49,7 @@ def localize_to_folder(
 ) -> None:
     """Localize a log in a map, write the results if a folder is given and print a summary."""
     watch = Stopwatch(STARTED_S, 0.0)
-    read = _read_parameters(preset, particles, assignments)
+    read = _read_parameters(preset, config, particles, assignments)
     source = check_log(open_log(log, options), options)
     is_watched = live is not None or rerun is not None
     known = read_map(map_path, strict_thresholds=strict_thresholds) if is_watched else None
@@ -77,13 +78,20 @@ def localize_to_folder(
         print_result(document, _summarize(document, result, out), as_json)
 
 
-def _read_parameters(preset: str, particles: int | None, assignments: Sequence[str]) -> AmclParameters:
-    """Build the parameters from the preset and assignments; --particles takes precedence."""
+def _read_parameters(
+    preset: str, path: Path | None, particles: int | None, assignments: Sequence[str]
+) -> AmclParameters:
+    """Build the parameters from preset, file and assignments, the later ones first; --particles overrides them."""
     configuration = MonteCarloConfiguration() if preset == "default" else from_amcl(AMCL_DEFAULTS[preset]).configuration
+    of_file = from_amcl({}, configuration) if path is None else read_amcl(path, configuration)
+    configuration = of_file.configuration
     limits = [] if particles is None else [f"kld.particles_max={particles}"]
     if particles is not None and particles < configuration.kld.particles_min:
         limits.append(f"kld.particles_min={particles}")
-    return override_configuration(configuration, [*assignments, *limits])
+    read = override_configuration(configuration, [*assignments, *limits])
+    if read.pose is None:
+        read = read._replace(pose=of_file.pose, covariance=of_file.covariance)
+    return read._replace(ignored=(*of_file.ignored, *read.ignored))
 
 
 def _summarize(document: dict[str, Any], result: LocalizationResult, out: Path | None) -> Iterator[str]:

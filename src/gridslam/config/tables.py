@@ -37,6 +37,8 @@ __all__ = [
 
 Table = dict[str, Any]
 _Part = TypeVar("_Part")
+_BOOLEANS = {"True": True, "False": False}
+_DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+)([eE][-+]?\d+)?")  # TOML wants digits on both sides of the point
 
 
 def to_table(part: object) -> Table:
@@ -74,7 +76,7 @@ def nest(values: Mapping[str, Any]) -> Table:
 
 
 def read_assignments(assignments: Iterable[str]) -> Table:
-    """Values by name of texts ``name=value``; a value is one of TOML, or a text without quotes.
+    """Values by name of texts ``name=value``; a value is one of TOML, a number like ``0.``, or a text without quotes.
 
     Raises ConfigurationError for a text of another form.
     """
@@ -84,11 +86,19 @@ def read_assignments(assignments: Iterable[str]) -> Table:
         if not (name and equals and text):
             raise ConfigurationError(f"expected name=value, got {assignment!r}")
         values.pop(name, None)  # the last one counts, by whatever name
-        try:
-            values[name] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            values[name] = text
+        values[name] = _read_value(text)
     return values
+
+
+def _read_value(text: str) -> Any:  # noqa: ANN401
+    """Value of TOML, a number as YAML and Python write it (``0.``, ``.5``, ``True``), or the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    if text in _BOOLEANS:
+        return _BOOLEANS[text]
+    return float(text) if _DECIMAL.fullmatch(text) else text
 
 
 def replace_parameters(part: _Part, changes: Mapping[str, Any], also: Iterable[str] = ()) -> _Part:

@@ -20,6 +20,8 @@ class YamlError(ValueError):
 def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
     """Numbers, texts, lists and dicts of a text; or nodes (of `ruamel.yaml.nodes`), which know what stands where.
 
+    Keys of dicts are texts as they stand there, as in ROS: `y` is a coordinate, though the value `y` is true.
+
     Raises YamlError.
     """
     from ruamel.yaml import YAML  # slow to import
@@ -31,10 +33,32 @@ def parse_yaml(text: str, *, as_nodes: bool = False) -> Any:  # noqa: ANN401
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of 1e-3, which YAML 1.1 would have as 1.0e-3
         try:
-            return reader.compose(text) if as_nodes else reader.load(text)
+            root = reader.compose(text)
+            if as_nodes or root is None:
+                return root
+            _read_keys_as_texts(root)
+            return reader.constructor.construct_document(root)
         except MarkedYAMLError as error:
             begun = error.context_mark if isinstance(error, ScannerError) else None  # where what is not ended begins
             mark = begun or error.problem_mark
             raise YamlError(error.problem, mark.line + 1) from None
         except YAMLError as error:
             raise YamlError(" ".join(str(error).split()), None) from None
+
+
+def _read_keys_as_texts(root: Any) -> None:  # noqa: ANN401
+    """Tag the keys of all mappings below a node as texts."""
+    left = [root]
+    seen = set[int]()  # a node may be named, and referred to again
+    while left:
+        node = left.pop()
+        if id(node) in seen or node.id == "scalar":
+            continue
+        seen.add(id(node))
+        if node.id == "sequence":
+            left += node.value
+            continue
+        for key, value in node.value:
+            if key.id == "scalar" and not key.tag.endswith(":merge"):
+                key.tag = "tag:yaml.org,2002:str"
+            left.append(value)

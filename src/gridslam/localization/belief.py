@@ -148,6 +148,7 @@ class PoseHypotheses(NamedTuple):
 
 NO_HYPOTHESES = PoseHypotheses(np.empty((0, 3)), np.empty(0))
 
+_CONVINCING = 1.0  # nats for a hypothesis, from which on particles are drawn there: less may be chance
 _REFUTED = 6.0  # nats against a hypothesis; evidence for it is limited to half of that, as the map may be wrong
 
 
@@ -215,12 +216,39 @@ class HypothesisTracker:
         places, odds = self._merge(places, np.append(hypotheses.log_odds, np.zeros(len(new))), estimate.pose)
         if not len(places):
             return NO_HYPOTHESES
-        places, agreement = self._refine_hypotheses(np.concatenate([estimate.pose[None], places]), agree, rng)
-        better = agreement[1:] - agreement[0]
-        evidence = np.sign(better) * np.maximum(np.abs(better) - self.margin, 0)
-        odds = np.clip(odds + self.log_odds_per_scan * evidence, -_REFUTED, _REFUTED / 2)
-        kept = np.flatnonzero(odds > -_REFUTED)
-        return PoseHypotheses(places[1:][kept], odds[kept])
+        places, agreement = self.refine(np.concatenate([estimate.pose[None], places]), agree, rng)
+        return self.without_refuted(places[1:], odds + self.evidence(agreement[1:] - agreement[0]))
+
+    def evidence(self, better: FloatArray) -> FloatArray:
+        """Log-odds (K,) by a scan of which the inlier ratio is `better` (K,) than at the reported place."""
+        return np.asarray(self.log_odds_per_scan * np.sign(better) * np.maximum(np.abs(better) - self.margin, 0))
+
+    def without_refuted(self, places: FloatArray, log_odds: FloatArray) -> PoseHypotheses:
+        """Hypotheses at places (K, 3) with limited log-odds (K,), but for those that are refuted."""
+        kept = log_odds > -_REFUTED
+        return PoseHypotheses(places[kept], np.minimum(log_odds[kept], _REFUTED / 2))
+
+    def join(self, first: PoseHypotheses, second: PoseHypotheses, estimate: FloatArray) -> PoseHypotheses:
+        """Hypotheses of both, the more probable of two in one cluster, without those at the `estimate` (3,)."""
+        log_odds = np.append(first.log_odds, second.log_odds)
+        order = np.argsort(-log_odds, kind="stable")
+        return PoseHypotheses(
+            *self._merge(np.concatenate([first.poses, second.poses])[order], log_odds[order], estimate)
+        )
+
+    def sample(self, hypotheses: PoseHypotheses, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Sample `count` poses (K, 3) about those hypotheses that are clearly more probable than the reported place.
+
+        The sum of the weights, whose logarithms are (K,), is the probability of these hypotheses.
+        """
+        better = hypotheses.log_odds > _CONVINCING
+        if not (better.any() and count):
+            return np.empty((0, 3)), np.empty(0)
+        odds = np.exp(hypotheses.log_odds[better])
+        poses = hypotheses.poses[better][rng.choice(len(odds), size=count, p=odds / odds.sum())]
+        poses += rng.normal(size=poses.shape) * [self.jitter_m, self.jitter_m, self.jitter_rad]
+        poses[:, 2] = wrap(poses[:, 2])
+        return poses, np.full(count, math.log(odds.sum() / (1 + odds.sum()) / count))
 
     def _merge(self, places: FloatArray, log_odds: FloatArray, estimate: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Merge nearby hypotheses, drop those near the estimate, and limit their number."""
@@ -239,7 +267,7 @@ class HypothesisTracker:
         heavy = heavy[np.argsort(-mass[heavy], kind="stable")][: self.max_hypotheses + 1]  # one is the reported one
         return np.array([poses[(weights * (names == one)).argmax()] for one in heavy]).reshape(-1, 3)
 
-    def _refine_hypotheses(
+    def refine(
         self, places: FloatArray, agree: PoseLikelihood, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
         """The pose about each of places (K, 3) where most beams agree, and their share (K,)."""

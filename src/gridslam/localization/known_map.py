@@ -18,7 +18,7 @@ from gridslam.grid.tiles import TileMaps
 from gridslam.kernels import PAGE, TILE, UNKNOWN, backend
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
-from gridslam.types import Beams, FloatArray, OccupancyGrid, Rows, SensorModel
+from gridslam.types import Beams, FloatArray, Match, OccupancyGrid, Rows, SensorModel
 
 __all__ = ["FieldTable", "KnownMap", "PoseLikelihood"]
 
@@ -30,6 +30,7 @@ _OCCUPIED = math.log(0.65 / 0.35)  # as map_server writes and reads maps
 _FREE = math.log(0.196 / 0.804)
 _PAGE_CELLS = TILE * PAGE
 _CLOSE_CELLS = 15.5  # as far as tiles know distances
+_INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
 _NONE = Evidence(1.0, -1.0, -1.0, 1.0, 0.0)  # never asked for: nothing is written into a known map
 
 
@@ -140,14 +141,19 @@ class KnownMap:
         log_likelihood = sensor(beams)
         return lambda poses: log_likelihood(self, np.zeros(len(poses), np.int32), poses)
 
+    def inlier_ratio(self, ends: FloatArray, weight: CauchyEndPoint | None = None) -> PoseLikelihood:
+        """Inlier ratio (K,) of ends (B, 2) of the base frame at poses (K, 3), by the weight of an end's distance."""
+        table = self._tabulate(weight or _INLIER_WEIGHT)
+        ends = np.ascontiguousarray(ends)
+        return lambda poses: table.sums(poses, ends, self.threads) / len(ends)
+
     def distances(self, rows: Rows, poses: FloatArray, points: FloatArray) -> NDArray[np.float32]:
         """Distance in m (K, B) from points (B, 2) of the base frame at poses (K, 3) to the nearest obstacle's centre.
 
         Capped at `reach_m`, which also holds beyond the map; `rows` (K,) are all one map.
         """
         places = np.pad(transform_points(poses[:, None], points), ((0, 0), (0, 0), (0, 1)))
-        table = FieldTable.of(self._distances, self._corner, self.resolution_m)
-        found = table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
+        found = self._distance_table.sums(places.reshape(-1, 3), np.zeros((1, 2)), self.threads)
         return found.reshape(places.shape[:2]).astype(np.float32)
 
     def cast_rays(
@@ -160,11 +166,16 @@ class KnownMap:
         shifted = poses - [*self._corner, 0.0]
         return self._tiles.cast_rays(np.zeros(len(poses), np.int32), shifted, origin, directions, max_m)
 
-    def match(self, matcher: GaussNewton, guess: FloatArray, prior: FloatArray, beams: Beams) -> FloatArray:
-        """Pose (3,) where a scan fits best, near a guess (3,) with prior information (3, 3) as for `GaussNewton`."""
+    def match(self, matcher: GaussNewton, guesses: FloatArray, prior: FloatArray, beams: Beams) -> Match:
+        """Match a scan near guesses (K, 3), all with the prior information (3, 3), as `GaussNewton` does."""
         shift = np.array([*self._corner, 0.0])
-        found = matcher(self._tiles, np.zeros(1, np.int32), (guess - shift)[None], prior[None], beams)
-        return np.asarray(found.poses[0] + shift)
+        rows = np.zeros(len(guesses), np.int32)
+        found = matcher(self._tiles, rows, guesses - shift, np.repeat(prior[None], len(guesses), axis=0), beams)
+        return replace(found, poses=found.poses + shift)
+
+    @cached_property
+    def _distance_table(self) -> FieldTable:
+        return FieldTable.of(self._distances, self._corner, self.resolution_m)
 
     @cached_property
     def _tiles(self) -> TileMaps:

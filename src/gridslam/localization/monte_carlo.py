@@ -17,15 +17,24 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass as parameters
 
 from gridslam.geometry.se2 import between, compose, log
-from gridslam.localization.belief import HypothesisTracker, PoseEstimate, estimate_pose, propagate_covariance
+from gridslam.localization.belief import (
+    CLUSTER_RADIUS_M,
+    CLUSTER_RADIUS_RAD,
+    HypothesisTracker,
+    PoseEstimate,
+    estimate_pose,
+    propagate_covariance,
+)
 from gridslam.localization.kld_sampling import KldSampling
 from gridslam.localization.known_map import KnownMap, PoseLikelihood
+from gridslam.localization.match_covariance import MatchCovariance
+from gridslam.localization.place_verification import NO_SCANS, PlaceVerification
 from gridslam.localization.recovery import AugmentedRecovery, MeasurementProposal
 from gridslam.localization.state import LocalizationReport, LocalizationSkip, MonteCarloState, validate_poses
 from gridslam.matching.beam_order import BeamOrder
 from gridslam.matching.gauss_newton import GaussNewton
 from gridslam.models.beam import BeamRangeFinder
-from gridslam.models.endpoint import CauchyEndPoint, LikelihoodField
+from gridslam.models.endpoint import LikelihoodField
 from gridslam.models.motion import DiffusionMotion, GMappingMotion, OdometryMotion
 from gridslam.models.parameters import STRICT, Kind
 from gridslam.particles.initial import sample_gaussian
@@ -48,10 +57,10 @@ __all__ = ["MonteCarloConfiguration", "MonteCarloLocalization"]
 _UNKNOWN_POSE = PoseEstimate(np.zeros(3), np.diag([1e6, 1e6, math.pi**2]), 0.0)
 
 
-_INLIER_WEIGHT = CauchyEndPoint(scale_m=0.1, tempering=1.0)
-
-
 _ROUNDING = 1e-6 * np.eye(3)  # a millimetre, for beliefs without any spread
+
+
+_CLUSTER = np.diag([CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_M / 2, CLUSTER_RADIUS_RAD / 2]) ** 2
 
 
 _MAX_EVALUATED = 500  # particles whose agreement with a scan stands for that of all
@@ -76,10 +85,14 @@ class MonteCarloConfiguration:
         Where it may be, then and at the start.
     hypotheses : HypothesisTracker
         Tracking of alternative pose hypotheses.
+    verification : PlaceVerification
+        Search for other places before the robot counts as found.
     matcher : GaussNewton
         Moves the reported pose from the mean of the particles to where the scan fits best; max_iterations=0: not at
         all, as AMCL. Walls of a map that many scans have made, or someone has drawn, are lines: no end on them is but a
-        dot.
+        dot. Of ends that all count, less information than 2 % along a direction is that of a corridor's cells.
+    match_covariance : MatchCovariance
+        How exact that pose is.
     beam_order_margin : float, [0, 1]
         Gain of the inlier ratio required to deskew a scan in another order than its driver reports: some report beam
         times in reverse order or without meaning. Smaller gains occur by the rounding of the map to cells.
@@ -124,7 +137,9 @@ class MonteCarloConfiguration:
     recovery: AugmentedRecovery = Field(default_factory=AugmentedRecovery)
     proposal: MeasurementProposal = Field(default_factory=MeasurementProposal)
     hypotheses: HypothesisTracker = Field(default_factory=HypothesisTracker)
-    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(point_to_line=False))
+    verification: PlaceVerification = Field(default_factory=PlaceVerification)
+    matcher: GaussNewton = Field(default_factory=lambda: GaussNewton(point_to_line=False, min_information=0.02))
+    match_covariance: MatchCovariance = Field(default_factory=MatchCovariance)
     beam_order_margin: float = Field(default=0.05, ge=0, le=1)
     kld: KldSampling = Field(default_factory=KldSampling)
     when_to_update: MotionThreshold = Field(default_factory=lambda: MotionThreshold(0.2, 0.2))
@@ -185,9 +200,9 @@ class MonteCarloLocalization:
         log_weights = np.full(len(poses), -math.log(max(len(poses), 1)))
         known = len(poses) > 0
         estimate = estimate_pose(poses, np.exp(log_weights)) if known else _UNKNOWN_POSE
-        return MonteCarloState(
-            poses, log_weights, self.configuration.recovery.begin(), estimate, math.inf if known else 0.0
-        )
+        found_m = math.inf if known else 0.0
+        averages = self.configuration.recovery.begin()
+        return MonteCarloState(poses, log_weights, averages, estimate, found_m, verified=known)
 
     def init_gaussian(self, pose: ArrayLike, covariance: ArrayLike, rng: np.random.Generator) -> MonteCarloState:
         """Begin at a pose (3,) of which a covariance (3, 3) is known, with as many particles as there may be.
@@ -212,6 +227,7 @@ class MonteCarloLocalization:
         beams = self._select_beams(state, odometry, moved, scan)
         if reason := self._skip_reason(state, odometry, moved, beams):
             return state, self._refine_pose(self._report_skipped(state, odometry, scan, moved, reason), beams)
+        state.add_particles(*self.configuration.hypotheses.sample(state.hypotheses, len(state.poses), rng))
         poses = self._motion(moved)(state.poses, rng)  # x_t ~ p(x_t | u_t, x_t-1)
         log_likelihood = self._likelihood(beams)
         log_weights = state.log_weights + log_likelihood(poses)  # w_t = w_t-1 p(z_t | x_t, m)
@@ -268,14 +284,23 @@ class MonteCarloLocalization:
         The mean of the particles lags: their weights count few of the beams, and between updates only odometry moves
         them. The particles stay as they are, so this scan is not counted twice.
         """
-        if not report.particles:
+        matcher = self.configuration.matcher
+        if not report.particles or not matcher.max_iterations or len(beams) < matcher.min_beams:
             return report
-        return replace(report, pose=self._match(report.pose, report.covariance, beams))
+        pose = self._match(report.pose, report.covariance, beams)
+        if report.lost:
+            return replace(report, pose=pose)
+        covariance = self.configuration.match_covariance(self.map, matcher, pose, report.covariance + _ROUNDING, beams)
+        return replace(report, pose=pose, covariance=covariance)
 
     def _match(self, pose: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
+        return np.asarray(self._match_near(pose[None], covariance + _ROUNDING, beams)[0])
+
+    def _match_near(self, guesses: FloatArray, covariance: FloatArray, beams: Beams) -> FloatArray:
+        """Poses (K, 3) where a scan fits best, given that each has this covariance (3, 3) about its guess (K, 3)."""
         variance = self.map.blurred_sigma_m(self.configuration.sensor.sigma_hit_m) ** 2
-        prior = np.asarray(variance * np.linalg.inv(covariance + _ROUNDING), np.float64)
-        return self.map.match(self.configuration.matcher, pose, prior, beams)
+        prior = np.asarray(variance * np.linalg.inv(covariance), np.float64)
+        return self.map.match(self.configuration.matcher, guesses, prior, beams).poses
 
     def _likelihood(self, beams: Beams) -> PoseLikelihood:
         """Log likelihoods of poses (N, 3), which count less where there is no free space to be in."""
@@ -296,8 +321,7 @@ class MonteCarloLocalization:
 
     def _inlier_ratio(self, beams: Beams) -> PoseLikelihood:
         """Share (N,) of the beams that agree with the map at poses (N, 3)."""
-        agree = self.map.condition(_INLIER_WEIGHT, beams)
-        return lambda poses: agree(poses) / len(beams)
+        return self.map.inlier_ratio(beams.ends)
 
     def _inject_particles(
         self,
@@ -338,6 +362,7 @@ class MonteCarloLocalization:
         state.hypotheses = self.configuration.hypotheses(
             state.hypotheses, moved, estimate, state.poses, weights, agree, rng
         )
+        self._verify_place(state, beams, share, rng)
         return LocalizationReport(
             scan.stamp_ns,
             estimate.pose,
@@ -349,6 +374,27 @@ class MonteCarloLocalization:
             poses=state.poses,
             log_weights=state.log_weights,
         )
+
+    def _verify_place(self, state: MonteCarloState, beams: Beams, share: float, rng: np.random.Generator) -> None:
+        """Search for other places before the reported one counts as found; they become hypotheses.
+
+        Where the reported place is one of a `share` of particles drawn from all over the map, odometry may not connect
+        this scan with those before.
+        """
+        verification = self.configuration.verification
+        tracker = self.configuration.hypotheses
+        if state.odometry is None or not verification.scans:
+            return
+        before = NO_SCANS if share and not state.driven_since_found_m else state.recent
+        state.recent = before.append(state.odometry, beams.ends, verification.scans)
+        if state.verified or self._lost_probability(state) > self.configuration.lost_above:
+            return
+        reported = state.estimate.pose
+        found = verification(
+            self.map, reported, state.recent, lambda guesses: self._match_near(guesses, _CLUSTER, beams), tracker, rng
+        )
+        state.hypotheses = tracker.join(state.hypotheses, found, reported)
+        state.verified = self._lost_probability(state) <= self.configuration.lost_above
 
     def _report_skipped(
         self,

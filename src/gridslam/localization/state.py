@@ -16,6 +16,7 @@ from gridslam.errors import ArgumentError, ConsumedStateError
 from gridslam.geometry.angles import wrap
 from gridslam.geometry.se2 import compose
 from gridslam.localization.belief import NO_HYPOTHESES, PoseEstimate, PoseHypotheses, is_in_cluster
+from gridslam.localization.place_verification import NO_SCANS, RecentScans
 from gridslam.localization.recovery import InlierRatioAverages
 from gridslam.serialization import NOT_SAVED
 from gridslam.types import FloatArray, IntArray, Odometry, describe_pose, describe_time
@@ -102,6 +103,10 @@ class MonteCarloState:
         Path length since the reported place was found; infinite if it was given.
     hypotheses : PoseHypotheses
         Places that the particles have left, and that nothing has refuted yet.
+    recent : RecentScans
+        The scans of the last updates, back to where a place was found among particles drawn from all over the map.
+    verified : bool
+        Whether the reported place was verified, or given.
     inlier_ratio : float, [0, 1]
         Inlier ratio with the map there.
     odometry : (3,) float64 or None
@@ -118,6 +123,8 @@ class MonteCarloState:
     estimate: PoseEstimate
     driven_since_found_m: float = 0.0
     hypotheses: PoseHypotheses = NO_HYPOTHESES
+    recent: RecentScans = NO_SCANS
+    verified: bool = False
     inlier_ratio: float = 0.0
     odometry: Annotated[FloatArray, 3] | None = None
     last: Odometry | None = None
@@ -157,10 +164,18 @@ class MonteCarloState:
         self.last = odometry
         self.updates += 1
 
+    def add_particles(self, poses: FloatArray, log_weights: FloatArray) -> None:
+        """Mix particles (K, 3) into the belief of which they are a part by their log weights (K,)."""
+        if len(poses):
+            rest = math.log1p(-min(float(np.exp(log_weights).sum()), 1.0 - 1e-9))
+            self.poses = np.concatenate([self.poses, poses])
+            self.log_weights = np.concatenate([self.log_weights + rest, log_weights])
+
     def update_estimate(self, estimate: PoseEstimate, moved: FloatArray) -> None:
         """Update the estimate after the robot has `moved` (3,): the same place, or another one."""
         same = is_in_cluster(compose(self.estimate.pose, moved)[None], estimate.pose)[0]
         self.driven_since_found_m = self.driven_since_found_m + math.hypot(moved[0], moved[1]) if same else 0.0
+        self.verified = self.verified and bool(same)
         self.estimate = estimate
 
     def resample(self, parents: IntArray) -> None:

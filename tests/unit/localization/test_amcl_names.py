@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl, override_configuration
-from gridslam.errors import ConfigurationError
+from gridslam.api.amcl import AMCL_DEFAULTS, AMCL_NAMES, from_amcl, override_configuration, read_amcl
+from gridslam.errors import ConfigurationError, InputError
 from gridslam.localization import MonteCarloConfiguration
 from gridslam.models.beam import BeamRangeFinder
 from gridslam.models.endpoint import LikelihoodField
-from gridslam.models.motion import OdometryMotion
+from gridslam.models.motion import GMappingMotion, OdometryMotion
 from gridslam.particles.policies import AlwaysResample, EffectiveSampleSizeBelow
 
 
@@ -90,14 +90,156 @@ def test_what_means_nothing_here_is_named():
     assert from_amcl({"selective_resampling": True}).configuration.when_to_resample == EffectiveSampleSizeBelow()
 
 
+def test_values_as_ros_accepts_them():
+    """A decimal number without a fraction counts particles; a threshold of 0 is every scan; recovery may be off."""
+    read = from_amcl({"max_particles": 900.0, "update_min_d": 0.0}).configuration
+    assert (read.kld.particles_min, read.kld.particles_max) == (900, 900)
+    assert read.when_to_update(1e-6, 0.0)
+    off = override_configuration(
+        MonteCarloConfiguration(), ["recovery_alpha_fast=0.", "recovery_alpha_slow=.0", "selective_resampling=False"]
+    )
+    assert (off.configuration.recovery.alpha_fast, off.configuration.recovery.alpha_slow) == (0.0, 0.0)
+    assert off.configuration.when_to_resample == AlwaysResample()
+
+
+def test_a_holonomic_robot_keeps_a_model_with_noise_across_the_motion():
+    nav2 = from_amcl(AMCL_DEFAULTS["nav2"]).configuration
+    read = from_amcl({"robot_model_type": "nav2_amcl::OmniMotionModel", "alpha1": 0.3, "alpha5": 0.1}, nav2)
+    assert isinstance(read.configuration.motion, GMappingMotion)
+    assert set(read.ignored) == {"alpha1", "alpha5"}
+
+
+def test_a_pose_that_is_not_to_be_set_is_ignored():
+    read = from_amcl({"set_initial_pose": False, "initial_pose.x": 3.0, "initial_pose.covariance_x": 1.0})
+    assert read.pose is None
+    assert set(read.ignored) == {"initial_pose.x", "initial_pose.covariance_x"}
+    assert from_amcl({"set_initial_pose": True}).pose.tolist() == [0, 0, 0]
+
+
+ROS_1 = """
+odom_model_type: diff-corrected
+odom_alpha1: 0.3
+min_particles: 500
+max_particles: 3000
+kld_err: 0.02
+laser_max_beams: 60
+laser_z_hit: 0.95
+laser_z_rand: 0.05
+recovery_alpha_fast: 0.
+initial_pose_x: 1.0
+initial_cov_aa: 0.02
+gui_publish_rate: 10.0
+"""
+NAV2 = """
+amcl:
+  ros__parameters:
+    use_sim_time: True
+    alpha1: 0.3
+    kernel: 5
+    max_beams: 60
+    max_particles: 3000
+    min_particles: 500
+    pf_err: 0.02
+    robot_model_type: "nav2_amcl::DifferentialMotionModel"
+    z_hit: 0.95
+    z_rand: 0.05
+    set_initial_pose: true
+    initial_pose: {x: 1.0, y: 0.0, z: 0.0, yaw: 0.0}
+    qos_overrides: {/scan: {subscription: {depth: 5}}}
+amcl_map_client:
+  ros__parameters: {use_sim_time: True}
+local_costmap:
+  local_costmap:
+    ros__parameters: {width: 3}
+"""
+BELUGA = """
+/**:
+  ros__parameters: {max_beams: 10, pf_err: 0.02}
+amcl:
+  ros__parameters:
+    robot_model_type: differential_drive
+    alpha1: 0.3
+    max_beams: 60
+    max_particles: 3000
+    min_particles: 500
+    z_hit: 0.95
+    z_rand: 0.05
+    spatial_resolution_x: 0.5
+    spatial_resolution_y: 0.25
+    spatial_resolution_theta: 0.1
+    execution_policy: par
+    initial_pose.x: 1.0
+    initial_pose.covariance_xy: 0.1
+"""
+
+
+def test_files_of_ros_1_nav2_and_beluga_mean_the_same(tmp_path):
+    """The three files state the same filter, each by its own names and nested in its own way."""
+    reads = {}
+    for name, text in (("ros1", ROS_1), ("nav2", NAV2), ("beluga", BELUGA)):
+        (tmp_path / name).write_text(text)
+        reads[name] = read_amcl(tmp_path / name)
+        assert reads[name].pose.tolist() == [1, 0, 0]
+    ros_1, nav2, beluga = (read.configuration for read in reads.values())
+    assert ros_1.motion == OdometryMotion(alpha1=0.3)
+    assert (ros_1.kld.particles_min, ros_1.kld.particles_max, ros_1.kld.error, ros_1.max_beams) == (500, 3000, 0.02, 60)
+    assert ros_1.recovery.alpha_fast == 0
+    assert (nav2.motion, nav2.kld, nav2.max_beams, nav2.sensor) == (
+        ros_1.motion,
+        ros_1.kld,
+        ros_1.max_beams,
+        ros_1.sensor,
+    )
+    assert (beluga.kld.bin_m, beluga.kld.bin_rad, beluga.kld.error, beluga.max_beams) == (0.25, 0.1, 0.02, 60)
+    assert reads["beluga"].covariance[0, 1] == reads["beluga"].covariance[1, 0] == 0.1
+    assert reads["ros1"].ignored == ("gui_publish_rate",)
+    assert reads["nav2"].ignored == (
+        "use_sim_time",
+        "initial_pose.z",
+        "kernel",
+        "/amcl_map_client",
+        "/local_costmap/local_costmap",
+    )
+    assert reads["beluga"].ignored == ("execution_policy",)
+
+
+def test_a_file_of_ros_1_in_the_namespace_of_the_node(tmp_path):
+    (tmp_path / "amcl.yaml").write_text("amcl:\n  laser_max_beams: 77\n")
+    assert read_amcl(tmp_path / "amcl.yaml").configuration.max_beams == 77
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        ("max_particles: many", ConfigurationError, r"amcl\.yaml: max_particles: expected a valid integer, got 'many'"),
+        ("amcl: {ros__parameters: 5}", InputError, r"amcl\.yaml: expected parameters below ros__parameters of /amcl"),
+        ("a: 1\nb: [", InputError, r"amcl\.yaml, line \d: expected 'name: value' in YAML"),
+        ("max_particles = 5", InputError, "expected 'name: value' in YAML, got 'max_particles = 5'"),
+        ("controller: {ros__parameters: {rate: 5}}", InputError, "expected parameters of AMCL such as max_particles"),
+        (
+            "/a/amcl: {ros__parameters: {pf_z: 1}}\n/b/amcl: {ros__parameters: {pf_z: 1}}",
+            InputError,
+            "expected the parameters of one node amcl, got /a/amcl and /b/amcl",
+        ),
+    ],
+)
+def test_files_that_are_refused(tmp_path, text, error, said):
+    (tmp_path / "amcl.yaml").write_text(text)
+    with pytest.raises(error, match=said):
+        read_amcl(tmp_path / "amcl.yaml")
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
         ({"min_particle": 3}, "did you mean min_particles"),
-        ({"min_particles": 0}, "kld.particles_min: expected a number greater than or equal to 1, got 0"),
-        ({"odom_model_type": "omni"}, "differential"),
+        ({"min_particles": 0}, "^min_particles: expected a number greater than or equal to 1, got 0"),
+        ({"robot_model_type": "stationary"}, "^robot_model_type: expected diff or omni, got 'stationary'"),
+        ({"selective_resampling": "no"}, "selective_resampling: expected true or false, got 'no'"),
+        ({"initial_cov_xx": 0.01, "initial_cov_xy": 1.0}, "initial pose: expected a covariance"),
+        ({"spatial_resolution_x": "wide"}, "spatial_resolution_x: expected a number >= 0, got 'wide'"),
         ({"laser_model_type": "magic"}, "likelihood_field or beam"),
-        ({"laser_sigma_hit": -1.0}, "sensor.sigma_hit_m"),
+        ({"sigma_hit": -1.0}, "^sigma_hit: expected a number"),
         ({"min_particles": 9000, "max_particles": 100}, "particles_min must not exceed"),
         ({"initial_pose_x": "abc"}, "initial_pose_x: expected a number, got 'abc'"),
         ({"initial_pose.yaw": math.nan}, "initial_pose.yaw: expected a number, got nan"),

@@ -116,7 +116,7 @@ def test_a_scan_is_matched_to_where_it_was_taken(seed):
     known, rng = KnownMap(grid_of(room())), np.random.default_rng(seed)
     truth = rng.uniform([0.6, 2.6, -3], [3.6, 4.6, 3])
     guess = truth + rng.uniform(-1, 1, 3) * [0.1, 0.1, 0.05]
-    found = known.match(LINES, guess, np.zeros((3, 3)), seen_from(known, truth))
+    found = known.match(LINES, guess[None], np.zeros((3, 3)), seen_from(known, truth)).poses[0]
     assert np.hypot(*(found - truth)[:2]) < CELL / 4
     assert abs(found[2] - truth[2]) < 0.02
 
@@ -124,10 +124,10 @@ def test_a_scan_is_matched_to_where_it_was_taken(seed):
 def test_who_is_sure_of_the_guess_keeps_it():
     known, truth = KnownMap(grid_of(room())), np.array([2.0, 3.5, 0.4])
     guess, beams = truth + np.array([0.05, -0.04, 0.03]), seen_from(known, truth)
-    np.testing.assert_allclose(known.match(LINES, guess, 1e9 * np.eye(3), beams), guess, atol=1e-6)
+    np.testing.assert_allclose(known.match(LINES, guess[None], 1e9 * np.eye(3), beams).poses[0], guess, atol=1e-6)
     none = replace(beams, indices=beams.indices[:0], ends=beams.ends[:0])
-    np.testing.assert_allclose(known.match(LINES, guess, np.zeros((3, 3)), none), guess, atol=1e-12)
-    off = known.match(GaussNewton(max_iterations=0), guess, np.zeros((3, 3)), beams)
+    np.testing.assert_allclose(known.match(LINES, guess[None], np.zeros((3, 3)), none).poses[0], guess, atol=1e-12)
+    off = known.match(GaussNewton(max_iterations=0), guess[None], np.zeros((3, 3)), beams).poses[0]
     np.testing.assert_allclose(off, guess, atol=1e-12)
 
 
@@ -137,7 +137,10 @@ def test_a_match_does_not_depend_on_where_the_map_lies():
     x, y = (np.array(grid.origin) + shift[:2]).tolist()
     elsewhere = KnownMap(replace(grid, origin=(x, y)))
     guess, beams = truth + np.array([0.05, -0.04, 0.03]), seen_from(known, truth)
-    here, there = (one.match(LINES, at, np.eye(3), beams) for one, at in ((known, guess), (elsewhere, guess + shift)))
+    here, there = (
+        one.match(LINES, at[None], np.eye(3), beams).poses[0]
+        for one, at in ((known, guess), (elsewhere, guess + shift))
+    )
     np.testing.assert_allclose(there - shift, here, atol=1e-6)
 
 

@@ -6,12 +6,12 @@ Source: https://design.ros2.org/articles/ros_command_line_arguments.html
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, final
 
-from gridslam.errors import ConfigurationError, InputError
+from gridslam.errors import ConfigurationError
+from gridslam.io.ros_parameters import read_parameter_file
 from gridslam.io.yaml import parse_yaml
 
 __all__ = ["RosArguments", "parse_ros_arguments"]
@@ -114,26 +114,11 @@ def _split(text: str) -> tuple[str, str, str]:
 
 def _read_file(path: str, node: str) -> dict[str, Any]:
     """Return the parameters of a file for the node with this full name."""
-    try:
-        tree = parse_yaml(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(path, str(error), getattr(error, "line", None)) from None
     found: dict[str, Any] = {}
-    for pattern, parameters in _find_nodes(tree, ""):
-        if not isinstance(parameters, dict):
-            raise InputError(path, f"expected parameters below ros__parameters of {pattern}, got {parameters!r}")
+    for pattern, parameters in read_parameter_file(path):
         if re.fullmatch(_node_pattern(pattern), node):
-            found |= {name: value for name, value in parameters.items() if not isinstance(value, dict)}
+            found |= parameters
     return found
-
-
-def _find_nodes(tree: Any, above: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401
-    """Name of each node in a tree of parameters, and its parameters."""
-    for name, below in tree.items() if isinstance(tree, dict) else ():
-        if name == "ros__parameters":
-            yield above, below
-        else:
-            yield from _find_nodes(below, f"{above}/{str(name).strip('/')}")
 
 
 def _node_pattern(pattern: str) -> str:
