@@ -67,7 +67,7 @@ def row(log: Path, method: LandmarkMethod, unknown: bool, seed: int) -> dict[str
     }
 
 
-if __name__ == "__main__":  # python landmark_association.py DATA OUT.json SEEDS
+if __name__ == "__main__":  # python landmark_association.py DATA results/landmarks_mrclam.json SEEDS
     folder, out, seeds = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
     rows = list[dict[str, Any]]()
     for seed in range(seeds):
